@@ -1,0 +1,42 @@
+"""mimesh: give a mesh the pose or motion of another.
+
+The names below are loaded when first used, so that `import mimesh` and `mimesh --help` cost nothing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .io import load_clip, load_mesh, save_clip, save_mesh
+    from .mesh import Clip, InputError, Mesh
+    from .pipeline import ClipResult, Result, animate, transfer
+
+__version__ = "0.1.0"
+__all__ = [
+    "Clip",
+    "ClipResult",
+    "InputError",
+    "Mesh",
+    "Result",
+    "animate",
+    "load_clip",
+    "load_mesh",
+    "save_clip",
+    "save_mesh",
+    "transfer",
+]
+
+_HOMES = {
+    "mesh": ("Clip", "InputError", "Mesh"),
+    "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
+    "pipeline": ("ClipResult", "Result", "animate", "transfer"),
+}
+
+
+def __getattr__(name: str) -> object:
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(importlib.import_module(f".{home}", __name__), name)
+    raise AttributeError(f"module 'mimesh' has no attribute {name!r}")

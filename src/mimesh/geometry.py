@@ -1,0 +1,120 @@
+"""Geometry of triangle meshes: normals, areas, edges, welding, sampling and resampling. NumPy and SciPy only."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
+    """Face normals whose length is twice the face's area (cross product of two edges)."""
+    a, b, c = (np.take(vertices, faces[:, k], axis=-2) for k in range(3))
+    return np.cross(b - a, c - a)
+
+
+def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F"]:
+    """Area of each triangle."""
+    return 0.5 * np.linalg.norm(face_vectors(vertices, faces), axis=-1)
+
+
+def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
+    """Area-weighted unit normals; vertices without a face, or with cancelling faces, get +y."""
+    vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
+    return _unit(_sum_by(faces.ravel(), vectors, len(vertices)))
+
+
+def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
+    """Each undirected edge once, smaller index first, sorted."""
+    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    return np.unique(pairs, axis=0)
+
+
+def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, " V"]]:
+    """Merge vertices at exactly one position: the W distinct positions, sorted by x, y, z, and each vertex's index.
+
+    Exact on purpose: a tolerance would join surfaces that only touch. `merged[index]` gives the vertices back.
+    """
+    merged, index = np.unique(vertices, axis=0, return_inverse=True)
+    return merged, index.reshape(-1)
+
+
+def fan_triangles(polygon: list[int]) -> list[tuple[int, int, int]]:
+    """Triangulate a polygon of vertex indices as a fan around its first corner."""
+    return [(polygon[0], polygon[i], polygon[i + 1]) for i in range(1, len(polygon) - 1)]
+
+
+def turn_normals(
+    corner_normals: Float[np.ndarray, "F 3 3"],
+    faces: Int[np.ndarray, "F 3"],
+    before: Float[np.ndarray, "V 3"],
+    after: Float[np.ndarray, "V 3"],
+) -> Float[np.ndarray, "F 3 3"]:
+    """Turn given corner normals along with the surface, keeping hard edges hard and custom normals custom.
+
+    Corners at one position with one normal form a smooth fan. Each fan's area-weighted normal is measured before and
+    after; the given normal is turned by the smallest rotation between the two. An unmoved fan keeps its normal exactly.
+    Twist about the normal does not matter to a normal and is not estimated.
+    """
+    fans = corner_fans(corner_normals, faces, before)
+    old, new = (_fan_normals(fans, faces, points) for points in (before, after))
+    turned = rotate_between(old, new, corner_normals.reshape(-1, 3))
+    moved = (old != new).any(axis=1)
+    return np.where(moved[:, None], turned, corner_normals.reshape(-1, 3)).reshape(corner_normals.shape)
+
+
+def corner_fans(
+    corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]
+) -> Int[np.ndarray, " 3*F"]:
+    """Number the smooth fans: corners share one if they share position and normal (to 1e-4)."""
+    _, position = weld(vertices)
+    key = np.concatenate([position[faces.ravel()][:, None], np.round(corner_normals.reshape(-1, 3) * 1e4)], axis=1)
+    _, fans = np.unique(key, axis=0, return_inverse=True)
+    return fans.reshape(-1)
+
+
+def rotate_between(
+    old: Float[np.ndarray, "N 3"], new: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Apply to each vector the smallest rotation that takes unit `old` to unit `new` (opposite ones: half a turn)."""
+    axis = np.cross(old, new)
+    cosine = (old * new).sum(-1, keepdims=True)
+    opposite = cosine < -1 + 1e-9
+    safe = np.where(opposite, 1.0, 1.0 + cosine)
+    turned = vectors * cosine + np.cross(axis, vectors) + axis * (axis * vectors).sum(-1, keepdims=True) / safe
+    return np.where(opposite, -vectors, turned)
+
+
+def _fan_normals(fans, faces, vertices):
+    vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
+    return _unit(_sum_by(fans, vectors, int(fans.max()) + 1 if fans.size else 0))[fans]
+
+
+def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size: int) -> Float[np.ndarray, "S 3"]:
+    return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1)
+
+
+def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
+
+
+def sample_surface(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int, rng: np.random.Generator
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
+    """Area-uniform random points as (face index, barycentric weights), to be replayed on every frame of a clip."""
+    areas = face_areas(vertices, faces)
+    chosen = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(max=len(faces) - 1)
+    u, v = rng.random((2, count))
+    flip = u + v > 1
+    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
+    return chosen, np.stack([1 - u - v, u, v], axis=1)
+
+
+def at_barycentric(
+    vertices: Float[np.ndarray, "*T V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    chosen: Int[np.ndarray, " N"],
+    weights: Float[np.ndarray, "N 3"],
+) -> Float[np.ndarray, "*T N 3"]:
+    """Positions of surface points given as (face index, barycentric weights)."""
+    return sum(np.take(vertices, faces[chosen, k], axis=-2) * weights[:, k, None] for k in range(3))

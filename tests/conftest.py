@@ -1,0 +1,1 @@
+"""Shared fixtures: see `zoo.py` for the tiny meshes every algorithm is run over."""

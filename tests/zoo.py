@@ -1,0 +1,53 @@
+"""Tiny named meshes, sound and broken ones, that tests run over."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mimesh.mesh import Mesh
+
+
+def tetrahedron() -> Mesh:
+    """Closed, 4 vertices, 4 faces."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+    return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), name="tetrahedron")
+
+
+def cube() -> Mesh:
+    """Closed, 8 vertices, 12 triangles, side 1, outward faces."""
+    vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
+    return Mesh(vertices, np.array(faces), name="cube")
+
+
+def grid(n: int = 5) -> Mesh:
+    """Open sheet of n x n vertices in the plane z = 0, facing +z."""
+    x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij")
+    vertices = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
+    corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + n, corner + n + 1], 1), np.stack([corner, corner + n + 1, corner + 1], 1)]
+    )
+    return Mesh(vertices, faces, name="grid")
+
+
+def two_parts() -> Mesh:
+    """Two components: a tetrahedron and a cube beside it."""
+    first, second = tetrahedron(), cube()
+    vertices = np.concatenate([first.vertices, second.vertices + [3, 0, 0]])
+    return Mesh(vertices, np.concatenate([first.faces, second.faces + 4]), name="two_parts")
+
+
+def bow_tie() -> Mesh:
+    """Non-manifold: two triangles that share one vertex, and three triangles at one edge."""
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0.5, 0.5, 1]], float)
+    return Mesh(vertices, np.array([[0, 1, 2], [0, 3, 4], [0, 1, 5], [0, 1, 6]]), name="bow_tie")
+
+
+def point_cloud() -> Mesh:
+    """No faces."""
+    return Mesh(np.random.default_rng(0).normal(size=(50, 3)), np.zeros((0, 3), int), name="point_cloud")
+
+
+ZOO = (tetrahedron, cube, grid, two_parts, bow_tie, point_cloud)
