@@ -118,3 +118,61 @@ def at_barycentric(
 ) -> Float[np.ndarray, "*T N 3"]:
     """Positions of surface points given as (face index, barycentric weights)."""
     return sum(np.take(vertices, faces[chosen, k], axis=-2) * weights[:, k, None] for k in range(3))
+
+
+def closest_on_mesh(
+    points: Float[np.ndarray, "N 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    candidates: int = 12,
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
+    """Closest surface point of each query point: face index, barycentric weights, distance.
+
+    Looks at the `candidates` faces whose centroids are nearest, which is exact when the query lies close to a mesh of
+    fairly even triangles; raise `candidates` for long thin ones.
+    """
+    from scipy.spatial import cKDTree
+
+    centroids = vertices[faces].mean(axis=1)
+    _, near = cKDTree(centroids).query(points, k=min(candidates, len(faces)))
+    near = near.reshape(len(points), -1)
+    best_distance = np.full(len(points), np.inf)
+    best_face, best_weights = near[:, 0].copy(), np.zeros((len(points), 3))
+    for column in near.T:
+        weights = closest_barycentric(points, vertices[faces[column]])
+        distance = np.linalg.norm(np.einsum("nk,nkc->nc", weights, vertices[faces[column]]) - points, axis=1)
+        closer = distance < best_distance
+        best_distance[closer], best_face[closer], best_weights[closer] = (
+            distance[closer],
+            column[closer],
+            weights[closer],
+        )
+    return best_face, best_weights, best_distance
+
+
+def closest_barycentric(
+    points: Float[np.ndarray, "N 3"], triangles: Float[np.ndarray, "N 3 3"]
+) -> Float[np.ndarray, "N 3"]:
+    """Barycentric weights of the point of each triangle that is closest to the matching query point."""
+    inside = _plane_barycentric(points, triangles)
+    weights, best = inside, np.where((inside >= 0).all(axis=1), -1.0, np.inf)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        start, end = triangles[:, i], triangles[:, j]
+        span = end - start
+        length = np.maximum((span * span).sum(-1), np.finfo(float).tiny)
+        t = np.clip(((points - start) * span).sum(-1) / length, 0, 1)
+        distance = np.linalg.norm(start + t[:, None] * span - points, axis=1)
+        on_edge = np.zeros_like(weights)
+        on_edge[:, i], on_edge[:, j] = 1 - t, t
+        closer = distance < best
+        weights, best = np.where(closer[:, None], on_edge, weights), np.where(closer, distance, best)
+    return weights
+
+
+def _plane_barycentric(points, triangles):
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = np.maximum((normal * normal).sum(-1), np.finfo(float).tiny)
+    u = (np.cross(c - b, points - b) * normal).sum(-1) / square
+    v = (np.cross(a - c, points - c) * normal).sum(-1) / square
+    return np.stack([u, v, 1 - u - v], axis=1)

@@ -1,0 +1,109 @@
+"""Random people and poses, each a pure function of a seed: sample i depends on (seed, i) and on nothing else.
+
+Triples of degrees are rotation vectors about the world's axes at rest (x the person's left, y up, z front).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from .rigged import RiggedBody
+
+Range = tuple[float, float]
+
+TABLE_6: dict[str, tuple[Range, Range, Range]] = {
+    "Hips": ((-2, 2), (-2, 2), (-2, 2)),
+    "LeftUpLeg": ((-90, 0), (0, 0), (0, 40)),
+    "RightUpLeg": ((-90, 0), (0, 0), (-40, 0)),
+    "LowerBack": ((-1, 1), (-1, 1), (-1, 1)),
+    "LeftLeg": ((0, 100), (0, 0), (0, 0)),
+    "RightLeg": ((0, 100), (0, 0), (0, 0)),
+    "Spine": ((-1, 1), (-1, 1), (-1, 1)),
+    "LeftFoot": ((-10, 10), (-10, 10), (-1, 1)),
+    "RightFoot": ((-10, 10), (-10, 10), (-1, 1)),
+    "Spine1": ((-1, 1), (-1, 1), (-1, 1)),
+    "LeftToeBase": ((-1, 1), (-1, 1), (-1, 1)),
+    "RightToeBase": ((-1, 1), (-1, 1), (-1, 1)),
+    "Neck": ((-3, 3), (-3, 3), (-3, 3)),
+    "LeftShoulder": ((0, 0), (-30, 30), (-30, 30)),
+    "RightShoulder": ((0, 0), (-30, 30), (-30, 30)),
+    "Head": ((-3, 3), (-3, 3), (-3, 3)),
+    "LeftArm": ((0, 0), (-30, 30), (-30, 30)),
+    "RightArm": ((0, 0), (-30, 30), (-30, 30)),
+    "LeftForeArm": ((0, 0), (-60, 0), (0, 0)),
+    "RightForeArm": ((0, 0), (0, 60), (0, 0)),
+    "LeftHand": ((-10, 10), (-10, 10), (-10, 10)),
+    "RightHand": ((-10, 10), (-10, 10), (-10, 10)),
+    "LeftFingerBase": ((-5, 5), (0, 10), (-10, 0)),
+    "RightFingerBase": ((-5, 5), (-10, 0), (0, 10)),
+}
+"""NPT Table 6 (rows 1 to 24 in order) on our joints."""
+
+_LEFT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
+    "UpLeg": ((-110, 40), (-35, 35), (-20, 50)),
+    "Leg": ((0, 140), (-8, 8), (-4, 4)),
+    "Foot": ((-25, 45), (-15, 15), (-15, 15)),
+    "ToeBase": ((-30, 15), (0, 0), (0, 0)),
+    "Shoulder": ((-10, 10), (-20, 20), (-15, 30)),
+    "Arm": ((-70, 70), (-100, 35), (-95, 80)),
+    "ForeArm": ((-70, 70), (-140, 0), (-10, 10)),
+    "Hand": ((-25, 25), (-20, 20), (-60, 60)),
+    "FingerBase": ((-5, 5), (-5, 10), (-60, 5)),
+}
+_CENTRE_LIMITS: dict[str, tuple[Range, Range, Range]] = {
+    "Hips": ((-12, 12), (0, 0), (-12, 12)),
+    "LowerBack": ((-15, 30), (-15, 15), (-15, 15)),
+    "Spine": ((-12, 20), (-15, 15), (-12, 12)),
+    "Spine1": ((-12, 20), (-15, 15), (-12, 12)),
+    "Neck": ((-20, 20), (-25, 25), (-12, 12)),
+    "Neck1": ((-12, 12), (-15, 15), (-8, 8)),
+    "Head": ((-20, 20), (-25, 25), (-12, 12)),
+}
+
+
+def _mirrored(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
+    """The other side's limits: reflection at x = 0 keeps turns about x and reverses those about y and z."""
+    x, (y0, y1), (z0, z1) = ranges
+    return x, (-y1, -y0), (-z1, -z0)
+
+
+JOINT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
+    **_CENTRE_LIMITS,
+    **{f"Left{bone}": ranges for bone, ranges in _LEFT_LIMITS.items()},
+    **{f"Right{bone}": _mirrored(ranges) for bone, ranges in _LEFT_LIMITS.items()},
+}
+"""What human joints can do, roughly, from a T-pose; heading is sampled apart."""
+
+
+def limits_rotvec(body: RiggedBody, limits: dict[str, tuple[Range, Range, Range]]) -> Float[np.ndarray, "2 J 3"]:
+    """Lowest and highest rotation vector of every joint in radians; joints that the table leaves out stay at zero."""
+    bounds = np.zeros((2, len(body.joint_names), 3))
+    for name, ranges in limits.items():
+        bounds[:, body.joint(name)] = np.radians(ranges).T
+    return bounds
+
+
+def sample_shape(body: RiggedBody, seed: int, index: int, spread: float = 1.0) -> Float[np.ndarray, " K"]:
+    """Shape coefficients of person `index`: normal, cut at 2.5 standard deviations, times `spread`."""
+    drawn = _generator(seed, index, 0).normal(size=len(body.components))
+    return spread * np.clip(drawn, -2.5, 2.5)
+
+
+def sample_pose(
+    body: RiggedBody, seed: int, index: int, limits: dict[str, tuple[Range, Range, Range]] | None = None
+) -> Float[np.ndarray, "J 3"]:
+    """Rotation vectors of pose `index`, uniform within `limits` (default: NPT's Table 6)."""
+    low, high = limits_rotvec(body, TABLE_6 if limits is None else limits)
+    return _generator(seed, index, 1).uniform(low, high)
+
+
+def rotvec_to_rotmat(rotvec: Float[np.ndarray, "*B 3"]) -> Float[np.ndarray, "*B 3 3"]:
+    """Rotation matrices of rotation vectors in radians."""
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_matrix().reshape(*rotvec.shape, 3)
+
+
+def _generator(seed: int, index: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence([seed, index, stream]))
