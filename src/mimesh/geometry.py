@@ -29,6 +29,30 @@ def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     return np.unique(pairs, axis=0)
 
 
+def neighbours(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " S"], Int[np.ndarray, " N"]]:
+    """Neighbours of each vertex by edges, as (first, index): those of vertex v are `index[first[v]:first[v + 1]]`."""
+    both = edges(faces)
+    both = np.concatenate([both, both[:, ::-1]])
+    both = both[np.lexsort((both[:, 1], both[:, 0]))]
+    return np.searchsorted(both[:, 0], np.arange(int(faces.max()) + 2)), both[:, 1]
+
+
+def spatial_order(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " N"]:
+    """An order in which near points are near: halves along the longest side, again and again (a k-d tree's leaves)."""
+    cells = [np.arange(len(points))]
+    while any(len(cell) > 1 for cell in cells):
+        cells = [half for cell in cells for half in _halves(points, cell)]
+    return np.concatenate(cells)
+
+
+def _halves(points, cell):
+    if len(cell) < 2:
+        return [cell]
+    axis = np.ptp(points[cell], axis=0).argmax()
+    cell = cell[np.argsort(points[cell, axis], kind="stable")]
+    return [cell[: len(cell) // 2], cell[len(cell) // 2 :]]
+
+
 def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, " V"]]:
     """Merge vertices at exactly one position: the W distinct positions, sorted by x, y, z, and each vertex's index.
 

@@ -1,0 +1,194 @@
+"""Training pairs made on the device: people, poses, skinning, normalisation and vertex shuffles, without a worker.
+
+Batch `step` is a pure function of (seed, step), so a resumed training sees what an uninterrupted one would have seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from .. import geometry
+from ..bodies import RiggedBody
+from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, sample_pose
+from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
+from ..evaluate.protocols import HUMAN_NPT
+from ..motions import pose_bank
+from .bodies import TorchBody, rotvec_to_rotmat
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """What the pairs are made of."""
+
+    kind: Literal["table6", "wide"] = "table6"
+    """`table6`: the paper's 16 people x 400 Table 6 poses. `wide`: endless people, joint limits, motions, headings."""
+    vertices: int = 0
+    """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
+    target_scale: Literal["truth", "identity"] = "truth"
+    """Whose radius the truth is divided by. The paper normalises every mesh; users do not know the truth's radius."""
+    spread: float = 1.3
+    """Standard deviation of the shape coefficients."""
+    heading: float = 45.0
+    """`wide` only: the driving mesh looks up to this many degrees to either side."""
+
+
+IDENTITY_MIX = (0.40, 0.80, 0.85)
+"""`wide`: identities up to these shares are at rest (arms anywhere from T to lowered), in Table 6, within joint limits;
+the others are frames of motions."""
+DRIVING_MIX = (0.05, 0.50, 0.62)
+"""The same for driving meshes."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Normalised meshes of B pairs. Vertex i of `truth` is vertex i of `identity`; `driving` is shuffled on its own."""
+
+    identity: Float[Tensor, "B V 3"]
+    driving: Float[Tensor, "B U 3"]
+    truth: Float[Tensor, "B V 3"]
+    edges: Int[Tensor, "B E 2"]
+    edges_of_mesh: float
+    """Edges a vertex of the whole mesh over edges a vertex given here."""
+
+
+class PairSource:
+    """Makes batches of one kind of data on one device."""
+
+    def __init__(self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int) -> None:
+        self.config, self.seed, self.device = config, seed, device
+        self.body = TorchBody(body).to(device)
+        self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
+        self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
+        self.first_neighbour, self.neighbours = (
+            torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
+        )
+        self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
+        if config.kind == "table6":
+            people, poses = HUMAN_NPT.train_people(body), HUMAN_NPT.train_poses(body)
+            self.people = torch.from_numpy(people).float().to(device)
+            self.poses = torch.from_numpy(numpy_rotmat(poses)).float().to(device)
+        else:
+            self.table6 = torch.from_numpy(limits_rotvec(body, TABLE_6)).float().to(device)
+            self.limits = torch.from_numpy(limits_rotvec(body, JOINT_LIMITS)).float().to(device)
+            self.bank = torch.from_numpy(pose_bank("train")).float().to(device)
+            self.lowered = torch.from_numpy(lowered_arms(body)).float().to(device)
+
+    def batch(self, size: int, step: int) -> Batch:
+        """The pairs of training step `step`."""
+        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        if self.config.kind == "table6":
+            shapes, poses = self._from_table(size, rng)
+        else:
+            shapes, poses = self._endless(size, rng)
+        identity_shape, driving_shape = shapes
+        identity_pose, driving_pose = poses
+        index, driving_index, edges, share = self._vertices(size, rng)
+        identity, radius = self._mesh(identity_shape, identity_pose, index)
+        driving, _ = self._mesh(driving_shape, driving_pose, driving_index)
+        scale = radius if self.config.target_scale == "identity" else None
+        truth, _ = self._mesh(identity_shape, driving_pose, index, scale)
+        return Batch(identity, driving, truth, edges, share)
+
+    def _from_table(self, size: int, rng: torch.Generator):
+        """Two of the 16 x 400 meshes of the paper for each pair."""
+        who = torch.randint(len(self.people), (2, size), generator=rng, device=self.device)
+        pose = torch.randint(len(self.poses), (2, size), generator=rng, device=self.device)
+        return self.people[who], self.poses[pose]
+
+    def _endless(self, size: int, rng: torch.Generator):
+        """Fresh people; identities mostly near a rest pose, driving meshes in all that people do."""
+        shapes = torch.randn(2, size, len(self.body.components), generator=rng, device=self.device)
+        shapes = self.config.spread * shapes.clamp(-2.5, 2.5)
+        kinds = torch.rand(2, size, generator=rng, device=self.device)
+        poses = []
+        for kind, identity in zip(kinds, (True, False), strict=True):
+            table, wide = self._within(self.table6, size, rng), self._within(self.limits, size, rng)
+            clip = self.bank[torch.randint(len(self.bank), (size,), generator=rng, device=self.device)]
+            rest = self.lowered * torch.rand(size, 1, 1, generator=rng, device=self.device)
+            rest = rest + 0.05 * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
+            edges = IDENTITY_MIX if identity else DRIVING_MIX
+            choice = torch.bucketize(kind, torch.tensor(edges, device=self.device))
+            pose = torch.stack([rest, table, wide, clip])[choice, torch.arange(size, device=self.device)]
+            rotmat = rotvec_to_rotmat(pose)
+            turn = math.radians(self.config.heading) * (0.25 if identity else 1.0)
+            rotmat[:, 0] = self._headings(size, turn, rng) @ rotmat[:, 0]
+            poses.append(rotmat)
+        return shapes, torch.stack(poses)
+
+    def _within(self, bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
+        part = torch.rand(size, *bounds.shape[1:], generator=rng, device=self.device)
+        return bounds[0] + part * (bounds[1] - bounds[0])
+
+    def _headings(self, size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+        angle = reach * (2 * torch.rand(size, generator=rng, device=self.device) - 1)
+        zero = torch.zeros_like(angle)
+        return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
+
+    def _vertices(self, size: int, rng: torch.Generator):
+        """Independent shuffles: indices of identity and truth, of driving, and the edges among the former.
+
+        With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
+        edges to measure.
+        """
+        total, wanted = len(self.body.vertices), self.config.vertices
+        if wanted == 0:
+            order = torch.rand(2, size, total, generator=rng, device=self.device).argsort(-1)
+            rank = order[0].argsort(-1)
+            edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
+            return order[0], order[1], edges, 1.0
+        index = self._spread(size, wanted // 2, rng)
+        start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
+        pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
+        index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
+        edges = torch.arange(index.shape[1], device=self.device).view(1, -1, 2).expand(size, -1, -1)
+        return index, self._spread(size, index.shape[1], rng), edges, 2.0 * len(self.edges) / total
+
+    def _spread(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
+        """Random vertices, one from each of `count` equal cells of the body, in random order.
+
+        Means over them (InstanceNorm lives on those) waver far less than over vertices drawn at random.
+        """
+        cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
+        drawn = self.order[(cell * (len(self.order) / count)).long().clamp_max(len(self.order) - 1)]
+        return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
+
+    def _mesh(self, shape, rotmat, index, radius=None):
+        """Chosen vertices of the normalised mesh, and its radius; centre and radius are those of the whole mesh."""
+        count = index.shape[1]
+        if count == len(self.body.vertices):
+            points = self.body.posed(shape, rotmat)
+            whole, points = points, points.gather(1, index[..., None].expand(-1, -1, 3))
+        else:
+            both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
+            skinned = self.body.posed(shape, rotmat, both)
+            points, whole = skinned[:, :count], skinned[:, count:]
+        centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
+        if radius is None:
+            radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
+        return (points - centre) / radius, radius
+
+
+def extreme_vertices(body: RiggedBody, poses: int = 200) -> Int[np.ndarray, " N"]:
+    """Vertices that are ever outermost (along an axis, or from the middle) in random poses: enough to normalise by."""
+    found: list[int] = []
+    for i in range(poses):
+        limits = TABLE_6 if i % 2 else JOINT_LIMITS
+        vertices = body.posed(np.zeros(1), numpy_rotmat(sample_pose(body, 0, i, limits)))
+        centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+        found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]
+        found += np.argsort(np.linalg.norm(vertices - centre, axis=1))[-3:].tolist()
+    return np.unique(found)
+
+
+def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
+    """Rotation vectors that lower the arms of the T-pose by 75 degrees; a part of them gives an A-pose."""
+    pose = np.zeros((len(body.joint_names), 3))
+    pose[body.joint("LeftArm"), 2], pose[body.joint("RightArm"), 2] = -np.radians(75), np.radians(75)
+    return pose

@@ -1,0 +1,103 @@
+"""Training configurations: one YAML file each in `configs/`, checked against dataclasses."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from ..mesh import InputError
+from .batches import DataConfig
+from .npt import NPTConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything a training depends on besides the code; the defaults are NPT's paper."""
+
+    model: NPTConfig = field(default_factory=NPTConfig)
+    data: DataConfig = field(default_factory=DataConfig)
+    batch: int = 8
+    """Pairs a step."""
+    pairs: int = 800_000
+    """Length of the training: 200 epochs of 4,000 pairs."""
+    learning_rate: float = 5e-5
+    warmup: int = 0
+    """Pairs over which the learning rate rises from zero."""
+    decay: float = 0.0
+    """Share of the training, at its end, over which the learning rate falls linearly to zero."""
+    beta2: float = 0.999
+    clip: float = 0.0
+    """Largest norm of the gradient of the loss divided by V; 0 does not clip."""
+    ema: float = 0.0
+    """Decay of the running average of the weights that is validated and kept; 0 keeps the weights themselves."""
+    edge: Literal["paper", "ratio", "off"] = "paper"
+    edge_weight: float = 5e-4
+    precision: Literal["fp32", "bf16"] = "fp32"
+    compile: bool = False
+    """Fuse element-wise work with torch.compile (needs a C++ compiler on a CPU)."""
+    validate_every: int = 20_000
+    """Pairs between validations on the `val` split."""
+    validation_pairs: int = 24
+    """Pairs of each kind in a validation, at most 72."""
+    seed: int = 0
+
+
+def load_config(name_or_path: str, model: str = "npt") -> TrainConfig:
+    """A shipped configuration by name (`paper`, `small`, ...) or a YAML file by path.
+
+    Raises:
+        InputError: no such configuration, or a key or value that does not belong.
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml"):
+        path = Path(str(resources.files(__package__) / "configs" / f"{model}-{name_or_path}.yaml"))
+    if not path.exists():
+        shipped = sorted(p.stem.removeprefix(f"{model}-") for p in path.parent.glob(f"{model}-*.yaml"))
+        raise InputError(
+            f"{name_or_path}: expected a configuration ({', '.join(shipped)}) or a YAML file, found neither"
+        )
+    values = yaml.safe_load(path.read_text()) or {}
+    return config_from(values, str(path))
+
+
+def config_from(values: dict[str, Any], where: str) -> TrainConfig:
+    """Build the dataclass tree from nested dictionaries, refusing what does not fit."""
+    return _build(TrainConfig, values, where)
+
+
+def _build(kind: type, values: Any, where: str) -> Any:
+    if not isinstance(values, dict):
+        raise InputError(f"{where}: expected keys and values, found {values!r}")
+    hints = typing.get_type_hints(kind)
+    unknown = sorted(set(values) - set(hints))
+    if unknown:
+        raise InputError(f"{where}: expected the keys {', '.join(hints)}, found {', '.join(unknown)}; remove it")
+    return kind(**{k: _value(hints[k], v, f"{where}, {k}") for k, v in values.items()})
+
+
+def _value(hint: Any, value: Any, where: str) -> Any:
+    if dataclasses.is_dataclass(hint):
+        return _build(typing.cast(type, hint), value, where)
+    origin = typing.get_origin(hint)
+    if origin is Literal:
+        fits = value in typing.get_args(hint)
+    elif origin is tuple:
+        value, fits = tuple(value), len(value) == len(typing.get_args(hint))
+    elif hint is float:
+        fits = isinstance(value, (int, float)) and not isinstance(value, bool)
+        value = float(value) if fits else value
+    else:
+        fits = isinstance(value, hint) and (hint is bool or not isinstance(value, bool))
+    if not fits:
+        wanted = typing.get_args(hint) if origin is Literal else getattr(hint, "__name__", hint)
+        if isinstance(hint, types.GenericAlias):
+            wanted = hint
+        raise InputError(f"{where}: expected {wanted}, found {value!r}")
+    return value

@@ -1,0 +1,88 @@
+"""Layers that the papers' models share.
+
+Inside a model features are (C, B, V), channels first: a 1x1 convolution is then one matrix product for the whole batch,
+and InstanceNorm runs over contiguous rows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+EPSILON = 1e-5
+"""Added to the variance (NPT Eq. 2)."""
+
+
+def instance_norm(h: Float[Tensor, "C B V"]) -> Float[Tensor, "C B V"]:
+    """Zero mean and unit variance over the vertices of each sample and channel (NPT Eq. 1 and 2), no affine part.
+
+    The one place where vertices meet.
+    """
+    return F.layer_norm(h, h.shape[-1:], eps=EPSILON)
+
+
+class PointConv(nn.Module):
+    """1x1 convolution: one linear map of the channels, the same for every vertex (PyTorch's default initialisation)."""
+
+    def __init__(self, channels_in: int, channels_out: int) -> None:
+        super().__init__()
+        reach = 1.0 / math.sqrt(channels_in)
+        self.weight = nn.Parameter(torch.empty(channels_out, channels_in).uniform_(-reach, reach))
+        self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-reach, reach))
+
+    def forward(self, h: Float[Tensor, "C B V"]) -> Float[Tensor, "D B V"]:
+        return torch.addmm(self.bias[:, None], self.weight, h.flatten(1)).unflatten(1, h.shape[1:])
+
+
+class SPAdaIN(nn.Module):
+    """Spatially adaptive instance normalisation (NPT Eq. 3, Table 4): scale and shift come from each identity vertex.
+
+    `normalise=False` leaves the instance norm out, as the max-pool variant needs where its code is one vector.
+    """
+
+    def __init__(self, channels: int, normalise: bool = True) -> None:
+        super().__init__()
+        self.scale = PointConv(3, channels)
+        self.shift = PointConv(3, channels)
+        self.normalise = normalise
+
+    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+        return self.scale(identity) * (instance_norm(h) if self.normalise else h) + self.shift(identity)
+
+
+class Unit(nn.Module):
+    """One unit of a ResBlock: `norm-conv-relu` as NPT Table 3 has it, or `norm-relu-conv` as the public code has it."""
+
+    def __init__(self, channels: int, order: str, modulated: bool, normalise: bool) -> None:
+        super().__init__()
+        self.norm = SPAdaIN(channels, normalise) if modulated else None
+        self.conv = PointConv(channels, channels)
+        self.order = order
+
+    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+        if self.norm is not None:
+            h = self.norm(h, identity)
+        return self.conv(h).relu() if self.order == "norm-conv-relu" else self.conv(h.relu())
+
+
+class ResBlock(nn.Module):
+    """Two units, plus one unit on the shortcut (NPT Table 3; its row 9 adds rows 6 and 8).
+
+    Args:
+        modulated: SPAdaIN in front of each convolution; without it the block is convolutions alone (Table 2).
+        normalise: whether the instance norms of (first unit, second unit, shortcut) are there.
+    """
+
+    def __init__(
+        self, channels: int, order: str, modulated: bool = True, normalise: tuple[bool, bool, bool] = (True, True, True)
+    ) -> None:
+        super().__init__()
+        first, second, shortcut = (Unit(channels, order, modulated, keep) for keep in normalise)
+        self.first, self.second, self.shortcut = first, second, shortcut
+
+    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+        return self.second(self.first(h, identity), identity) + self.shortcut(h, identity)

@@ -1,0 +1,254 @@
+"""The training loop: random pairs in, best checkpoint on `val` out, resumable at any moment."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+from torch.utils.tensorboard import SummaryWriter
+
+from ..bodies import RiggedBody, load_body
+from ..evaluate.metrics import pmd_of_pair
+from ..evaluate.protocols import HUMAN_NPT
+from ..mesh import InputError
+from . import checkpoint
+from .batches import Batch, PairSource
+from .config import TrainConfig, load_config
+from .losses import npt_loss
+from .npt import NPT
+
+LOG_SECONDS = 20.0
+SAVE_SECONDS = 120.0
+
+
+def train_command(
+    model: str, config: str, out: Path | None, resume: Path | None, max_minutes: float | None, seed: int | None = None
+) -> Path:
+    """What `mimesh train` does; returns the folder with `last.safetensors`, `best.safetensors` and the logs."""
+    if model != "npt":
+        raise InputError(f"{model}: expected a model that can be trained (npt), found another")
+    if resume is not None:
+        last = resume / "last.safetensors"
+        if not last.exists():
+            raise InputError(f"{resume}: expected last.safetensors of an earlier training in it, found none")
+        return train(checkpoint.load(last).config, resume, max_minutes)
+    settings = load_config(config, model)
+    if seed is not None:
+        settings = type(settings)(**{**vars(settings), "seed": seed})
+    folder = out or Path("runs") / f"{model}-{Path(config).stem}-{settings.seed}"
+    if (folder / "last.safetensors").exists():
+        raise InputError(
+            f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
+        )
+    return train(settings, folder, max_minutes)
+
+
+def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -> Path:
+    """Train until `config.pairs` or the time limit; continue if the folder holds a checkpoint."""
+    folder.mkdir(parents=True, exist_ok=True)
+    run = Run.start(config, folder)
+    deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
+    validation = Validation(config, load_body(), run.device)
+    with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
+        log = Log(lines, board, config, run)
+        while run.step * config.batch < config.pairs and time.monotonic() < deadline:
+            log.add(run.advance())
+            pairs = run.step * config.batch
+            if pairs % config.validate_every < config.batch or pairs >= config.pairs:
+                log.write("validation", run.validate(validation, folder))
+            elif time.monotonic() - run.saved > SAVE_SECONDS:
+                run.save(folder / "last.safetensors")
+        log.flush()
+        if not run.metrics:
+            log.write("validation", run.validate(validation, folder))
+        run.save(folder / "last.safetensors")
+    return folder
+
+
+@dataclass
+class Run:
+    """A training in motion."""
+
+    config: TrainConfig
+    model: NPT
+    step_model: nn.Module
+    """The model, or its compiled form; both share weights."""
+    ema: dict[str, Tensor]
+    optimizer: torch.optim.Optimizer
+    source: PairSource
+    device: torch.device
+    step: int = 0
+    seconds: float = 0.0
+    best: float = float("inf")
+    saved: float = 0.0
+    metrics: dict[str, float] | None = None
+    """Validation figures of the current weights; None once they have changed."""
+
+    @classmethod
+    def start(cls, config: TrainConfig, folder: Path) -> Run:
+        """A fresh training, or the one whose checkpoint lies in the folder."""
+        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        torch.manual_seed(config.seed)
+        model = NPT(config.model).to(device)
+        ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
+        optimizer = torch.optim.Adam(
+            model.parameters(), lr=config.learning_rate, betas=(0.9, config.beta2), fused=device.type == "cuda"
+        )
+        source = PairSource(config.data, load_body(), device, config.seed)
+        compiled = torch.compile(model) if config.compile else model
+        run = cls(config, model, compiled, ema, optimizer, source, device, saved=time.monotonic())  # type: ignore[arg-type]
+        last = folder / "last.safetensors"
+        if last.exists():
+            state = checkpoint.load(last)
+            checkpoint.unpack(state, model, ema, optimizer)
+            run.step, run.seconds, run.best = state.step, state.seconds, state.best
+        return run
+
+    def advance(self) -> Tensor:
+        """One optimizer step; the loss stays on the device."""
+        started = time.perf_counter()
+        config = self.config
+        for group in self.optimizer.param_groups:
+            group["lr"] = config.learning_rate * schedule(config, self.step * config.batch)
+        batch = self.source.batch(config.batch, self.step)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss = self.loss(batch)
+        loss.backward()
+        if config.clip:
+            nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        self.optimizer.step()
+        if self.ema:
+            averages, current = list(self.ema.values()), list(self.model.state_dict().values())
+            torch._foreach_lerp_(averages, current, 1.0 - config.ema)
+        self.step += 1
+        self.metrics = None
+        self.seconds += time.perf_counter() - started
+        return loss.detach()
+
+    def loss(self, batch: Batch) -> Tensor:
+        """NPT Eq. 4 over V, in the configured width."""
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
+            result = self.step_model(batch.identity, batch.driving)
+        return npt_loss(
+            result,
+            batch.truth,
+            batch.identity,
+            batch.edges,
+            self.config.edge,
+            self.config.edge_weight,
+            batch.edges_of_mesh,
+        )
+
+    def validate(self, validation: Validation, folder: Path) -> dict[str, float]:
+        """Measure on `val`; keep the checkpoint if it is the best so far."""
+        current = {k: v.clone() for k, v in self.model.state_dict().items()}
+        if self.ema:
+            self.model.load_state_dict(self.ema)
+        self.metrics = validation.measure(self.model)
+        self.model.load_state_dict(current)
+        if self.metrics["val"] < self.best:
+            self.best = self.metrics["val"]
+            self.save(folder / "best.safetensors")
+        self.save(folder / "last.safetensors")
+        return self.metrics
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint."""
+        tensors = checkpoint.pack(self.model, self.ema, self.optimizer)
+        state = checkpoint.State(self.config, self.step, self.seconds, self.best, self.metrics or {}, tensors)
+        checkpoint.save(path, state)
+        self.saved = time.monotonic()
+
+
+class Validation:
+    """Pairs of the `val` split of human-npt (PMD of the papers), and of fresh training-like data with another seed."""
+
+    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
+        self.config, self.device = config, device
+        self.trials = {k: list(HUMAN_NPT.trials(body, "val", k, config.validation_pairs)) for k in ("seen", "unseen")}
+        self.fresh = PairSource(config.data, body, device, config.seed + 1_000_003)
+
+    @torch.no_grad()
+    def measure(self, model: NPT) -> dict[str, float]:
+        """PMD x1e4 on seen and unseen poses and on fresh data; `val` is the mean of the last two."""
+        model.eval()
+        figures: dict[str, float] = {}
+        for kind, trials in self.trials.items():
+            figures[kind] = 1e4 * sum(self._pmd(model, t) for t in trials) / len(trials)
+        batches = [self.fresh.batch(32, i) for i in range(8)]
+        errors = [(self._infer(model, b.identity, b.driving) - b.truth).square().sum(-1).mean() for b in batches]
+        figures["fresh"] = 1e4 * float(torch.stack(errors).mean())
+        figures["val"] = (figures["unseen"] + figures["fresh"]) / 2
+        model.train()
+        return figures
+
+    def _pmd(self, model: NPT, trial) -> float:
+        tensors = [torch.from_numpy(m.vertices).float().to(self.device) for m in (trial.identity, trial.driving)]
+        spheres = [_unit_sphere(t) for t in tensors]
+        result = self._infer(model, spheres[0][None], spheres[1][None])[0]
+        # PMD divides by the truth's radius: give the result that scale, whichever one it was trained for.
+        radius = torch.from_numpy(trial.truth)
+        radius = (radius - (radius.amax(0) + radius.amin(0)) / 2).norm(dim=-1).max()
+        own = (tensors[0] - (tensors[0].amax(0) + tensors[0].amin(0)) / 2).norm(dim=-1).max()
+        scale = own if self.config.data.target_scale == "identity" else radius
+        return pmd_of_pair((result.double().cpu() * float(scale)).numpy(), trial.truth)
+
+    def _infer(self, model: NPT, identity: Tensor, driving: Tensor) -> Tensor:
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
+            return model(identity, driving)
+
+
+class Log:
+    """JSON lines, TensorBoard and a line on the terminal."""
+
+    def __init__(self, lines, board: SummaryWriter, config: TrainConfig, run: Run) -> None:
+        self.lines, self.board, self.config, self.run = lines, board, config, run
+        self.losses: list[Tensor] = []
+        self.time, self.mark = time.monotonic(), run.seconds
+        # Forward plus backward: three times the forward arithmetic.
+        count = config.data.vertices or len(run.source.body.vertices)
+        self.flops = 3 * run.model.estimate_flops(count, count)
+
+    def add(self, loss: Tensor) -> None:
+        """Collect a loss; write a line now and then."""
+        self.losses.append(loss)
+        if time.monotonic() - self.time > LOG_SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what was collected: mean loss, pairs a second, arithmetic achieved."""
+        if not self.losses:
+            return
+        loss = torch.stack(self.losses).mean().item()
+        rate = len(self.losses) * self.config.batch / (self.run.seconds - self.mark)
+        figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
+        figures["learning_rate"] = self.run.optimizer.param_groups[0]["lr"]
+        self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
+        self.write("training", figures)
+
+    def write(self, kind: str, figures: dict[str, float]) -> None:
+        """One line of the log."""
+        pairs = self.run.step * self.config.batch
+        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **figures}
+        self.lines.write(json.dumps(record) + "\n")
+        self.lines.flush()
+        for name, value in figures.items():
+            self.board.add_scalar(f"{kind}/{name}", value, pairs)
+        print(f"{kind} {pairs:,} pairs: " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), file=sys.stderr)
+
+
+def schedule(config: TrainConfig, pairs: int) -> float:
+    """Share of the learning rate after so many pairs: linear rise, constant, linear fall over the last `decay`."""
+    rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
+    left = 1.0 - pairs / config.pairs
+    return rise * (min(1.0, left / config.decay) if config.decay else 1.0)
+
+
+def _unit_sphere(points: Tensor) -> Tensor:
+    centred = points - (points.amax(0) + points.amin(0)) / 2
+    return centred / centred.norm(dim=-1).max()
