@@ -141,7 +141,8 @@ def at_barycentric(
     weights: Float[np.ndarray, "N 3"],
 ) -> Float[np.ndarray, "*T N 3"]:
     """Positions of surface points given as (face index, barycentric weights)."""
-    return sum(np.take(vertices, faces[chosen, k], axis=-2) * weights[:, k, None] for k in range(3))
+    corners = np.take(vertices, faces[chosen], axis=-2)
+    return (corners * weights[:, :, None]).sum(axis=-2)
 
 
 def closest_on_mesh(
@@ -155,10 +156,10 @@ def closest_on_mesh(
     Looks at the `candidates` faces whose centroids are nearest, which is exact when the query lies close to a mesh of
     fairly even triangles; raise `candidates` for long thin ones.
     """
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
     centroids = vertices[faces].mean(axis=1)
-    _, near = cKDTree(centroids).query(points, k=min(candidates, len(faces)))
+    _, near = KDTree(centroids).query(points, k=min(candidates, len(faces)))
     near = near.reshape(len(points), -1)
     best_distance = np.full(len(points), np.inf)
     best_face, best_weights = near[:, 0].copy(), np.zeros((len(points), 3))

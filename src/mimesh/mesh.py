@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,6 +19,7 @@ class InputError(ValueError):
     """The user's file or argument is wrong. One line: what was expected, what was found, what to do."""
 
 
+@runtime_checkable
 class Source(Protocol):
     """The file a mesh came from, kept so that it can be written back with nothing but the points moved."""
 

@@ -91,7 +91,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
     """Load a shipped body by name, or a `.npz` of the same layout (see `save_body`) by path."""
     path = Path(name_or_path)
     if path.suffix != ".npz":
-        path = Path(str(resources.files(__package__) / f"{name_or_path}.npz"))
+        path = Path(str(resources.files("mimesh.bodies") / f"{name_or_path}.npz"))
     if not path.exists():
         raise InputError(f"{name_or_path}: expected a shipped body (human) or a .npz file, found neither")
     with np.load(path) as data:

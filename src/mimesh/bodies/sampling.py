@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from .rigged import RiggedBody
 
-Range = tuple[float, float]
+Range = tuple[int, int]
 
 TABLE_6: dict[str, tuple[Range, Range, Range]] = {
     "Hips": ((-2, 2), (-2, 2), (-2, 2)),

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 
 def pmd(
-    result: Float[np.ndarray, "*B V 3"], truth: Float[np.ndarray, "*B V 3"]
+    result: Float[np.ndarray, "*B V 3"], truth: Float[np.ndarray, "*C W 3"]
 ) -> Float[np.ndarray, "*B"] | np.float64:
     """Point-wise mesh Euclidean distance: mean over vertices of the squared distance (NPT Eq. 7, AniFormer Eq. 7).
 
@@ -31,13 +31,18 @@ def in_unit_sphere_of(
     return tuple((m - m.mean(axis=0)) / radius for m in meshes)
 
 
+def resized(mesh: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "V 3"]:
+    """The mesh centred and given the truth's radius, as if both had been put into the unit sphere."""
+    return in_unit_sphere_of(mesh, mesh)[0] * np.linalg.norm(truth - truth.mean(axis=0), axis=1).max()
+
+
 def pmd_of_pair(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
     """PMD of two meshes in metres, both put into the truth's unit sphere first."""
     return float(pmd(*in_unit_sphere_of(truth, result, truth)))
 
 
 def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], height: float) -> float:
-    """Mean distance in millimetres, scaled to a 1.7 m person; `height` is this person's own at rest, in the meshes' unit.
+    """Mean distance in millimetres, scaled to a 1.7 m person; `height` is this person's at rest, in the meshes' unit.
 
     Both meshes are centred on their vertex centroids first.
     """

@@ -1,7 +1,7 @@
-"""Named test sets, shipped as seeds: who poses, who is moved, and the truth. `train`, `val` and `test` never share any.
+"""Named test sets, shipped as seeds: who poses, who is moved, and the truth. `train`, `val` and `test` are disjoint.
 
-`human-npt` is the paper's: 16 training people x 400 Table 6 poses; 14 new people; 72 pairs whose driving pose was in the
-training and 72 whose pose was not. Both meshes of a pair are new people, the identity itself stands in a training pose.
+`human-npt` is the paper's: 16 training people x 400 Table 6 poses; 14 new people; 72 pairs whose driving pose was in
+the training and 72 whose pose was not. Both meshes of a pair are new people; the identity stands in a training pose.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ class TorchBody(nn.Module):
         rotmat: Float[Tensor, "B J 3 3"],
         index: Int[Tensor, "B N"] | Int[Tensor, " N"] | None = None,
     ) -> Float[Tensor, "B N 3"]:
-        """Vertices of people in poses; `index` picks some vertices (one list for all, or one a sample) before any work."""
+        """Vertices of people in poses; `index` picks vertices (one list for all, or one a sample) before any work."""
         transforms = self.skinning_transforms(shape, rotmat)
         if index is not None and index.ndim == 2:
             return self._skin_each(shape, transforms, index)

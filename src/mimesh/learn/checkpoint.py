@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from torch import Tensor, nn
 
 from ..io.atomic import whole_file
 from ..mesh import InputError
+from ..provenance import commit
 from .config import TrainConfig, config_from
 from .npt import NPT
 
@@ -102,21 +102,6 @@ def load_model(path: Path) -> tuple[NPT, State]:
     model = NPT(state.config.model)
     model.load_state_dict(state.weights())
     return model.eval(), state
-
-
-def commit() -> str:
-    """Short hash of the code's git commit, with a + if files differ from it; `unknown` outside a checkout."""
-    here = Path(__file__).parent
-    try:
-        sha = subprocess.run(
-            ["git", "rev-parse", "--short", "HEAD"], cwd=here, capture_output=True, text=True, check=True
-        )
-        dirty = subprocess.run(
-            ["git", "status", "--porcelain", "."], cwd=here, capture_output=True, text=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-    return sha.stdout.strip() + ("+" if dirty.stdout.strip() else "")
 
 
 def hardware() -> str:

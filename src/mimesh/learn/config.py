@@ -57,7 +57,7 @@ def load_config(name_or_path: str, model: str = "npt") -> TrainConfig:
     """
     path = Path(name_or_path)
     if path.suffix not in (".yaml", ".yml"):
-        path = Path(str(resources.files(__package__) / "configs" / f"{model}-{name_or_path}.yaml"))
+        path = Path(str(resources.files("mimesh.learn") / "configs" / f"{model}-{name_or_path}.yaml"))
     if not path.exists():
         shipped = sorted(p.stem.removeprefix(f"{model}-") for p in path.parent.glob(f"{model}-*.yaml"))
         raise InputError(

@@ -1,7 +1,7 @@
 """Neural Pose Transfer (Wang et al., CVPR 2020): give an identity mesh the pose of a driving mesh.
 
 Table 5: every driving vertex passes through three 1x1 convolutions with InstanceNorm (the *pose code*), is paired with
-one identity vertex, and a decoder of three SPAdaIN ResBlocks turns the pair into that identity vertex's new position.
+one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position.
 The pairing is random; vertices meet only in the mean and variance of InstanceNorm. Where the paper's tables and its public
 code differ the default is the paper, and a field of `NPTConfig` is the other reading.
 """
@@ -67,7 +67,7 @@ class NPT(nn.Module):
         return h.amax(dim=2, keepdim=True) if self.config.pose_code == "global_max" else h
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "B V 3"]:
-        """Identity vertices in the driving pose, vertex i paired with driving vertex i (U = V unless the code is pooled)."""
+        """Identity vertices in the driving pose, vertex i paired with driving vertex i (U = V unless pooled)."""
         code, points = self.encode(driving), identity.permute(2, 0, 1)
         if self.config.pose_code == "global_max":
             code = code.expand(-1, -1, points.shape[2])

@@ -123,8 +123,9 @@ class Run:
             nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         self.optimizer.step()
         if self.ema:
-            averages, current = list(self.ema.values()), list(self.model.state_dict().values())
-            torch._foreach_lerp_(averages, current, 1.0 - config.ema)
+            current = self.model.state_dict()
+            for name, average in self.ema.items():
+                average.lerp_(current[name], 1.0 - config.ema)
         self.step += 1
         self.metrics = None
         self.seconds += time.perf_counter() - started

@@ -1,0 +1,118 @@
+"""Checkpoint to ONNX: dynamic vertex counts, weights stored in half precision, a card beside it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from jaxtyping import Float
+
+from ..io.atomic import whole_file
+from ..mesh import InputError
+from . import checkpoint
+from .npt import NPT, NPTConfig
+
+
+def export_command(path: Path, out: Path) -> Path:
+    """What `mimesh export` does: the network, and a card (`.json`) with data, config, time, hardware and metrics.
+
+    The card's `metrics.test` is filled by `mimesh evaluate`, never here.
+    """
+    if out.suffix != ".onnx":
+        raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
+    model, state = checkpoint.load_model(path)
+    network = to_onnx(model, half=True)
+    describe(network, model.config, state.config.data.target_scale)
+    with whole_file(out) as temporary:
+        onnx.save(network, str(temporary))
+    with whole_file(out.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps(card(out, path, state), indent=2) + "\n")
+    return out
+
+
+def to_onnx(model: NPT, half: bool) -> onnx.ModelProto:
+    """Export with inputs `identity` (B, V, 3) and `driving` (B, U, 3) and output `result` (B, V, 3), all float32.
+
+    Args:
+        half: store large weights as float16 behind a cast; arithmetic stays in float32.
+    """
+    pooled = model.config.pose_code == "global_max"
+    batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
+    u = torch.export.Dim("driving_vertices", min=2) if pooled else v
+    example = torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the exporter's own deprecations
+        program = torch.onnx.export(
+            model.eval(),
+            example,
+            dynamo=True,
+            input_names=["identity", "driving"],
+            output_names=["result"],
+            dynamic_shapes=({0: batch, 1: v}, {0: batch, 1: u}),
+            verbose=False,
+        )
+    assert program is not None
+    network = program.model_proto
+    return with_half_weights(network) if half else network
+
+
+def with_half_weights(network: onnx.ModelProto, smallest: int = 256) -> onnx.ModelProto:
+    """A copy whose float32 initializers of at least `smallest` numbers are float16, each behind a Cast to float32."""
+    network = onnx.ModelProto.FromString(network.SerializeToString())
+    casts = []
+    for tensor in network.graph.initializer:
+        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < smallest:
+            continue
+        name = tensor.name
+        values = onnx.numpy_helper.to_array(tensor).astype(np.float16)
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values, f"{name}.half"))
+        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
+    nodes = [*casts, *network.graph.node]
+    del network.graph.node[:]
+    network.graph.node.extend(nodes)
+    return network
+
+
+def describe(network: onnx.ModelProto, config: NPTConfig, target_scale: str) -> None:
+    """Write into the file what a runner must know."""
+    facts: dict[str, Any] = {"model": "npt", "pose_code": config.pose_code, "target_scale": target_scale}
+    facts["config"] = dataclasses.asdict(config)
+    onnx.helper.set_model_props(network, {"mimesh": json.dumps(facts)})
+
+
+def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
+    """The model card: provenance and validation figures of the exported weights."""
+    header = checkpoint.read_header(path)
+    config = header["config"]
+    bodies = "16 people x 400 poses of NPT Table 6" if config["data"]["kind"] == "table6" else (
+        "endless people of the shipped body; rest, Table 6, joint limits and frames of the shipped motions; headings"
+    )  # fmt: skip
+    return {
+        "name": out.stem,
+        "file": out.name,
+        "license": "Apache-2.0",
+        "data": bodies,
+        "config": config,
+        "seed": config["seed"],
+        "commit": header["commit"],
+        "hardware": header["hardware"],
+        "seconds_trained": round(state.seconds),
+        "pairs": state.step * state.config.batch,
+        "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in state.metrics.items()}},
+    }
+
+
+def infer_onnx(
+    network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B U 3"]
+) -> Float[np.ndarray, "B V 3"]:
+    """Run an exported network once, to compare it with torch."""
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
+    return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])

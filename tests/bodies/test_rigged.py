@@ -1,0 +1,116 @@
+"""The shipped body and its sampling."""
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body, save_body
+from mimesh.bodies.sampling import JOINT_LIMITS, TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.geometry import edges
+from mimesh.mesh import InputError
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+def test_counts_and_closed_manifold(body):
+    assert (body.vertices.shape, body.faces.shape) == ((6890, 3), (13776, 3))
+    assert len(body.components) >= 10
+    assert 24 <= len(body.joint_names) <= 31
+    assert len(body.vertices) - len(edges(body.faces)) + len(body.faces) == 2  # Euler: one closed surface, no handles
+    directed = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    assert len(np.unique(directed, axis=0)) == len(directed)  # every edge once in each direction
+
+
+def test_rest_is_a_t_pose_in_our_frame(body):
+    left, right = body.joints[body.joint("LeftHand")], body.joints[body.joint("RightHand")]
+    shoulder, toes = body.joints[body.joint("LeftArm")], body.joints[body.joint("LeftToeBase")]
+    assert left[0] > 0.5 > -0.5 > right[0]
+    assert abs(left[1] - shoulder[1]) < 0.01
+    assert toes[2] > body.joints[body.joint("LeftFoot")][2]  # toes in front: +z
+    assert 1.4 < np.ptp(body.vertices[:, 1]) < 2.1
+
+
+def test_weights_are_a_partition_of_unity(body):
+    np.testing.assert_allclose(body.weights.sum(axis=1), 1, atol=1e-12)
+    assert body.weights.min() >= 0
+
+
+def test_identity_rotations_give_the_rest_shape(body):
+    shape = sample_shape(body, 0, 0)
+    rest = body.posed(shape, np.tile(np.eye(3), (len(body.parents), 1, 1)))
+    np.testing.assert_allclose(rest, body.shaped(shape)[0], atol=1e-12)
+
+
+def test_turning_the_root_turns_the_body(body):
+    shape, pose = sample_shape(body, 0, 1), rotvec_to_rotmat(sample_pose(body, 0, 1))
+    turn = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2]))
+    turned = pose.copy()
+    turned[0] = turn @ pose[0]
+    hips = body.shaped(shape)[1][0]
+    expected = (body.posed(shape, pose) - hips) @ turn.T + hips
+    np.testing.assert_allclose(body.posed(shape, turned), expected, atol=1e-12)
+
+
+def test_posing_agrees_with_a_vertex_by_vertex_loop(body):
+    shape, pose = sample_shape(body, 3, 0), rotvec_to_rotmat(sample_pose(body, 3, 0, JOINT_LIMITS))
+    vertices, joints = body.shaped(shape)
+    world = []
+    for j, parent in enumerate(body.parents):
+        local = np.eye(4)
+        local[:3, :3] = pose[j]
+        local[:3, 3] = joints[j] - (joints[parent] if parent >= 0 else 0)
+        world.append(local if parent < 0 else world[parent] @ local)
+    posed = body.posed(shape, pose)
+    for v in range(0, 6890, 997):
+        point = np.zeros(3)
+        for j, transform in enumerate(world):
+            point += body.weights[v, j] * (transform[:3, :3] @ (vertices[v] - joints[j]) + transform[:3, 3])
+        np.testing.assert_allclose(posed[v], point, atol=1e-12)
+
+
+def test_batches_are_the_single_bodies(body):
+    shapes = np.stack([sample_shape(body, 0, i) for i in range(3)])
+    poses = rotvec_to_rotmat(np.stack([sample_pose(body, 0, i) for i in range(3)]))
+    for i, one in enumerate(body.posed(shapes, poses)):
+        np.testing.assert_allclose(one, body.posed(shapes[i], poses[i]), atol=1e-12)
+
+
+def test_samples_depend_on_seed_and_index_only(body):
+    first = [sample_pose(body, 7, i) for i in range(5)]
+    np.testing.assert_array_equal(sample_pose(body, 7, 4), first[4])
+    assert not np.array_equal(sample_pose(body, 8, 4), first[4])
+    assert not np.array_equal(sample_shape(body, 7, 0), sample_shape(body, 7, 1))
+
+
+def test_table_6_is_the_papers(body):
+    assert len(TABLE_6) == 24
+    poses = np.degrees(np.stack([sample_pose(body, 0, i) for i in range(200)]))
+    knee, elbow = poses[:, body.joint("LeftLeg")], poses[:, body.joint("RightForeArm")]
+    assert 0 <= knee[:, 0].min() < 10 < 90 < knee[:, 0].max() <= 100
+    assert (knee[:, 1:] == 0).all()
+    assert 0 <= elbow[:, 1].min() < 10 < 50 < elbow[:, 1].max() <= 60
+    assert (poses[:, body.joint("LHipJoint")] == 0).all()
+
+
+def test_limits_are_mirror_images(body):
+    for name, (x, y, z) in JOINT_LIMITS.items():
+        if name.startswith("Left"):
+            other = JOINT_LIMITS["Right" + name[4:]]
+            assert other == (x, (-y[1], -y[0]), (-z[1], -z[0]))
+
+
+def test_save_and_load(body, tmp_path):
+    save_body(body, tmp_path / "again.npz")
+    again = load_body(tmp_path / "again.npz")
+    np.testing.assert_array_equal(again.vertices, body.vertices)
+    np.testing.assert_array_equal(again.components, body.components)
+    assert again.joint_names == body.joint_names
+
+
+def test_unknown_names_say_what_there_is(body):
+    with pytest.raises(InputError, match="expected a shipped body"):
+        load_body("octopus")
+    with pytest.raises(KeyError, match="LeftArm"):
+        body.joint("Tail")
