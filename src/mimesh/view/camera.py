@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,18 +61,6 @@ class Camera:
         rank = -1.0 / distance if self.perspective else distance
         return np.stack([width / 2 + x * scale, height / 2 - y * scale, rank], axis=1)
 
-    def rays(
-        self, pixels: Float[np.ndarray, "N 2"], size: tuple[int, int]
-    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-        """World origin and (not unit) direction of the ray through each picture position."""
-        width, height = size
-        x, y = ((pixels - [width / 2, height / 2]) * [1, -1] * (2 * self.half_height / height)).T
-        right, top, back = self.rotmat_camera_world
-        across = x[:, None] * right + y[:, None] * top
-        if self.perspective:
-            return np.broadcast_to(self.eye, across.shape), across - back
-        return self.eye + across, np.broadcast_to(-back, across.shape)
-
 
 def fit(
     points: Float[np.ndarray, "*T V 3"],
@@ -120,9 +109,62 @@ def fit(
     )
 
 
-def orbit(azimuth: float, elevation: float = 12.0) -> tuple[float, float]:
-    """A view by its angles in degrees, azimuth wrapped into -180..180."""
-    return (azimuth + 180.0) % 360.0 - 180.0, elevation
+def orbit(
+    points: Float[np.ndarray, "*T V 3"],
+    size: tuple[int, int] = (512, 512),
+    count: int = 48,
+    view: str | tuple[float, float] = "three-quarter",
+    *,
+    up: str = "y",
+    front: str | None = None,
+) -> list[Camera]:
+    """Cameras evenly around the subject, all at one distance that keeps it in the picture from everywhere."""
+    camera = fit(points, size, view, up=up, front=front)
+    flat = np.asarray(points, np.float64).reshape(-1, 3) - camera.centre
+    swept = np.concatenate([flat @ _about(camera.up, angle).T for angle in range(0, 360, 20)])
+    wide = fit(swept + camera.centre, size, view, up=up, front=front)
+    return [turned(wide, 360.0 * k / count) for k in range(count)]
+
+
+def follow(
+    points: Float[np.ndarray, "T V 3"],
+    size: tuple[int, int] = (512, 512),
+    view: str | tuple[float, float] = "three-quarter",
+    *,
+    up: str = "y",
+    front: str | None = None,
+) -> list[Camera]:
+    """One camera per frame at one distance and height, moved along the floor with the subject's middle."""
+    vertical = _axes(up, front)[1]
+    middle = points.mean(axis=1)
+    travel = middle - middle[0]
+    travel -= (travel @ vertical)[:, None] * vertical
+    camera = fit(points - travel[:, None], size, view, up=up, front=front)
+    return [moved(camera, step) for step in travel]
+
+
+def turned(camera: Camera, degrees: float) -> Camera:
+    """The camera carried around the vertical through the subject's middle; positive is counter-clockwise from above."""
+    turn = _about(camera.up, degrees)
+    return dataclasses.replace(
+        camera,
+        rotmat_camera_world=camera.rotmat_camera_world @ turn.T,
+        eye=camera.centre + turn @ (camera.eye - camera.centre),
+    )
+
+
+def moved(camera: Camera, offset: Float[np.ndarray, " 3"]) -> Camera:
+    """The camera and its floor, moved."""
+    floor = camera.floor + float(offset @ camera.up)
+    return dataclasses.replace(camera, eye=camera.eye + offset, centre=camera.centre + offset, floor=floor)
+
+
+def _about(axis, degrees) -> Float[np.ndarray, "3 3"]:
+    """Rotation matrix about a unit axis."""
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(degrees)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
 
 
 def _fit_perspective(local, frame, slope, radius):

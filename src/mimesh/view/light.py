@@ -12,60 +12,68 @@ import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from .camera import Camera
-from .zbuffer import zbuffer
+from .zbuffer import depth_map
 
 BACKGROUND = (0.955, 0.95, 0.94)
 """Off-white paper, sRGB; floor and background are one sheet."""
-SKY = np.array([1.0, 1.005, 1.02]) * 0.62
-BOUNCE = np.array([1.0, 0.97, 0.93]) * 0.34
-KEY = np.array([1.0, 0.975, 0.94]) * 0.78
-RIM = np.array([0.95, 0.98, 1.0]) * 0.22
-GLOSS = 0.05
+SKY = np.array([0.97, 1.0, 1.05]) * 0.56
+BOUNCE = np.array([1.05, 0.98, 0.90]) * 0.27
+KEY = np.array([1.02, 0.975, 0.92]) * 0.95
+RIM = np.array([0.95, 0.98, 1.0]) * 0.45
+GLOSS = 0.06
 FLOOR_SHADOW = 0.62
 """How dark the floor gets where no light reaches it: 0 leaves it white, 1 turns it black."""
-MAP = 96
+EDGE = 0.14
+"""Share of the picture over which the floor's shadow fades out at the edge."""
+MAP = 88
 """Side of a depth map in texels; enough for soft light, small enough for a hundred frames."""
+LIFT = 1.5
+"""Texels by which a point is lifted off its surface before asking what light it sees, so as not to shade itself."""
+AMBIENT, KEYS = 28, 8
+"""How many directions stand for the light from all around, and for the key light."""
+GOLDEN = np.pi * (3 - np.sqrt(5))
 
 
 @dataclass(frozen=True, eq=False)
 class Shadows:
-    """Depth maps of one frame: what the sky and the key light can see of it."""
+    """Depth maps of one frame: what the sky, the floor's bounce and the key light can see of it."""
 
     directions: Float[np.ndarray, "D 3"]
-    """Unit vectors towards the lights: `sky` of them over the hemisphere, then those of the key light."""
-    sky: int
-    cameras: tuple[Camera, ...]
-    maps: Float[np.ndarray, "D M M"]
-    """Distance of the nearest surface from each camera, infinite where there is none."""
+    """Unit vectors towards the lights: AMBIENT of them all around, then KEYS at the key light."""
+    to_map: Float[np.ndarray, "D 3 4"]
+    """World point (and 1) to column, row and distance in texels."""
+    maps: Float[np.ndarray, "D texels"]
+    """Distance of the nearest surface in texels, infinite where there is none and all along the map's edge."""
     texel: float
     """Side of a texel in world units."""
 
 
 def cast(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], camera: Camera) -> Shadows:
     """Look at the subject from every direction that light comes from."""
-    directions, sky = _directions(camera)
+    directions = _directions(camera)
     low, high = vertices.min(axis=0), vertices.max(axis=0)
-    centre, radius = (low + high) / 2, float(np.linalg.norm(high - low)) / 2 + 1e-12
-    cameras = tuple(_from(direction, centre, radius * 1.04) for direction in directions)
-    maps = np.full((len(directions), MAP * MAP), np.inf)
-    for depth, view in zip(maps, cameras, strict=True):
-        hits = zbuffer(view.project(vertices, (MAP, MAP)), faces, MAP, MAP)
-        depth[hits.sample] = hits.rank
-    return Shadows(directions, sky, cameras, maps.reshape(-1, MAP, MAP), 2 * 1.04 * radius / MAP)
+    centre, texel = (low + high) / 2, float(np.linalg.norm(high - low)) / (MAP - 4) + 1e-12
+    to_map = np.stack([_view_from(direction, centre, texel) for direction in directions])
+    maps = [depth_map(vertices @ view[:, :3].T + view[:, 3], faces, MAP, MAP).ravel() for view in to_map]
+    return Shadows(directions, to_map, np.stack(maps), texel)
 
 
 def visible_light(
     shadows: Shadows, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Share of the sky (weighted by the cosine) and of the key light that reaches each point, both in 0..1."""
-    lifted = points + normals * (1.5 * shadows.texel)
-    cosine = np.clip(normals @ shadows.directions.T, 0.0, None)
-    seen = np.empty_like(cosine)
-    for k, (view, depth) in enumerate(zip(shadows.cameras, shadows.maps, strict=True)):
-        seen[:, k] = _seen(view, depth, lifted, shadows.texel)
-    weight = cosine[:, : shadows.sky]
-    sky = (seen[:, : shadows.sky] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-9)
-    return sky, seen[:, shadows.sky :].mean(axis=1)
+    """Share of the ambient light (weighted by the cosine) and of the key light that reaches each point, in 0..1."""
+    lifted = (points + normals * (LIFT * shadows.texel)).T
+    cosine = np.clip(shadows.directions[:AMBIENT] @ normals.T, 0.0, None)
+    sky, key = np.zeros(len(points)), np.zeros(len(points))
+    for k, (view, depth) in enumerate(zip(shadows.to_map, shadows.maps, strict=True)):
+        x, y, distance = np.clip(view[:, :3] @ lifted + view[:, 3:], 0, [[MAP - 1], [MAP - 1], [np.inf]])
+        nearest = depth[y.astype(np.int64) * MAP + x.astype(np.int64)]
+        lit = np.clip(nearest - distance + 1.0, 0.0, 1.0)
+        if k < AMBIENT:
+            sky += lit * cosine[k]
+        else:
+            key += lit
+    return sky / np.maximum(cosine.sum(axis=0), 1e-9), key / KEYS
 
 
 def shade(
@@ -88,39 +96,106 @@ def shade(
     half = toward_key + viewer
     gloss = np.clip(normals @ (half / np.linalg.norm(half)), 0.0, 1.0) ** 24 * key * GLOSS
     light = ambient + lambert[:, None] * KEY + rim[:, None] * RIM
-    return albedo * light + gloss[:, None]
+    return _shoulder(albedo * light + gloss[:, None])
 
 
-def floor_shadow(shadows: Shadows, camera: Camera, count: int = 112) -> tuple[Float[np.ndarray, "N N"], float]:
-    """How dark the floor is, 0..1, on a square grid around the subject's foot point, and the grid's half side."""
+def _shoulder(linear, knee=0.6):
+    """Leave what is below the knee and bend what is above it towards 1, so that highlights keep their form."""
+    rest = 1 - knee
+    return np.where(linear > knee, 1 - rest * np.exp(-np.maximum(linear - knee, 0.0) / rest), linear)
+
+
+def backdrop(
+    shadows: Shadows | None,
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    camera: Camera,
+    size: tuple[int, int],
+    background: tuple[float, float, float],
+) -> Float[np.ndarray, "h w 3"]:
+    """The background in linear light, with the subject's shadow on the floor wherever a pixel looks down at it."""
+    width, height = size
+    paper = np.broadcast_to(to_linear(np.asarray(background)), (height, width, 3))
+    if shadows is None:
+        return paper
+    from scipy.ndimage import map_coordinates
+
+    dark, half = _floor_shadow(shadows, vertices, faces, camera)
+    x, z, below = _floor_points(camera, size)
+    grid = [(v / half + 1) / 2 * len(dark) - 0.5 for v in (np.broadcast_to(z[below, None], x[below].shape), x[below])]
+    shadow = np.zeros((height, width, 1))
+    shadow[below, :, 0] = map_coordinates(dark, grid, order=1, cval=0.0)
+    return paper * (1 - FLOOR_SHADOW * shadow * _vignette(width, height))
+
+
+def _vignette(width, height):
+    """1 inside, falling to 0 at the picture's edge, so that pictures side by side share one sheet of paper."""
+    margin = EDGE * min(width, height)
+    across, down = (np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / margin for n in (width, height))
+    ramp = np.clip(np.minimum(across, down[:, None]), 0.0, 1.0)[..., None]
+    return ramp * ramp * (3 - 2 * ramp)
+
+
+def _floor_shadow(shadows, vertices, faces, camera, count=112):
+    """How dark the floor is, 0..1, on a blurred square grid around the subject's foot, and the grid's half side."""
     from scipy.ndimage import gaussian_filter
 
     half = 1.7 * camera.radius
-    right, front = floor_axes(camera)
     step = (np.arange(count) + 0.5) / count * 2 - 1
-    x, z = np.meshgrid(step * half, step * half)
-    points = foot(camera) + x.reshape(-1, 1) * right + z.reshape(-1, 1) * front
+    grid = np.stack(np.meshgrid(step, step), axis=-1).reshape(-1, 2) * half
+    points = _foot(camera) + grid @ np.stack(_floor_axes(camera))
     sky, key = visible_light(shadows, points, np.broadcast_to(camera.up, points.shape))
-    dark = (1 - (0.55 * sky + 0.45 * key)).reshape(count, count)
-    fade = np.clip(1.6 * (1 - np.hypot(x, z) / half), 0.0, 1.0)
-    return gaussian_filter(dark, 1.1) * fade, half
+    contact = _contact(vertices, faces, camera, half, count)
+    fade = np.clip(1.6 * (1 - np.linalg.norm(grid, axis=1) / half), 0.0, 1.0).reshape(count, count)
+    parts = [(0.45, 1 - sky, 4.0), (0.40, 1 - key, 1.3), (0.35, contact, 0.8)]
+    layers = [share * gaussian_filter(dark.reshape(count, count), sigma) for share, dark, sigma in parts]
+    return np.clip(sum(layers), 0.0, 1.0) * fade, half
 
 
-def foot(camera: Camera) -> Float[np.ndarray, 3]:
+def _contact(vertices, faces, camera, half, count):
+    """How closely something touches the floor, 0..1, on the same grid: the height above it, seen from below."""
+    axes = np.stack([*_floor_axes(camera), camera.up])
+    local = (vertices - _foot(camera)) @ axes.T
+    cells = (local / half * [0.5, 0.5, 1.0] + [0.5, 0.5, 0.0]) * [count, count, half]
+    height = depth_map(cells, faces, count, count)
+    return np.exp(-np.maximum(height, 0.0) / (0.035 * camera.radius))
+
+
+def _floor_points(camera, size):
+    """Where pixels see the floor, from the subject's foot: x (h, w), z (h,), and which rows look down at it.
+
+    The picture's right is level, so how far a ray goes to the floor depends on its row alone.
+    """
+    width, height = size
+    unit = 2 * camera.half_height / height
+    across, climb = (np.arange(width) + 0.5 - width / 2) * unit, (height / 2 - np.arange(height) - 0.5) * unit
+    _, top, back = camera.rotmat_camera_world
+    right, front = _floor_axes(camera)
+    lens = float(camera.perspective)
+    start = camera.eye - _foot(camera) + (1 - lens) * climb[:, None] * top
+    ray = lens * climb[:, None] * top - back
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = -(start @ camera.up) / (ray @ camera.up)
+        z = start @ front + reach * (ray @ front)
+    x = (start @ right)[:, None] + across * np.where(camera.perspective, reach, 1.0)[:, None]
+    return x, z, np.flatnonzero((ray @ camera.up < -1e-6) & (reach > 0))
+
+
+def _foot(camera: Camera) -> Float[np.ndarray, 3]:
     """The point of the floor below the middle of the subject."""
     return camera.centre + (camera.floor - camera.centre @ camera.up) * camera.up
 
 
-def floor_axes(camera: Camera) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
+def _floor_axes(camera: Camera) -> tuple[Float[np.ndarray, 3], Float[np.ndarray, 3]]:
     """Two unit vectors along the floor: the picture's right, and towards the viewer."""
     right = camera.rotmat_camera_world[0]
     return right, np.cross(right, camera.up)
 
 
 def key_direction(camera: Camera) -> Float[np.ndarray, 3]:
-    """Unit vector towards the key light: over the viewer's left shoulder, whatever the view."""
-    right, front = floor_axes(camera)
-    return _unit(-0.62 * right + 0.95 * camera.up + 0.72 * front)
+    """Unit vector towards the key light: over the viewer's right shoulder, where a subject in a named view looks."""
+    right, front = _floor_axes(camera)
+    return _unit(0.72 * right + 0.95 * camera.up + 0.62 * front)
 
 
 def to_linear(color: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
@@ -139,39 +214,26 @@ def to_pixels(linear: Float[np.ndarray, "H W 3"]) -> UInt8[np.ndarray, "H W 3"]:
     return (to_srgb(linear) * 255 + 0.5).astype(np.uint8)
 
 
-def _directions(camera: Camera) -> tuple[np.ndarray, int]:
-    """A spiral over the upper hemisphere, denser where the cosine counts, and a small disc around the key light."""
-    right, front = floor_axes(camera)
-    basis = np.stack([right, camera.up, front])
-    sky = _spiral(20, 0.94) @ basis
+def _directions(camera: Camera) -> Float[np.ndarray, "D 3"]:
+    """AMBIENT directions evenly all around, turned with the camera, and a small disc of KEYS around the key light."""
+    right, front = _floor_axes(camera)
+    k = np.arange(AMBIENT) + 0.5
+    y, angle = 1 - 2 * k / AMBIENT, k * GOLDEN
+    ring = np.sqrt(1 - y * y)
+    ambient = np.stack([ring * np.cos(angle), y, ring * np.sin(angle)], axis=1) @ np.stack([right, camera.up, front])
     key = key_direction(camera)
     side = _unit(np.cross(key, camera.up))
-    around = _spiral(7, 0.16) @ np.stack([side, key, np.cross(side, key)])
-    return np.concatenate([sky, around]), len(sky)
+    k = np.arange(KEYS) + 0.5
+    r, angle = 0.17 * np.sqrt(k / KEYS)[:, None], k[:, None] * GOLDEN
+    disc = key + r * (np.cos(angle) * side + np.sin(angle) * np.cross(side, key))
+    return np.concatenate([ambient, disc / np.linalg.norm(disc, axis=1, keepdims=True)])
 
 
-def _spiral(count: int, spread: float) -> Float[np.ndarray, "N 3"]:
-    """Unit vectors around +y, uniform over a disc of radius `spread` below the sphere: cosine-weighted."""
-    k = np.arange(count) + 0.5
-    r, angle = spread * np.sqrt(k / count), k * np.pi * (3 - np.sqrt(5))
-    return np.stack([r * np.cos(angle), np.sqrt(1 - r * r), r * np.sin(angle)], axis=1)
-
-
-def _from(direction, centre, radius) -> Camera:
-    """A square, parallel view of the bounding sphere from a direction of light."""
-    helper = np.eye(3)[np.argmin(np.abs(direction))]
-    right = _unit(np.cross(helper, direction))
-    rotmat = np.stack([right, np.cross(direction, right), direction])
-    eye = centre + 2 * radius * direction
-    return Camera(rotmat, eye, radius, rotmat[1], 0.0, centre, radius, perspective=False)
-
-
-def _seen(view, depth, points, texel):
-    """How visible each point is from a light, 0..1, ramping over one texel of depth; points off the map are lit."""
-    x, y, distance = view.project(points, (MAP, MAP)).T
-    column, row = np.clip(x, 0, MAP - 1).astype(np.int64), np.clip(y, 0, MAP - 1).astype(np.int64)
-    lit = np.clip((depth[row, column] - distance) / texel + 1.0, 0.0, 1.0)
-    return np.where((x < 0) | (x >= MAP) | (y < 0) | (y >= MAP), 1.0, lit)
+def _view_from(direction, centre, texel) -> Float[np.ndarray, "3 4"]:
+    """World to (column, row, distance) in texels, for a parallel view of the bounding sphere from a light."""
+    right = _unit(np.cross(np.eye(3)[np.argmin(np.abs(direction))], direction))
+    rotmat = np.stack([right, np.cross(right, direction), -direction]) / texel
+    return np.concatenate([rotmat, (MAP / 2 - rotmat @ centre)[:, None]], axis=1)
 
 
 def _unit(vector):

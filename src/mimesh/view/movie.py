@@ -1,0 +1,154 @@
+"""Moving pictures: frames of clips and turntables, written as animated WebP or GIF."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..io.atomic import whole_file
+from ..mesh import Clip, InputError, Mesh
+from .camera import Camera, fit, follow, orbit
+from .raster import render, render_mesh
+from .sheet import captioned, page
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+
+def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:
+    """Write frames as an endlessly looping .webp or .gif and return how many there were.
+
+    WebP keeps full colour and is the smaller. GIF gets one palette for all frames, so that nothing flickers, and times
+    in hundredths of a second, spread so that the whole lasts as long as it should; viewers slow down above 50 frames
+    a second. Both formats merge frames that are exactly alike into one longer frame.
+
+    Raises:
+        InputError: another suffix, no frames, a frame rate that is not positive, or a Pillow without WebP.
+    """
+    path = Path(path)
+    writers = {".webp": _write_webp, ".gif": _write_gif}
+    if path.suffix.lower() not in writers:
+        raise InputError(f"{path}: expected a movie name ending in .webp or .gif, found {path.suffix or 'no suffix'}")
+    if not fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with --fps")
+    images = [_as_image(frame) for frame in frames]
+    if not images:
+        raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
+    with whole_file(path) as temporary:
+        writers[path.suffix.lower()](images, temporary, fps)
+    return len(images)
+
+
+def clip_frames(
+    clips: Clip | Sequence[tuple[str, Clip]],
+    size: tuple[int, int] = (512, 512),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    tints: Sequence[tuple[float, float, float] | None] | None = None,
+    track: bool = False,
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+) -> Iterator[Image.Image]:
+    """Yield the pictures of a clip, or of several side by side with captions, one by one.
+
+    Each clip has one camera for all of its frames, so nothing jumps. Side by side, time runs at the first clip's rate
+    and shorter clips hold their last frame.
+
+    Args:
+        size: of one panel in pixels; a caption adds to its height.
+        tints: sRGB colour of each clip's clay; None keeps its materials.
+        track: the camera goes along the floor with the subject (a walk that leaves the picture otherwise).
+    """
+    named = [("", clips)] if isinstance(clips, Clip) else list(clips)
+    cameras = [_cameras(clip, size, view, track, up, front) for _, clip in named]
+    fps = named[0][1].fps
+    for k in range(max(round(clip.seconds * fps) for _, clip in named)):
+        tiles = []
+        for (label, clip), path, tint in zip(named, cameras, tints or itertools.repeat(None), strict=False):
+            t = min(int(k / fps * clip.fps + 1e-6), len(clip) - 1)
+            tiles.append(_panel(clip, t, path[t], size, label, tint, clay))
+        yield page(tiles, len(tiles))
+
+
+def turntable_frames(
+    mesh: Mesh,
+    count: int = 60,
+    size: tuple[int, int] = (512, 512),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+) -> Iterator[Image.Image]:
+    """Yield the pictures of one full turn around the mesh; played in a loop it has no seam."""
+    from PIL import Image
+
+    for camera in orbit(mesh.vertices, size, count, view, up=up, front=front):
+        yield Image.fromarray(render_mesh(mesh, size, camera, clay=clay))
+
+
+def _cameras(clip: Clip, size, view, track, up, front) -> list[Camera]:
+    points = np.asarray(clip.vertices, np.float64)
+    if track:
+        return follow(points, size, view, up=up, front=front)
+    return [fit(points, size, view, up=up, front=front)] * len(clip)
+
+
+def _panel(clip: Clip, t: int, camera: Camera, size, label: str, tint, clay: bool) -> Image.Image:
+    from PIL import Image
+
+    mesh = clip.mesh.with_vertices(np.asarray(clip.vertices[t], np.float64))
+    if tint is None:
+        picture = render_mesh(mesh, size, camera, clay=clay)
+    else:
+        normals = mesh.corner_normals
+        picture = render(mesh.vertices, mesh.faces, camera, size, np.array(tint), corner_normals=normals)
+    return captioned(picture, label) if label else Image.fromarray(picture)
+
+
+def _as_image(frame: Image.Image | np.ndarray) -> Image.Image:
+    from PIL import Image
+
+    return Image.fromarray(frame) if isinstance(frame, np.ndarray) else frame.convert("RGB")
+
+
+def _write_webp(images: list[Image.Image], path: Path, fps: float) -> None:
+    from PIL import features
+
+    if not features.check("webp"):
+        raise InputError(f"{path}: expected a Pillow that writes WebP, found one without it; write a .gif instead")
+    durations = _durations(len(images), 1000.0 / fps, 1)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, quality=82, method=4)
+
+
+def _write_gif(images: list[Image.Image], path: Path, fps: float) -> None:
+    from PIL import Image
+
+    palette = _shared_palette(images)
+    dither = Image.Dither.FLOYDSTEINBERG
+    indexed = [image.quantize(palette=palette, dither=dither) for image in images]
+    durations = _durations(len(images), 1000.0 / fps, 10)
+    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
+
+
+def _shared_palette(images: list[Image.Image]) -> Image.Image:
+    """256 colours chosen from eight frames spread over the movie."""
+    from PIL import Image
+
+    chosen = images[:: max(1, len(images) // 8)][:8]
+    width, height = chosen[0].size
+    board = Image.new("RGB", (width, height * len(chosen)))
+    for k, image in enumerate(chosen):
+        board.paste(image, (0, k * height))
+    return board.quantize(256, method=Image.Quantize.MEDIANCUT)
+
+
+def _durations(count: int, each: float, step: int) -> list[int]:
+    """Milliseconds per frame in multiples of `step`, rounded so that their running sum stays right."""
+    ends = [max(round(each * k / step), k) * step for k in range(count + 1)]
+    return [b - a for a, b in itertools.pairwise(ends)]

@@ -1,0 +1,151 @@
+"""What a surface looks like before light falls on it: shading normals, base colours, textures, and discs for points."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..geometry import face_vectors, weld
+from ..mesh import Mesh
+from .camera import Camera
+from .light import to_linear
+from .zbuffer import Hits
+
+CLAY = (0.80, 0.76, 0.715)
+"""Warm light grey, sRGB: the studio's clay."""
+WHITE = 0.76
+"""What a file calls white is drawn as white paint, a little darker than the paper, so that its form is seen."""
+CREASE = 50.0
+"""Degrees between a face and the smooth normal at its corner beyond which the edge is drawn hard."""
+
+Paint = Callable[[Hits], np.ndarray]
+"""Linear base colour (N, 3) of the surface at each hit."""
+
+
+def creased_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3 3"]:
+    """Smooth normals per corner, over split vertices too; a face far from its smooth normal keeps its own (a box).
+
+    Faces count by their angle at the corner, so that a box's diagonals do not show.
+    """
+    merged, index = weld(vertices)
+    flat = _unit(face_vectors(vertices, faces))[:, None]
+    pull = (_corner_angles(vertices, faces)[..., None] * flat).reshape(-1, 3)
+    position = index[faces].ravel()
+    total = np.stack([np.bincount(position, pull[:, k], minlength=len(merged)) for k in range(3)], axis=1)
+    smooth = _unit(total)[position].reshape(-1, 3, 3)
+    return np.where((smooth * flat).sum(axis=2, keepdims=True) > np.cos(np.radians(CREASE)), smooth, flat)
+
+
+def plain(colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None, faces: Int[np.ndarray, "F 3"]) -> Paint:
+    """One sRGB colour for all (clay by default), or one per vertex."""
+    linear = to_linear(np.asarray(CLAY if colors is None else colors, np.float64))
+    if linear.ndim == 1:
+        return lambda hits: np.broadcast_to(linear, (len(hits.sample), 3))
+    flat = faces.ravel()
+    return lambda hits: _mix(linear[flat[hits.corner]], hits)
+
+
+def materials(mesh: Mesh) -> Paint | None:
+    """The base colours and textures of the mesh's parts, or None where it has neither."""
+    if not any(part.material for part in mesh.parts):
+        return None
+    clay = to_linear(np.asarray(CLAY))
+    base = np.tile(clay / WHITE, (len(mesh.faces), 1))
+    for part in mesh.parts:
+        if part.material:
+            base[part.start : part.stop] = part.material.base_color[:3]
+    layers = [(image, faces, uv.reshape(-1, 2)) for image, faces, uv in _textures(mesh)]
+
+    def paint(hits: Hits) -> np.ndarray:
+        face = hits.corner[:, 0] // 3
+        color = base[face]
+        for image, textured, uv in layers:
+            inside = np.flatnonzero(textured[face])
+            color[inside] *= _sample(image, _mix(uv[hits.corner[inside]], hits, inside))
+        return color * WHITE
+
+    return paint
+
+
+def discs(
+    points: Float[np.ndarray, "V 3"], camera: Camera, colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """A point cloud as one small octagon per point that faces the camera and is lit like a ball.
+
+    Returns vertices (9 V, 3), faces (8 V, 3), corner normals, and the colours repeated for the new vertices.
+    """
+    radius = _point_radius(points, camera)
+    right, top, back = camera.rotmat_camera_world
+    angle = np.arange(8) * (np.pi / 4)
+    outward = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * top
+    normals = np.concatenate([back[None], outward * 0.9 + back * 0.436])
+    offsets = np.concatenate([np.zeros((1, 3)), outward * radius])
+    fan = np.stack([np.zeros(8, int), 1 + np.arange(8), 1 + (np.arange(8) + 1) % 8], axis=1)
+    vertices = (points[:, None] + offsets).reshape(-1, 3)
+    faces = (9 * np.arange(len(points))[:, None, None] + fan).reshape(-1, 3)
+    if colors is not None and np.ndim(colors) == 2:
+        colors = np.repeat(colors, 9, axis=0)
+    return vertices, faces, np.tile(normals[fan], (len(points), 1, 1)), colors
+
+
+def _corner_angles(vertices, faces):
+    """Angle of each triangle (F) at each of its corners (3), in radians."""
+    corners = vertices[faces]
+    after = _unit((np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)).reshape(corners.shape)
+    cosine = -(after * np.roll(after, 1, axis=1)).sum(axis=2)
+    return np.arccos(np.clip(cosine, -1.0, 1.0))
+
+
+def _unit(vectors):
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _point_radius(points, camera) -> float:
+    """About half of the gap between neighbours where points are sparse, within shares of the subject's size."""
+    from scipy.spatial import KDTree
+
+    if len(points) < 2:
+        return 0.02 * camera.radius
+    gap = np.percentile(KDTree(points).query(points, k=2)[0][:, 1], 80)
+    return float(np.clip(0.6 * gap, 0.007 * camera.radius, 0.02 * camera.radius))
+
+
+def _textures(mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Each texture once as linear RGB (height, width, 3), the faces (F,) that wear it, and the corners' UVs."""
+    if mesh.corner_uv is None:
+        return []
+    layers: dict[bytes, np.ndarray] = {}
+    for part in mesh.parts:
+        if part.material and part.material.texture:
+            faces = layers.setdefault(part.material.texture, np.zeros(len(mesh.faces), bool))
+            faces[part.start : part.stop] = True
+    return [(_decode(content), faces, mesh.corner_uv) for content, faces in layers.items()]
+
+
+@functools.lru_cache(maxsize=8)  # the frames of a movie share their textures
+def _decode(content: bytes) -> np.ndarray:
+    from PIL import Image
+
+    with Image.open(io.BytesIO(content)) as image:
+        return to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image.convert("RGB"))]
+
+
+def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Bilinear lookup, repeating beyond the edges; v counts from the lower edge."""
+    height, width = image.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    u, v = (x - column)[:, None], (y - row)[:, None]
+    left, right, top, bottom = column % width, (column + 1) % width, row % height, (row + 1) % height
+    upper = image[top, left] * (1 - u) + image[top, right] * u
+    lower = image[bottom, left] * (1 - u) + image[bottom, right] * u
+    return upper * (1 - v) + lower * v
+
+
+def _mix(values: np.ndarray, hits: Hits, some: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Corner values (N, 3, C) to hit values (N, C)."""
+    return np.einsum("nk,nkc->nc", hits.weight[some], values)

@@ -1,0 +1,173 @@
+"""Golden facts of the zoo, and each warning made to fire."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import zoo
+
+from mimesh.look import facts_of, look
+from mimesh.mesh import Clip, InputError, Material, Mesh, Part
+
+GOLDEN = {
+    # vertices, positions, faces, components, watertight, boundary, non-manifold, consistent, inside out
+    "tetrahedron": (4, 4, 4, 1, True, 0, 0, True, False),
+    "cube": (8, 8, 12, 1, True, 0, 0, True, False),
+    "grid": (25, 25, 32, 1, False, 16, 0, True, None),
+    "two_parts": (12, 12, 16, 2, True, 0, 0, True, False),
+    "bow_tie": (7, 7, 4, 1, False, 9, 1, True, None),
+    "point_cloud": (50, 50, 0, 0, False, 0, 0, True, None),
+}
+
+
+def split(mesh):
+    """The same surface with three vertices of its own for every face."""
+    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3), name=mesh.name)
+
+
+@pytest.mark.parametrize("make", zoo.ZOO)
+def test_golden_facts(make):
+    facts = facts_of(make())
+    found = (
+        facts.vertices,
+        facts.positions,
+        facts.faces,
+        facts.components,
+        facts.watertight,
+        facts.boundary_edges,
+        facts.non_manifold_edges,
+        facts.consistent_winding,
+        facts.inside_out,
+    )
+    assert found == GOLDEN[make.__name__]
+    assert facts.name == make.__name__
+
+
+@pytest.mark.parametrize("make", zoo.ZOO)
+def test_facts_fit_in_json_and_in_lines(make):
+    facts = facts_of(make())
+    assert json.loads(json.dumps(facts.as_dict()))["vertices"] == facts.vertices
+    lines = facts.text().splitlines()
+    assert lines[0] == facts.name
+    assert len({line[2:].index(line.split(maxsplit=1)[1]) for line in lines[1:]}) == 1  # aligned
+
+
+@pytest.mark.parametrize("make", [m for m in zoo.ZOO if m is not zoo.point_cloud])
+def test_order_and_split_vertices_do_not_matter(make):
+    mesh, rng = make(), np.random.default_rng(0)
+    whole = dataclasses.asdict(facts_of(mesh))
+    shuffled = dataclasses.replace(mesh, faces=np.roll(rng.permutation(mesh.faces), 1, axis=1))
+    assert dataclasses.asdict(facts_of(shuffled)) == whole
+    parted = dataclasses.asdict(facts_of(split(mesh)))
+    different = {key for key in whole if parted[key] != whole[key]}
+    assert different <= {"vertices"}
+
+
+def test_faces_that_look_inwards_are_told():
+    cube = zoo.cube()
+    facts = facts_of(dataclasses.replace(cube, faces=cube.faces[:, ::-1]))
+    assert facts.inside_out
+    assert facts.warnings() == ["the faces look inwards; flip them"]
+    assert "warning" in facts.text()
+
+
+def test_mixed_winding_is_told():
+    cube = zoo.cube()
+    faces = cube.faces.copy()
+    faces[0] = faces[0, ::-1]
+    facts = facts_of(dataclasses.replace(cube, faces=faces))
+    assert not facts.consistent_winding
+    assert facts.inside_out is None
+    assert facts.watertight
+    assert "recalculate the winding" in facts.warnings()[0]
+
+
+def test_a_mostly_closed_mesh_still_has_an_inside():
+    n = 24
+    angle = np.arange(n) * 2 * np.pi / n
+    rings = [np.stack([np.cos(angle), np.full(n, y), -np.sin(angle)], axis=1) for y in np.linspace(0, 4, 30)]
+    corner = np.arange(29 * n)
+    after = corner // n * n + (corner + 1) % n
+    faces = np.concatenate([np.stack([corner, after, after + n], 1), np.stack([corner, after + n, corner + n], 1)])
+    tube = Mesh(np.concatenate(rings), faces)
+    assert facts_of(tube).inside_out is False
+    assert facts_of(dataclasses.replace(tube, faces=faces[:, ::-1])).inside_out is True
+
+
+def test_degenerate_duplicate_and_loose_are_counted():
+    cube = zoo.cube()
+    vertices = np.concatenate([cube.vertices, [[9.0, 9, 9], [0.5, 0.0, 0.0], [0.25, 0.0, 0.0]]])
+    faces = np.concatenate([cube.faces, cube.faces[:1, [1, 2, 0]], [[0, 9, 10], [3, 3, 4]]])
+    facts = facts_of(Mesh(vertices, faces))
+    assert (facts.degenerate_faces, facts.duplicate_faces, facts.loose_vertices) == (2, 1, 1)
+    text = " ".join(facts.warnings())
+    assert "2 faces without area" in text
+    assert "1 face drawn twice" in text
+    assert "1 vertex of no face" in text
+    assert "of three or more faces" in text
+
+
+@pytest.mark.parametrize(
+    ("height", "unit"),
+    [(1.75, "m"), (17.5, "dm"), (175.0, "cm"), (1750.0, "mm"), (68.9, "inch"), (1.0, None), (5.0, None)],
+)
+def test_the_unit_is_guessed_from_the_longest_side(height, unit):
+    cube = zoo.cube()
+    facts = facts_of(cube.with_vertices(cube.vertices * [0.5 * height, height, 0.2 * height]))
+    assert facts.unit_guess == unit
+    assert facts.size == pytest.approx((0.5 * height, height, 0.2 * height))
+    assert (f"if the unit is {unit}" in facts.text()) == (unit is not None)
+
+
+def test_looks_parts_and_materials_are_listed():
+    cube = zoo.cube()
+    paint = Material("paint", texture=b"png")
+    mesh = dataclasses.replace(
+        cube,
+        corner_uv=np.zeros((12, 3, 2)),
+        corner_normals=np.zeros((12, 3, 3)),
+        parts=(Part("head", 0, 4, paint), Part("body", 4, 9, paint), Part("rest", 9, 12, Material("skin"))),
+    )
+    facts = facts_of(mesh)
+    assert (facts.parts, facts.materials, facts.textures) == (("head", "body", "rest"), ("paint", "skin"), 1)
+    assert "UVs, normals, 1 texture" in facts.text()
+    assert "3: head, body, rest" in facts.text()
+
+
+def test_long_lists_of_names_are_cut():
+    parts = tuple(Part(f"p{k}", k, k + 1) for k in range(12))
+    assert "12: p0, p1, p2, p3, p4, p5 and 6 more" in facts_of(dataclasses.replace(zoo.cube(), parts=parts)).text()
+
+
+def test_a_clip_has_frames_and_seconds_and_a_still_has_none(tmp_path):
+    mesh = zoo.cube()
+    clip = Clip(mesh, np.repeat(mesh.vertices[None], 48, axis=0), 24.0)
+    facts = facts_of(mesh, clip, tmp_path)
+    assert (facts.frames, facts.fps, facts.seconds, facts.format) == (48, 24.0, 2.0, "folder")
+    assert "48 frames at 24 fps, 2.00 s" in facts.text()
+    still = facts_of(mesh, Clip(mesh, mesh.vertices[None], 24.0), tmp_path / "a.OBJ")
+    assert (still.frames, still.fps, still.seconds, still.format) == (1, None, None, "obj")
+    assert "fps" not in still.text()
+
+
+def test_a_file_is_read_and_its_polygons_are_counted(tmp_path):
+    path = tmp_path / "house.obj"
+    path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 2 0\nf 1 2 3 4\nf 4 3 5\n")
+    facts = look(path)
+    assert (facts.name, facts.format, facts.polygons, facts.faces, facts.frames) == ("house.obj", "obj", 2, 3, 1)
+    assert "3 triangles from 2 polygons" in facts.text()
+    with pytest.raises(InputError, match=r"nothing\.obj"):
+        look(tmp_path / "nothing.obj")
+
+
+def test_what_a_source_says_is_lost_is_passed_on():
+    class Source:
+        suffix = ".glb"
+        notes = ("dropped 1 skin",)
+
+        def write(self, mesh, path): ...
+
+    facts = facts_of(dataclasses.replace(zoo.cube(), source=Source()))
+    assert facts.notes == ("dropped 1 skin",)
+    assert "on writing" in facts.text()
