@@ -62,13 +62,17 @@ def transfer_sheet(
     tile: tuple[int, int] = TILE,
     *,
     view: str | tuple[float, float] = "three-quarter",
+    up: str = "y",
+    front: str | None = None,
 ) -> Image.Image:
     """Identity + driving = result, and the truth beside it from the same camera if there is one."""
     shown = np.concatenate([m.vertices for m in (result, truth) if m is not None])
-    camera = fit(shown, tile, view)
+    before, source, camera = (
+        fit(points, tile, view, up=up, front=front) for points in (identity.vertices, driving.vertices, shown)
+    )
     tiles = [
-        captioned(render_mesh(identity, tile, view=view), "identity"),
-        captioned(_tinted(driving, tile, fit(driving.vertices, tile, view)), "driving"),
+        captioned(render_mesh(identity, tile, before), "identity"),
+        captioned(_tinted(driving, tile, source), "driving"),
         captioned(render_mesh(result, tile, camera), "result"),
     ]
     if truth is not None:
@@ -126,6 +130,8 @@ def heat_map(
     tile: tuple[int, int] = (520, 620),
     *,
     view: str | tuple[float, float] = "three-quarter",
+    up: str = "y",
+    front: str | None = None,
 ) -> Image.Image:
     """The result coloured by each vertex's distance to the truth, with a colour bar in units.
 
@@ -145,7 +151,7 @@ def heat_map(
         )
     distance = np.linalg.norm(result.vertices - target, axis=1)
     limit = limit or float(np.percentile(distance, 99)) or 1.0 / per_unit
-    camera = fit(result.vertices, tile, view)
+    camera = fit(result.vertices, tile, view, up=up, front=front)
     colors = heat_colors(distance / limit)
     picture = render(result.vertices, result.faces, camera, tile, colors, corner_normals=result.corner_normals)
     label = f"mean {distance.mean() * per_unit:.3g} {unit}, largest {distance.max() * per_unit:.3g} {unit}"
