@@ -52,7 +52,7 @@ def test_the_loss_wants_the_truth():
         optimizer.zero_grad()
         loss = npt_loss(free, truth, truth, pairs, "paper", 5e-4) * truth.shape[1]
         loss.backward()
-        return loss
+        return loss.detach()
 
     before = closure().item()
     optimizer.step(closure)

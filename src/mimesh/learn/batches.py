@@ -175,7 +175,7 @@ class PairSource:
         return (points - centre) / radius, radius
 
 
-def extreme_vertices(body: RiggedBody, poses: int = 200) -> Int[np.ndarray, " N"]:
+def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:
     """Vertices that are ever outermost (along an axis, or from the middle) in random poses: enough to normalise by."""
     found: list[int] = []
     for i in range(poses):

@@ -52,8 +52,8 @@ def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -
     """Train until `config.pairs` or the time limit; continue if the folder holds a checkpoint."""
     folder.mkdir(parents=True, exist_ok=True)
     run = Run.start(config, folder)
-    deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
     validation = Validation(config, load_body(), run.device)
+    deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
     with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
         log = Log(lines, board, config, run)
         while run.step * config.batch < config.pairs and time.monotonic() < deadline:

@@ -1,0 +1,58 @@
+"""ONNX gives what torch gives, at any vertex count; half-precision storage is small and close."""
+
+import json
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from mimesh.learn import checkpoint
+from mimesh.learn.export import export_command, infer_onnx, to_onnx, with_half_weights
+from mimesh.learn.npt import NPT, NPTConfig
+from mimesh.learn.train import Run
+from mimesh.mesh import InputError
+
+from test_train import TINY
+
+
+@pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
+def test_parity_with_torch(pose_code):
+    torch.manual_seed(0)
+    model = NPT(NPTConfig((16, 32, 64), (67, 32, 16), pose_code=pose_code)).eval()
+    network = to_onnx(model, half=False)
+    half = with_half_weights(network)
+    for batch, v, u in ((1, 500, 500), (3, 57, 57), (2, 40, 90)):
+        if u != v and pose_code == "per_vertex":
+            continue
+        identity, driving = torch.rand(batch, v, 3) * 2 - 1, torch.rand(batch, u, 3) * 2 - 1
+        with torch.no_grad():
+            expected = model(identity, driving).numpy()
+        assert np.abs(infer_onnx(network, identity.numpy(), driving.numpy()) - expected).max() < 1e-4
+        assert np.abs(infer_onnx(half, identity.numpy(), driving.numpy()) - expected).max() < 2e-2
+    sizes = [sum(len(t.raw_data) for t in n.graph.initializer) for n in (half, network)]
+    assert sizes[0] < 0.65 * sizes[1]
+
+
+def test_export_writes_network_and_card(tmp_path):
+    run = Run.start(TINY, tmp_path)
+    run.advance()
+    run.metrics = {"seen": 1.0, "unseen": 2.0, "fresh": 3.0, "val": 2.5}
+    run.save(tmp_path / "best.safetensors")
+    export_command(tmp_path / "best.safetensors", tmp_path / "mine.onnx")
+    network = onnx.load(str(tmp_path / "mine.onnx"))
+    facts = json.loads(next(p.value for p in network.metadata_props if p.key == "mimesh"))
+    card = json.loads((tmp_path / "mine.json").read_text())
+    assert (facts["model"], facts["pose_code"], facts["target_scale"]) == ("npt", "per_vertex", "truth")
+    assert {"data", "config", "seconds_trained", "hardware", "commit", "seed", "license"} <= set(card)
+    assert card["metrics"]["val"]["unseen_pmd_e4"] == 2.0
+    model, _ = checkpoint.load_model(tmp_path / "best.safetensors")
+    points = torch.rand(2, 1, 30, 3)
+    with torch.no_grad():
+        expected = model(*points).numpy()
+    assert np.abs(infer_onnx(network, *points.numpy()) - expected).max() < 2e-2
+
+
+def test_export_wants_an_onnx_name(tmp_path):
+    with pytest.raises(InputError, match=r"ends in \.onnx"):
+        export_command(tmp_path / "best.safetensors", tmp_path / "mine.pt")
