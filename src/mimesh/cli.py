@@ -1,0 +1,115 @@
+"""The `mimesh` command: one thin function per verb in `commands/`, and how each way of ending looks to the user.
+
+Exit 0 done; 2 the input or the usage is wrong, told in one line; 1 a bug of ours. Nothing here or in `commands/`
+imports NumPy or anything heavier before a command runs, so that `mimesh --help` is quick.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from .commands import about, learn, move, show
+from .commands.terminal import Stop
+
+app = typer.Typer(
+    name="mimesh",
+    help="Give a mesh the pose or motion of another: no rig, no markers, no correspondence, no GPU.",
+    epilog="First steps: mimesh demo, then mimesh transfer IDENTITY DRIVING. Every command has --help and --json.",
+    no_args_is_help=True,
+    add_completion=False,
+    # Rich's help costs 60 ms at every start.
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+COMMANDS = (
+    move.transfer,
+    move.animate,
+    show.look,
+    show.render,
+    about.demo,
+    about.models,
+    about.doctor,
+    learn.evaluate,
+    learn.train,
+    learn.export,
+)
+for _command in COMMANDS:
+    app.command(_command.__name__)(_command)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from . import __version__
+
+        typer.echo(f"mimesh {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run one command and leave with its exit code."""
+    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command and return its exit code; the message about a failure is already on stderr."""
+    try:
+        return int(app(arguments, prog_name="mimesh", standalone_mode=False) or 0)
+    except Stop as stop:
+        return stop.code
+    except KeyboardInterrupt:
+        return _tell("stopped", 130)
+    except BrokenPipeError:
+        # The reader of our output has gone (`mimesh look ... | head`); there is nobody left to tell.
+        sys.stdout = None
+        return 0
+    except Exception as error:
+        return _failed(error)
+
+
+def _failed(error: Exception) -> int:
+    # Typer's usage errors live in different places in its versions; all of them format their own message.
+    if isinstance(error, typer.Abort):
+        return _tell("stopped", 130)
+    if hasattr(error, "format_message"):
+        return _usage(error)
+    from .mesh import InputError
+
+    if isinstance(error, InputError):
+        return _tell(" ".join(str(error).split()), 2)
+    return _bug(error)
+
+
+def _usage(error) -> int:
+    context = getattr(error, "ctx", None)
+    command = context.command_path if context else "mimesh"
+    message = " ".join(error.format_message().split()).rstrip(".")
+    if not message:  # `mimesh` alone: Typer has printed the help
+        return 2
+    return _tell(f"{message}; see {command} --help", 2)
+
+
+def _bug(error: Exception) -> int:
+    import traceback
+
+    last = traceback.extract_tb(error.__traceback__)[-4:]
+    print("".join(traceback.format_list(last)), end="", file=sys.stderr)
+    kind = f"{type(error).__name__}: {error}".splitlines()[0]
+    return _tell(f"{kind}\nThis is a bug of mimesh; please report it with the lines above and `mimesh doctor`'s.", 1)
+
+
+def _tell(message: str, code: int) -> int:
+    print(f"mimesh: {message}", file=sys.stderr)
+    return code

@@ -1,0 +1,78 @@
+"""`mimesh demo`, `mimesh models` and `mimesh doctor`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from .terminal import Json, Quiet, Stop, print_json, print_next, progress
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("mimesh-demo"),
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Let a shipped person take over a captured motion.
+
+    Writes the inputs, an animated GLB and pictures into a folder; needs no network.
+    """
+    from ..demo import run_demo
+
+    with progress("frames", quiet or json) as advance:
+        facts = run_demo(output, advance)
+    if json:
+        print_json(facts)
+    elif not quiet:
+        seconds = facts["seconds"]["drive"]
+        print(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
+        print("\n".join(facts["files"]))
+        print_next("transfer", output / "identity.obj", output / "driving.obj")
+
+
+def models(json: Json = False) -> None:
+    """List what -m takes, with figures."""
+    from ..methods import MODELS
+    from ..zoo import cards
+
+    shipped = {card["name"]: card for card in cards()}
+    if json:
+        print_json({"models": [shipped.get(name, {"name": name}) for name in MODELS]})
+        return
+    for name in MODELS:
+        print(f"{name:<14}{_describe(shipped[name]) if name in shipped else PLAIN.get(name, MISSING)}")
+    print_next("evaluate", "human-npt", "-m", ",".join(MODELS))
+
+
+PLAIN = {"copy": "the driving vertices themselves, as they are: what every method must beat"}
+MISSING = "its weights are missing here; install mimesh again"
+
+
+def _describe(card: dict[str, Any]) -> str:
+    test = card.get("metrics", {}).get("test", {})
+    figures = ", ".join(
+        f"{kind} {test[f'{kind}_pmd_e4']:.3g}" for kind in ("seen", "unseen") if f"{kind}_pmd_e4" in test
+    )
+    size = f"{card['bytes'] / 2**20:.1f} MiB, {card['license']}"
+    return f"{size}, PMD x1e-4 on new people: {figures}" if figures else size
+
+
+def doctor(json: Json = False) -> None:
+    """Check this installation.
+
+    Versions, shipped files, and one transfer from end to end; exit 0 if all is well, else 1.
+    """
+    from ..doctor import examine
+
+    checks = examine()
+    healthy = all(check.ok for check in checks)
+    if json:
+        print_json({"ok": healthy, "checks": [vars(check) for check in checks]})
+    else:
+        for check in checks:
+            print(f"{'ok  ' if check.ok else 'FAIL'}  {check.name:<20}{check.found}")
+        print_next("demo") if healthy else print("next: pip install --force-reinstall mimesh")
+    if not healthy:
+        raise Stop(1)

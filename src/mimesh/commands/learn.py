@@ -1,0 +1,78 @@
+"""`mimesh train`, `mimesh evaluate` and `mimesh export`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .terminal import Json, Output, Quiet, print_json, print_next, progress, require
+
+
+def train(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: npt.")],
+    config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
+    resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
+    max_minutes: Annotated[float | None, typer.Option(help="Stop after so long, ready to be resumed.", min=0)] = None,
+    seed: Annotated[int | None, typer.Option(help="Instead of the configuration's.")] = None,
+    json: Json = False,
+) -> None:
+    """Train a network on data made as it goes.
+
+    Needs the [train] extra; uses CUDA where there is one. Stopped or killed, it goes on with --resume.
+    """
+    require("train", "torch", "yaml", "safetensors", "tensorboard")
+    from ..learn.train import train_command
+
+    folder = train_command(model, config, output, resume, max_minutes, seed)
+    if json:
+        print_json({"output": str(folder), "best": str(folder / "best.safetensors")})
+    else:
+        print(f"{folder}: best.safetensors, last.safetensors, log.jsonl")
+        print_next("export", folder / "best.safetensors", "-o", f"{folder.name}.onnx")
+
+
+def export(
+    checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="A .safetensors file of `mimesh train`.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The .onnx file to write.")],
+    json: Json = False,
+) -> None:
+    """Turn a checkpoint into an .onnx file that -m takes.
+
+    Needs the [train] extra; writes a card (.json) beside it.
+    """
+    require("train", "torch", "onnx", "onnxscript")
+    from ..learn.export import export_command
+
+    export_command(checkpoint, output)
+    if json:
+        print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
+    else:
+        print(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
+        print_next("evaluate", "human-npt", "-m", f"{output},copy")
+
+
+def evaluate(
+    protocol: Annotated[str, typer.Argument(metavar="PROTOCOL", help="The test set: human-npt.")],
+    model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "npt,copy",
+    output: Output = None,
+    pairs: Annotated[int, typer.Option(help="Pairs of each kind; 0 for all the protocol has.", min=0)] = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure models on a named test set.
+
+    -o keeps the figures as JSON.
+    """
+    from ..evaluate.run import evaluate_command, markdown
+
+    methods = [name.strip() for name in model.split(",") if name.strip()]
+    with progress("pairs", quiet or json) as advance:
+        figures = evaluate_command(protocol, methods, output, pairs=pairs, progress=advance)
+    if json:
+        print_json(figures)
+    elif not quiet:
+        print(markdown(figures))
+        print_next("models")

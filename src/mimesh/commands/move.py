@@ -1,0 +1,198 @@
+"""`mimesh transfer` and `mimesh animate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .terminal import (
+    Json,
+    Model,
+    Output,
+    Quiet,
+    Seed,
+    output_beside,
+    print_json,
+    print_next,
+    progress,
+    refuse_inputs,
+)
+
+if TYPE_CHECKING:
+    from ..mesh import Mesh
+    from ..pipeline import ClipResult, Result
+
+Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
+Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
+Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (NPT).")]
+Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write pictures beside the output.")]
+
+
+def transfer(
+    identity: Identity,
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="The mesh in the wanted pose.")],
+    output: Output = None,
+    model: Model = "npt",
+    up: Axis = None,
+    front: Axis = None,
+    driving_up: Axis = None,
+    driving_front: Axis = None,
+    ensemble: Ensemble = 1,
+    preview: Preview = True,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Give the mesh IDENTITY the pose of DRIVING.
+
+    By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
+    """
+    from ..io import MESH_WRITERS, load_mesh
+    from ..pipeline import transfer as run
+
+    output = output or output_beside(identity, driving, identity.suffix)
+    refuse_inputs(output, identity, driving)
+    meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
+    _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
+    result = run(
+        *meshes,
+        model,
+        up=up,
+        front=front,
+        driving_up=driving_up,
+        driving_front=driving_front,
+        ensemble=ensemble,
+        seed=seed,
+    )
+    result.seconds["load"] += seconds
+    result.save(output)
+    pictures = _picture(result, *meshes, output) if preview else []
+    _finish(result, output, pictures, json, quiet, vertices=len(meshes[0].vertices), frames=1, fps=None)
+
+
+def animate(
+    identity: Identity,
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A folder of numbered meshes, or an NPZ clip.")],
+    output: Output = None,
+    model: Model = "npt",
+    fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
+    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
+    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
+    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
+    up: Axis = None,
+    front: Axis = None,
+    driving_up: Axis = None,
+    driving_front: Axis = None,
+    ensemble: Ensemble = 1,
+    preview: Preview = True,
+    seed: Seed = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make IDENTITY move as the clip DRIVING does.
+
+    By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
+    """
+    from ..io import clip_suffixes, load_clip, load_mesh
+    from ..pipeline import animate as run
+
+    output = output or output_beside(identity, driving, ".glb")
+    refuse_inputs(output, identity, driving)
+    _check_suffix(output, (*clip_suffixes(), ""))
+    (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps=fps)))
+    with progress("frames", quiet or json) as advance:
+        result = run(
+            mesh,
+            clip,
+            model,
+            up=up,
+            front=front,
+            driving_up=driving_up,
+            driving_front=driving_front,
+            ensemble=ensemble,
+            seed=seed,
+            start=start,
+            stop=stop,
+            step=step,
+            progress=advance,
+        )
+    result.seconds["load"] += seconds
+    result.save(output)
+    pictures = _pictures(result, clip, slice(start, stop, step), output) if preview else []
+    _finish(result, output, pictures, json, quiet, vertices=len(mesh.vertices), frames=len(result.clip), fps=result.fps)
+
+
+def _finish(
+    result: Result | ClipResult,
+    output: Path,
+    pictures: list[Path],
+    json: bool,
+    quiet: bool,
+    *,
+    vertices: int,
+    frames: int,
+    fps: float | None,
+) -> None:
+    facts: dict[str, Any] = {
+        "output": str(output),
+        "model": result.model,
+        "vertices": vertices,
+        "frames": frames,
+        "fps": fps,
+        "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
+        "report": {**result.report, "notes": list(result.notes), "pictures": [str(path) for path in pictures]},
+    }
+    if json:
+        print_json(facts)
+    elif not quiet:
+        _print_summary(facts)
+
+
+def _print_summary(facts: dict[str, Any]) -> None:
+    length = "" if facts["fps"] is None else f", {facts['frames']} frames at {facts['fps']:g} per second"
+    seconds = sum(facts["seconds"].values())
+    print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
+    for note in facts["report"]["notes"]:
+        print(f"note: {note}")
+    for picture in facts["report"]["pictures"]:
+        print(f"picture: {picture}")
+    if facts["report"]["pictures"]:
+        print_next("look", facts["output"])
+    else:
+        picture = Path(facts["output"]).with_suffix(".png" if facts["fps"] is None else ".webp")
+        print_next("render", facts["output"], "-o", picture)
+
+
+def _picture(result: Result, identity: Mesh, driving: Mesh, output: Path) -> list[Path]:
+    from ..preview import save_picture, transfer_picture
+
+    return [save_picture(transfer_picture(identity, driving, result), output.with_suffix(".preview.png"))]
+
+
+def _pictures(result: ClipResult, driving, frames: slice, output: Path) -> list[Path]:
+    import dataclasses
+
+    from ..preview import clip_pictures
+
+    played = dataclasses.replace(driving, vertices=driving.vertices[frames], fps=result.fps)
+    return clip_pictures(played, result, output)
+
+
+def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse a format that cannot be written before the work is done, not after it."""
+    from ..mesh import InputError
+
+    if output.suffix.lower() not in suffixes:
+        known = " ".join(sorted({suffix for suffix in suffixes if suffix}))
+        raise InputError(
+            f"{output}: expected an output in one of {known}, found '{output.suffix}'; name another with -o"
+        )
+
+
+def _timed(work):
+    import time
+
+    begin = time.perf_counter()
+    return work(), time.perf_counter() - begin

@@ -1,0 +1,110 @@
+"""What the commands share: options with one meaning everywhere, printing, progress, and names of outputs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+Model = Annotated[
+    str,
+    typer.Option(
+        "--model", "-m", metavar="MODEL", help="A name that `mimesh models` prints, or the path of an .onnx file."
+    ),
+]
+Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to write; its suffix is the format.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+
+
+class Stop(Exception):
+    """Ends a command with an exit code after it has said all there is to say."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def print_json(value: dict[str, Any]) -> None:
+    """One JSON object on one line of stdout; NaN never leaves, because JSON has none."""
+    print(json.dumps(_finite(value), allow_nan=False, default=_plain))
+
+
+def print_next(*words: str | Path) -> None:
+    """The command that a user may want now, ready to paste."""
+    print("next: " + shlex.join(["mimesh", *map(str, words)]))
+
+
+@contextlib.contextmanager
+def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
+    """Yield a function of (done, in all) that draws a bar on a terminal, or None where nobody watches."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn(what), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
+    """`<identity>-<driving><suffix>` in the identity's folder."""
+    played = driving.resolve()
+    return identity.with_name(f"{identity.stem}-{played.name if played.is_dir() else played.stem}{suffix}")
+
+
+def refuse_inputs(output: Path, *inputs: Path) -> None:
+    """Stop before an input file, or a folder of input frames, would be written over.
+
+    Raises:
+        InputError: the output is one of the inputs or lies in a folder that is one.
+    """
+    from ..mesh import InputError
+
+    target = output.resolve()
+    for given in inputs:
+        source = given.resolve()
+        if target == source or (source.is_dir() and source in target.parents):
+            raise InputError(f"{output}: expected an output apart from the inputs, found {given}; give another with -o")
+
+
+def require(extra: str, *modules: str) -> None:
+    """Stop with the install command if a module of an optional extra is missing.
+
+    Raises:
+        InputError: names the first missing module and the extra.
+    """
+    from importlib.util import find_spec
+
+    from ..mesh import InputError
+
+    for module in modules:
+        if find_spec(module) is None:
+            raise InputError(
+                f"{module}: expected it for this command, found it not installed; pip install 'mimesh[{extra}]'"
+            )
+
+
+def _finite(value):
+    if isinstance(value, dict):
+        return {str(key): _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    if isinstance(value, float) and value - value != 0:
+        return None
+    return value
+
+
+def _plain(value):
+    """NumPy numbers and paths, which json does not know."""
+    return str(value) if isinstance(value, Path) else _finite(value.item())
