@@ -1,0 +1,59 @@
+"""Everything that can do (identity, driving) -> result, behind one Protocol.
+
+A method sees normalised meshes only: the identity in its own Frame, the driving frames in the clip's Frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError, Mesh
+
+Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
+"""Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
+
+SHIPPED_NETWORKS = {"npt": "npt.onnx", "npt-maxpool": "npt-maxpool.onnx"}
+MODELS = ("copy", *SHIPPED_NETWORKS)
+
+
+@runtime_checkable
+class Method(Protocol):
+    """A way to move an identity."""
+
+    @property
+    def name(self) -> str: ...
+
+    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+        """All work that depends on the identity and on the driving's first frame only."""
+        ...
+
+
+def find_method(model: str, *, ensemble: int = 1, seed: int = 0) -> Method:
+    """The method of a name in MODELS, or of the path of an `.onnx` file written by `mimesh export`.
+
+    Args:
+        ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
+        seed: of those pairings.
+
+    Raises:
+        InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
+    """
+    from .copy import Copy
+    from .network import load_network
+
+    if ensemble < 1:
+        raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
+    if model == "copy":
+        return Copy()
+    if model in SHIPPED_NETWORKS:
+        path = Path(str(resources.files("mimesh") / "zoo" / SHIPPED_NETWORKS[model]))
+        return load_network(path, name=model, ensemble=ensemble, seed=seed)
+    if model.endswith(".onnx"):
+        return load_network(Path(model), name=Path(model).stem, ensemble=ensemble, seed=seed)
+    raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

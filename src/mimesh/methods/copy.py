@@ -1,0 +1,36 @@
+"""The baseline that every table needs: the driving vertices themselves, where both meshes share one topology."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError, Mesh
+from . import Drive
+
+
+@dataclass(frozen=True)
+class Copy:
+    """Gives back the driving vertices; vertex i of the driving is taken for vertex i of the identity."""
+
+    name: str = "copy"
+
+    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+        """Check that the counts agree; nothing else can be checked.
+
+        Raises:
+            InputError: the vertex counts differ.
+        """
+        if len(identity.vertices) != len(driving.vertices):
+            raise InputError(
+                f"{driving.name}: expected {len(identity.vertices)} vertices as in {identity.name} for model copy, "
+                f"found {len(driving.vertices)}; choose another model"
+            )
+        return _copy
+
+
+def _copy(frames: Iterable[Float[np.ndarray, "V 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+    yield from frames

@@ -1,0 +1,144 @@
+"""Learned networks as ONNX files, run by onnxruntime: NPT and its max-pool variant.
+
+Inputs "identity" (B, V, 3) and "driving" (B, V, 3) or, where the pose is pooled, (B, U, 3); output "result" (B, V, 3).
+Each input is centred on its bounding box and divided by its largest distance from there; the result is centred on its
+own bounding box, in units of the identity's radius. The file's metadata say the rest (key "mimesh").
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Float32, Int
+
+from ..frame import bbox_centre, radius
+from ..geometry import edges
+from ..mesh import InputError, Mesh
+from . import Drive
+from .pairing import rank_vertices, surface_points
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+POOLED_POINTS = 8192
+"""Most driving points that a pooling network is given; a denser driving mesh is thinned by the seed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """A loaded network, ready for any identity."""
+
+    name: str
+    session: InferenceSession
+    pose_code: str
+    """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
+    target_scale: str
+    """"identity", or "truth": then the result's size is unknown and is set by the identity's edge lengths."""
+    ensemble: int = 1
+    seed: int = 0
+
+    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+        """Rank both meshes and choose the driving points and their pairings, once for all frames."""
+        ranked = rank_vertices(identity.vertices)
+        still = ranked.merge(identity.vertices)
+        pooled = self.pose_code == "global_max"
+        points = surface_points(driving, 0 if pooled else len(ranked), _generator(self.seed, 0))
+        taken = min(len(points), POOLED_POINTS) if pooled else len(ranked)
+        # A pooled pose has no pairing to average over.
+        rounds = 1 if pooled else self.ensemble
+        pairings = [_generator(self.seed, 1 + k).permutation(len(points))[:taken] for k in range(rounds)]
+        welded_edges = edges(ranked.group[identity.faces])
+
+        def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+            travel = None
+            for t, vertices in enumerate(frames):
+                centre, size = bbox_centre(vertices), radius(vertices - bbox_centre(vertices))
+                if size == 0.0:
+                    raise InputError(
+                        f"{driving.name}: expected some size in frame {t}, found all vertices at one point; "
+                        "cut that frame out with --start and --stop"
+                    )
+                result = self._run(still, points.at((vertices - centre) / size), pairings)
+                result = result - bbox_centre(result)
+                if self.target_scale == "truth":
+                    result = result * _edge_length(still, welded_edges) / _edge_length(result, welded_edges)
+                # The driving walks in its own size; the first frame tells how large the identity is beside it.
+                travel = radius(result) if travel is None else travel
+                yield result[ranked.group] + centre * travel
+
+        return drive
+
+    def _run(
+        self,
+        identity: Float[np.ndarray, "W 3"],
+        driving: Float[np.ndarray, "P 3"],
+        pairings: list[Int[np.ndarray, " N"]],
+    ) -> Float[np.ndarray, "W 3"]:
+        """Mean result over the pairings (float64)."""
+        total = np.zeros(identity.shape)
+        for pairing in pairings:
+            inputs = {"identity": _batch_of_one(identity), "driving": _batch_of_one(driving[pairing])}
+            total += np.asarray(self.session.run(["result"], inputs)[0])[0]
+        return total / len(pairings)
+
+
+def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2) -> Network:
+    """Open an ONNX file written by `mimesh export`.
+
+    Raises:
+        InputError: no such file, not an ONNX network, or one that does not say it is ours.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
+    session = _open_session(path, threads)
+    card = _card(session, path)
+    return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
+
+
+def _open_session(path: Path, threads: int) -> InferenceSession:
+    import onnxruntime
+    from onnxruntime.capi import onnxruntime_pybind11_state as errors  # pyright: ignore[reportAttributeAccessIssue]
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3  # warnings about graph clean-up are not for users
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.InvalidArgument, errors.NotImplemented):
+        raise InputError(
+            f"{path}: expected a network in ONNX format, found something else; write one with mimesh export"
+        ) from None
+
+
+def _card(session: InferenceSession, path: Path) -> dict:
+    """The network's own description, checked."""
+    text = session.get_modelmeta().custom_metadata_map.get("mimesh")
+    if text is None:
+        raise InputError(f"{path}: expected a network of mimesh, found no such metadata; write one with mimesh export")
+    card = json.loads(text)
+    for key, known in (("pose_code", ("per_vertex", "global_max")), ("target_scale", ("identity", "truth"))):
+        if card.get(key) not in known:
+            raise InputError(
+                f"{path}: expected {key} {' or '.join(known)} in its metadata, found {card.get(key)!r}; "
+                "export it again with this version"
+            )
+    return card
+
+
+def _edge_length(points: Float[np.ndarray, "W 3"], pairs: Int[np.ndarray, "E 2"]) -> float:
+    """Sum of edge lengths; 1 for a point cloud, whose size is left as it is."""
+    return float(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1).sum()) if len(pairs) else 1.0
+
+
+def _batch_of_one(points: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "1 N 3"]:
+    return np.ascontiguousarray(points[None], np.float32)
+
+
+def _generator(seed: int, stream: int) -> np.random.Generator:
+    return np.random.default_rng(np.random.SeedSequence([seed, stream]))

@@ -1,0 +1,223 @@
+"""transfer() and animate(): read, normalise, move, undo, place."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from .frame import Frame
+from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
+from .methods import find_method
+from .report import facing, facing_note, quality
+
+Progress = Callable[[int, int], None]
+"""Called after each frame with (frames done, frames in all)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The identity in the driving's pose, in the identity's own axes, unit and place."""
+
+    mesh: Mesh
+    model: str
+    seconds: dict[str, float]
+    """Wall time of each step: load, prepare, drive, refine, write."""
+    report: dict
+    notes: tuple[str, ...] = ()
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "V 3"]:
+        return self.mesh.vertices
+
+    def save(self, path: str | Path) -> Path:
+        """Write the mesh in the format of the suffix; the identity's own suffix keeps all that its file had."""
+        from .io import save_mesh
+
+        with _timed(self.seconds, "write"):
+            save_mesh(self.mesh, Path(path))
+        return Path(path)
+
+
+@dataclass(frozen=True, eq=False)
+class ClipResult:
+    """The identity moving as the driving clip does, in the identity's own axes, unit and place."""
+
+    clip: Clip
+    model: str
+    seconds: dict[str, float]
+    """Wall time of each step: load, prepare, drive, refine, write."""
+    report: dict
+    notes: tuple[str, ...] = ()
+
+    @property
+    def fps(self) -> float:
+        return self.clip.fps
+
+    def save(self, path: str | Path) -> Path:
+        """Write the clip in the format of the suffix."""
+        from .io import save_clip
+
+        with _timed(self.seconds, "write"):
+            save_clip(self.clip, Path(path))
+        return Path(path)
+
+
+def transfer(
+    identity: Mesh | str | Path,
+    driving: Mesh | str | Path,
+    model: str = "npt",
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    driving_up: str | None = None,
+    driving_front: str | None = None,
+    ensemble: int = 1,
+    seed: int = 0,
+) -> Result:
+    """Give the identity the pose of the driving mesh: animate() with one frame, in double precision.
+
+    Takes meshes or paths. Axes ("+y", "-z") that are not given are found from the shapes. The result stands where the
+    identity stood and heads where the driving does.
+
+    Raises:
+        InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
+    """
+    seconds = _no_time_yet()
+    with _timed(seconds, "load"):
+        identity, driving = _read_mesh(identity), _read_mesh(driving)
+    axes = (up, front, driving_up, driving_front)
+    still = Clip(driving, driving.vertices[None])
+    moved, report, notes = _move(identity, still, model, axes, ensemble, seed, seconds, None, np.float64)
+    return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
+
+
+def animate(
+    identity: Mesh | str | Path,
+    driving: Clip | str | Path,
+    model: str = "npt",
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    driving_up: str | None = None,
+    driving_front: str | None = None,
+    ensemble: int = 1,
+    seed: int = 0,
+    fps: float | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    step: int = 1,
+    progress: Progress | None = None,
+) -> ClipResult:
+    """Make the identity move as the driving clip does; see `transfer` for the arguments they share.
+
+    Args:
+        fps: frame rate of the driving clip, where its file has none or a wrong one. Every `step`-th frame of it is
+            taken from `start` up to `stop`, and the result plays at fps / step: as fast as the driving.
+
+    The first frame taken stands where the identity stood; later ones move by the driving's displacement, in the
+    identity's size.
+
+    Raises:
+        InputError: a file, an axis, the range, the model or its options cannot be used.
+    """
+    seconds = _no_time_yet()
+    with _timed(seconds, "load"):
+        identity = _read_mesh(identity)
+        clip = _cut(_read_clip(driving, fps), start, stop, step)
+    axes = (up, front, driving_up, driving_front)
+    moved, report, notes = _move(identity, clip, model, axes, ensemble, seed, seconds, progress, np.float32)
+    mesh = identity.with_vertices(moved[0].astype(np.float64))
+    return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes)
+
+
+def _move(
+    identity: Mesh,
+    clip: Clip,
+    model: str,
+    axes: tuple[str | None, str | None, str | None, str | None],
+    ensemble: int,
+    seed: int,
+    seconds: dict[str, float],
+    progress: Progress | None,
+    dtype: type[np.floating],
+) -> tuple[Float[np.ndarray, "T V 3"], dict, tuple[str, ...]]:
+    """Normalise, move, undo, place: vertices in the identity's axes, the report and the notes."""
+    with _timed(seconds, "prepare"):
+        first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+        own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
+        still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
+        method = find_method(model, ensemble=ensemble, seed=seed)
+        drive = method.prepare(still, dataclasses.replace(first, vertices=theirs.apply(first.vertices)))
+    with _timed(seconds, "drive"):
+        frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
+        moved = np.empty((len(clip), *identity.vertices.shape), dtype)
+        for t, vertices in enumerate(_placed(frames, still.vertices)):
+            moved[t] = own.undo(vertices)
+            if progress is not None:
+                progress(t + 1, len(clip))
+    report = {**quality(identity, moved), "identity": facing(own), "driving": facing(theirs)}
+    notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
+    return moved, report, notes + tuple(getattr(identity.source, "notes", ()))
+
+
+def _placed(
+    frames: Iterable[Float[np.ndarray, "V 3"]], still: Float[np.ndarray, "V 3"]
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Shift all frames alike, so that the first stands on the identity's ground and in the middle of its place."""
+    shift = None
+    for vertices in frames:
+        shift = _stand(still) - _stand(vertices) if shift is None else shift
+        yield vertices + shift
+
+
+def _stand(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
+    """Middle of the bounding box across the ground, its lowest point along up (y)."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+
+
+def _read_mesh(mesh: Mesh | str | Path) -> Mesh:
+    if isinstance(mesh, Mesh):
+        return check_mesh(mesh, mesh.name)
+    from .io import load_mesh
+
+    return load_mesh(Path(mesh))
+
+
+def _read_clip(clip: Clip | str | Path, fps: float | None) -> Clip:
+    if isinstance(clip, Clip):
+        return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
+    from .io import load_clip
+
+    return load_clip(Path(clip), fps=fps)
+
+
+def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
+    if step < 1:
+        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
+    vertices = clip.vertices[start:stop:step]
+    if len(vertices) == 0:
+        raise InputError(
+            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found start {start} and "
+            f"stop {stop}, which leave none; change them"
+        )
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
+
+
+def _no_time_yet() -> dict[str, float]:
+    return dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0)
+
+
+@contextlib.contextmanager
+def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
+    """Add the wall time of the block to `seconds[step]`."""
+    begin = time.perf_counter()
+    yield
+    seconds[step] += time.perf_counter() - begin

@@ -1,0 +1,173 @@
+import json
+
+import numpy as np
+import pytest
+from networks import write_network
+from people import person, walk
+from zoo import point_cloud, two_parts
+
+from mimesh.mesh import Clip, InputError, Mesh
+from mimesh.methods import find_method
+from mimesh.methods.network import POOLED_POINTS, load_network
+from mimesh.methods.pairing import rank_vertices, surface_points
+from mimesh.pipeline import animate, transfer
+
+onnx = pytest.importorskip("onnx")
+
+
+@pytest.fixture
+def network(tmp_path):
+    return str(write_network(tmp_path / "tiny.onnx"))
+
+
+def split_everywhere(mesh: Mesh) -> Mesh:
+    """Every face with vertices of its own, as flat-shaded GLB files have it."""
+    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3))
+
+
+def test_a_seam_does_not_tear_and_does_not_matter(network):
+    whole, split = person(0), split_everywhere(person(0))
+    expected = transfer(whole, person(1, 0), network).vertices[whole.faces.ravel()]
+    assert np.allclose(transfer(split, person(1, 0), network).vertices, expected, atol=1e-6)
+
+
+def test_split_driving_vertices_do_not_matter(network):
+    driving = person(1, 0, faces=600)
+    expected = transfer(person(0), driving, network).vertices
+    assert np.allclose(transfer(person(0), split_everywhere(driving), network).vertices, expected, atol=1e-6)
+
+
+def test_a_retriangulated_driving_gives_nearly_the_same_from_a_pooled_pose(tmp_path):
+    pooled = str(write_network(tmp_path / "pooled.onnx", "global_max"))
+    results = [transfer(person(0), person(1, 3, faces=faces), pooled).vertices for faces in (1200, 2400)]
+    assert np.abs(results[0] - results[1]).max() < 0.1
+
+
+def test_jumps_and_turns_survive_the_centring_of_each_frame(network):
+    clip, identity = walk(frames=4), person(0)
+    forward = animate(identity, clip, network).clip.vertices.mean(axis=1)[:, 2]
+    still = Clip(clip.mesh, np.repeat(clip.vertices[:1], 4, axis=0), clip.fps)
+    jump = Clip(clip.mesh, still.vertices + np.array([0, 0.5, 0, 0.25])[:, None, None] * [0, 1, 0], clip.fps)
+    assert (np.diff(forward) > 0.05).all()
+    height = animate(identity, jump, network).clip.vertices[:, :, 1].min(axis=1)
+    assert height[1] > height[3] > height[0] + 0.05
+    assert np.isclose(height[2], height[0], atol=1e-6)
+
+
+def test_a_larger_identity_takes_larger_steps(network):
+    clip, identity = walk(frames=2), person(0)
+    giant = Mesh(identity.vertices * 3, identity.faces)
+    steps = [np.diff(animate(who, clip, network).clip.vertices.mean(axis=1), axis=0) for who in (identity, giant)]
+    assert np.allclose(steps[0] * 3, steps[1], atol=1e-4)
+
+
+def test_an_ensemble_is_the_mean_of_its_pairings(network):
+    """Naive twin: the mean of single pairings, each run by hand."""
+    identity, driving = person(0), person(1, 0)
+    method = load_network(find_path(network), name="tiny", ensemble=3)
+    points = surface_points(driving, len(identity.vertices), np.random.default_rng(0))
+    at = points.at(driving.vertices).astype(np.float32)
+    ranked = rank_vertices(identity.vertices)
+    still = ranked.merge(identity.vertices).astype(np.float32)[None]
+    pairings = [np.random.default_rng(k).permutation(len(at)) for k in range(3)]
+    singles = [method.session.run(["result"], {"identity": still, "driving": at[p][None]})[0][0] for p in pairings]
+    assert np.allclose(method._run(still[0], at, pairings), np.mean(singles, axis=0), atol=1e-6)
+
+
+def find_path(name):
+    from pathlib import Path
+
+    return Path(name)
+
+
+def test_seed_and_ensemble_change_the_result(network):
+    identity, driving = person(0), person(1, 0)
+    base = transfer(identity, driving, network).vertices
+    assert not np.array_equal(base, transfer(identity, driving, network, seed=1).vertices)
+    assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
+
+
+def test_the_truths_scale_is_brought_back_to_the_identitys_edges(tmp_path):
+    truth = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
+    identity = person(0)
+    result = transfer(identity, person(1, 0), truth).vertices
+    length = [
+        np.linalg.norm(v[identity.faces] - v[np.roll(identity.faces, 1, 1)], axis=-1)
+        for v in (identity.vertices, result)
+    ]
+    assert np.isclose(length[0].sum(), length[1].sum(), rtol=0.02)
+
+
+@pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
+def test_point_clouds_and_several_parts_pass(tmp_path, pose_code):
+    network = str(write_network(tmp_path / "n.onnx", pose_code))
+    for identity, driving in ((point_cloud(), person(0)), (person(0), point_cloud()), (two_parts(), point_cloud())):
+        result = transfer(identity, driving, network)
+        assert result.vertices.shape == identity.vertices.shape
+        assert np.isfinite(result.vertices).all()
+
+
+def test_a_dense_driving_is_thinned_for_a_pooling_network(tmp_path):
+    network = str(write_network(tmp_path / "n.onnx", "global_max"))
+    dense = Mesh(np.random.default_rng(0).normal(size=(POOLED_POINTS + 500, 3)), np.zeros((0, 3), int))
+    assert transfer(person(0), dense, network).vertices.shape == person(0).vertices.shape
+
+
+def test_driving_vertices_that_meet_at_first_do_not_depend_on_their_order():
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]], float)
+    later = np.array([[0, 0, 0], [1, 0.1, 0], [1, 0.2, 0], [1, 0.7, 0]])
+    order = [3, 1, 0, 2]
+    first, second = rank_vertices(vertices).merge(later), rank_vertices(vertices[order]).merge(later[order])
+    assert np.array_equal(first, second)
+    assert np.allclose(first, [[0, 0, 0], [1, 0.4, 0]])
+
+
+def test_added_points_lie_on_the_surface_in_every_frame():
+    driving = person(0, faces=600)
+    points = surface_points(driving, len(driving.vertices) + 50, np.random.default_rng(0))
+    assert len(points) == len(driving.vertices) + 50
+    assert np.allclose(points.at(driving.vertices * 2 + 1), points.at(driving.vertices) * 2 + 1)
+
+
+def test_a_frame_that_collapses_is_told(network):
+    clip = walk(frames=3)
+    vertices = clip.vertices.copy()
+    vertices[1] = 0.5
+    with pytest.raises(InputError, match="frame 1"):
+        animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(InputError, match="found no file"):
+        find_method(str(tmp_path / "none.onnx"))
+
+
+def test_a_file_that_is_no_network_is_told(tmp_path):
+    (tmp_path / "text.onnx").write_text("hello")
+    with pytest.raises(InputError, match="ONNX format"):
+        find_method(str(tmp_path / "text.onnx"))
+
+
+def test_a_network_of_others_is_told(tmp_path):
+    with pytest.raises(InputError, match="no such metadata"):
+        find_method(str(write_network(tmp_path / "other.onnx", metadata=False)))
+
+
+@pytest.mark.parametrize("key", ["pose_code", "target_scale"])
+def test_unknown_metadata_is_told(tmp_path, key):
+    model = onnx.load(write_network(tmp_path / "tiny.onnx"))
+    card = json.loads(model.metadata_props[0].value) | {key: "other"}
+    model.metadata_props[0].value = json.dumps(card)
+    onnx.save(model, str(tmp_path / "odd.onnx"))
+    with pytest.raises(InputError, match=key):
+        find_method(str(tmp_path / "odd.onnx"))
+
+
+def test_an_unknown_model_lists_the_known_ones():
+    with pytest.raises(InputError, match="copy, npt, npt-maxpool"):
+        find_method("mime")
+
+
+def test_a_wrong_ensemble_is_told():
+    with pytest.raises(InputError, match="--ensemble"):
+        find_method("copy", ensemble=0)

@@ -1,0 +1,54 @@
+"""Tiny networks with the inputs and metadata of ours, so that the contract is tested without trained weights."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+
+def write_network(
+    path: Path, pose_code: str = "per_vertex", target_scale: str = "identity", metadata: bool = True
+) -> Path:
+    """NPT in small: 1x1 convolutions and instance norm of the driving, added to the identity with a gate."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    rng = np.random.default_rng(0)
+    weights = {
+        "w1": rng.normal(size=(8, 3, 1)) / 2,
+        "w2": rng.normal(size=(3, 8, 1)) / 4,
+        "one": np.ones(8),
+        "zero": np.zeros(8),
+        "gate": rng.normal(size=(3, 3, 1)) / 4,
+    }
+    node = helper.make_node
+    nodes = [
+        node("Transpose", ["identity"], ["i"], perm=[0, 2, 1]),
+        node("Transpose", ["driving"], ["d"], perm=[0, 2, 1]),
+        node("Conv", ["d", "w1"], ["h1"]),
+        node("InstanceNormalization", ["h1", "one", "zero"], ["h2"]),
+        node("Relu", ["h2"], ["h3"]),
+        *([node("GlobalMaxPool", ["h3"], ["h4"])] if pose_code == "global_max" else [node("Identity", ["h3"], ["h4"])]),
+        node("Conv", ["h4", "w2"], ["pose"]),
+        node("Conv", ["i", "gate"], ["g"]),
+        node("Mul", ["pose", "g"], ["step"]),
+        node("Add", ["i", "step"], ["r"]),
+        node("Transpose", ["r"], ["result"], perm=[0, 2, 1]),
+    ]
+    points = "V" if pose_code == "per_vertex" else "U"
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [value("identity", TensorProto.FLOAT, ["B", "V", 3]), value("driving", TensorProto.FLOAT, ["B", points, 3])],
+        [value("result", TensorProto.FLOAT, ["B", "V", 3])],
+        [numpy_helper.from_array(array.astype(np.float32), name) for name, array in weights.items()],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    if metadata:
+        card = {"model": "npt", "pose_code": pose_code, "target_scale": target_scale, "config": {}}
+        helper.set_model_props(model, {"mimesh": json.dumps(card)})
+    onnx.save(model, str(path))
+    return path

@@ -1,0 +1,46 @@
+"""Who may import whom (ours only): the base nothing but itself, `learn` by nobody, `cli` by nobody."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import mimesh
+
+ROOT = Path(mimesh.__file__).parent
+BASE = {"mesh", "geometry", "frame"}
+ALLOWED = {name: BASE for name in BASE} | {"io": BASE | {"io"}, "bodies": BASE | {"bodies"}}
+ALLOWED |= {"motions": BASE | {"motions", "bodies"}}
+FILES = sorted(path for path in ROOT.rglob("*.py") if "blender" not in path.parts)
+
+
+def imported(path: Path) -> set[str]:
+    """Our top-level modules that a file imports, anywhere in it."""
+    package, found = ["mimesh", *path.relative_to(ROOT).parent.parts], set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom):
+            stem = package[: len(package) + 1 - node.level] if node.level else []
+            whole = [*stem, *(node.module or "").split(".")] if node.module else stem
+            found |= {".".join([*whole, alias.name]) for alias in node.names}
+        elif isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+    return {name.split(".")[1] for name in found if name.startswith("mimesh.")}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_imports_go_one_way(path):
+    home = path.relative_to(ROOT).parts[0].removesuffix(".py")
+    ours = imported(path)
+    assert "cli" not in ours or home in ("cli", "__main__")
+    assert "learn" not in ours or home in ("learn", "cli")
+    if home in ALLOWED:
+        assert ours <= ALLOWED[home] | {"__version__"}
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    import subprocess
+    import sys
+
+    code = "import sys, mimesh; print(sorted({'numpy', 'scipy', 'torch', 'onnxruntime', 'PIL'} & set(sys.modules)))"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert answer.stdout.strip() == "[]"

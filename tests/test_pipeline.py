@@ -1,0 +1,142 @@
+import dataclasses
+
+import numpy as np
+import pytest
+from people import person, walk
+from zoo import cube, tetrahedron
+
+from mimesh.mesh import Clip, InputError, Mesh
+from mimesh.pipeline import animate, transfer
+from mimesh.report import edge_stretch, flipped_share, quality
+
+
+def stand(vertices):
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+
+
+def test_the_result_stands_where_the_identity_stood():
+    identity = dataclasses.replace(person(0), vertices=person(0).vertices + [4, 1, -3])
+    result = transfer(identity, person(1, 2), "copy")
+    assert np.allclose(stand(result.vertices), stand(identity.vertices), atol=1e-9)
+
+
+def test_the_identity_driven_by_itself_is_itself():
+    identity = person(0, 1)
+    assert np.allclose(transfer(identity, identity, "copy").vertices, identity.vertices, atol=1e-9)
+
+
+def test_a_rigid_motion_of_the_identity_comes_out():
+    identity = person(0)
+    angle = np.radians(20)
+    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
+    frames = np.stack([identity.vertices, identity.vertices @ turn.T + [1, 0.5, 0]])
+    result = animate(identity, Clip(identity, frames, 24.0), "copy")
+    assert np.allclose(result.clip.vertices, frames, atol=1e-5)
+    assert result.fps == 24.0
+    assert result.clip.vertices.dtype == np.float32
+
+
+def test_transfer_is_animate_with_one_frame():
+    identity, driving = person(0), person(1, 0)
+    still = Clip(driving, driving.vertices[None])
+    expected = transfer(identity, driving, "copy").vertices
+    assert np.allclose(animate(identity, still, "copy").clip.vertices[0], expected, atol=1e-6)
+
+
+def test_frames_are_cut_and_the_speed_is_kept():
+    identity, clip = person(0), walk(frames=6)
+    seen = []
+    result = animate(identity, clip, "copy", start=1, step=2, progress=lambda done, total: seen.append((done, total)))
+    assert len(result.clip) == 3
+    assert result.fps == clip.fps / 2
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert animate(identity, clip, "copy", stop=2, fps=50.0).fps == 50.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"), [({"step": 0}, "--step"), ({"start": 99}, "--start"), ({"fps": -1.0}, "--fps")]
+)
+def test_wrong_ranges_are_told(options, message):
+    with pytest.raises(InputError, match=message):
+        animate(person(0), walk(), "copy", **options)
+
+
+def test_different_counts_are_told_for_copy():
+    with pytest.raises(InputError, match="expected 4 vertices"):
+        transfer(tetrahedron(), cube(), "copy")
+
+
+def test_arrays_are_checked_at_the_door():
+    broken = dataclasses.replace(person(0), vertices=person(0).vertices * np.nan)
+    for pair in ((broken, person(0)), (person(0), broken)):
+        with pytest.raises(InputError, match="NaN"):
+            transfer(*pair, "copy")
+    with pytest.raises(InputError, match="NaN"):
+        animate(person(0), Clip(person(0), broken.vertices[None]), "copy")
+
+
+def test_an_uncertain_facing_is_noted_and_a_given_one_is_not():
+    unsure = transfer(cube(), cube(), "copy", front=None)
+    assert [note.split(";")[1] for note in unsure.notes] == [" give --front", " give --driving-front"]
+    sure = transfer(cube(), cube(), "copy", up="y", front="z", driving_up="y", driving_front="z")
+    assert sure.notes == ()
+    assert np.allclose(sure.vertices, cube().vertices)
+    assert sure.report["identity"] == {"up": "+y", "front": "+z", "detected": False, "margin": 1.0}
+
+
+def test_the_notes_of_the_identitys_file_are_passed_on():
+    class Source:
+        suffix, notes = ".glb", ("its skin was dropped",)
+
+        def write(self, mesh, path): ...
+
+    result = transfer(dataclasses.replace(person(0), source=Source()), person(1, 0), "copy")
+    assert "its skin was dropped" in result.notes
+
+
+def test_every_step_is_timed():
+    result = transfer(person(0), person(1, 0), "copy")
+    assert list(result.seconds) == ["load", "prepare", "drive", "refine", "write"]
+    assert result.seconds["drive"] > 0
+
+
+def test_files_give_what_meshes_give(tmp_path):
+    io = pytest.importorskip("mimesh.io")
+    if not hasattr(io, "save_mesh"):
+        pytest.skip("no readers yet")
+    identity, driving = person(0), person(1, 0)
+    io.save_mesh(identity, tmp_path / "identity.obj")
+    io.save_mesh(driving, tmp_path / "driving.obj")
+    result = transfer(tmp_path / "identity.obj", str(tmp_path / "driving.obj"), "copy")
+    assert np.allclose(result.vertices, transfer(identity, driving, "copy").vertices, atol=1e-5)
+    saved = io.load_mesh(result.save(tmp_path / "result.obj"))
+    assert np.allclose(saved.vertices, result.vertices, atol=1e-5)
+    assert result.seconds["write"] > 0
+
+
+def test_quality_of_known_changes():
+    mesh = cube()
+    assert quality(mesh, mesh.vertices[None]) == {
+        "edge_stretch_max": 1.0,
+        "edge_stretch_p99": 1.0,
+        "flipped_share": 0.0,
+    }
+    assert np.isclose(quality(mesh, mesh.vertices[None] * 2)["edge_stretch_max"], 2)
+    assert np.isclose(quality(mesh, mesh.vertices[None] / 2)["edge_stretch_max"], 2)
+    assert quality(Mesh(mesh.vertices, np.zeros((0, 3), int)), mesh.vertices[None]) == {}
+
+
+def test_edges_without_length_are_left_out():
+    points = np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0]], float)
+    assert edge_stretch(points, points * 3, np.array([[0, 1], [1, 2]])).tolist() == [3.0]
+
+
+def test_a_pushed_in_corner_flips_its_triangles():
+    from zoo import grid
+
+    mesh = grid(5)
+    folded = mesh.vertices.copy()
+    folded[12] += [0.6, 0, 0]
+    assert flipped_share(mesh.faces, mesh.vertices, mesh.vertices) == 0
+    assert flipped_share(mesh.faces, mesh.vertices, folded) > 0
