@@ -1,0 +1,95 @@
+"""glTF 2.0 in and out (.glb, .vrm, .gltf): a character at rest, the same file with its points moved, an animated one.
+
+gltf_check -> gltf_document -> gltf_scene -> gltf_read          a file becomes a Mesh
+gltf_draft -> gltf_move -> gltf_primitives -> gltf_edit         its source, written back
+              gltf_build, gltf_clip                             a Mesh from elsewhere, frames as morph targets
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from ..mesh import Clip, Mesh, check_mesh
+from .gltf_build import build_document
+from .gltf_check import is_understood
+from .gltf_clip import add_frames
+from .gltf_document import Document, open_document
+from .gltf_edit import GltfSource, edit_document, with_normals
+from .gltf_read import Rest, read_rest
+
+
+def read_gltf(path: Path) -> Mesh:
+    """Read the default scene of a .glb, .vrm or .gltf file at rest, in world coordinates and the file's units.
+
+    Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
+    the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
+    default are not read; they stay in `Mesh.source`, whose `notes` say what writing the file again leaves out.
+
+    Raises:
+        InputError: the file is damaged, compressed, not glTF 2.0, or shows no triangles.
+    """
+    document = open_document(path)
+    mesh, rest = read_rest(document)
+    check_mesh(mesh, path)
+    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _notes(document, rest))
+    return dataclasses.replace(mesh, source=source)
+
+
+def write_gltf(mesh: Mesh, path: Path) -> None:
+    """Write a mesh as .glb or as .gltf with everything inside: the file it came from, points moved, if it has one.
+
+    A mesh from elsewhere gets a document of its own, with smooth normals if it has none (viewers show a mesh without
+    normals faceted). Skin and animations are not written; see `gltf_edit`.
+    """
+    if isinstance(mesh.source, GltfSource):
+        mesh.source.write(mesh, path)
+    else:
+        mesh = with_normals(mesh)
+        build_document(mesh, mesh)[0].save(path)
+
+
+def write_gltf_clip(clip: Clip, path: Path) -> None:
+    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf_clip`).
+
+    A mesh that came from a glTF file keeps all of it but skin, animations and morph targets of its own. One frame
+    gives a file without animation. The size is about 24 bytes a vertex and frame (normals included).
+    """
+    mesh = with_normals(clip.mesh)
+    first = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
+    if isinstance(mesh.source, GltfSource):
+        draft, placed = edit_document(mesh.source, first, keep_targets=False)
+    else:
+        draft, placed = build_document(mesh, first)
+    if len(clip) > 1:
+        add_frames(draft, placed, mesh, clip)
+    draft.save(path)
+
+
+def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
+    """What a written file does not have, or has in another way, one line each."""
+    gltf = document.gltf
+    notes = []
+    skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
+    if skins or animations:
+        found = [_count(skins, "skin"), _count(animations, "animation")]
+        notes.append(f"dropped {' and '.join(text for text in found if text)}: the points now carry the pose")
+    nodes = list(dict.fromkeys(run.node for run in rest.runs))
+    meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
+    if len(meshes) < len(nodes):
+        notes.append(
+            f"gave each of {len(nodes)} nodes a mesh of its own, {len(meshes)} were shared: they now move apart"
+        )
+    for image, content in zip(gltf.get("images", []), document.images, strict=True):
+        if content is None:
+            notes.append(f"kept the reference to image {image.get('uri', '')[:80]!r}, which is not there")
+    for name in gltf.get("extensionsUsed", []):
+        if not is_understood(str(name)):
+            notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")
+    return tuple(notes)
+
+
+def _count(number: int, name: str) -> str:
+    return "" if not number else f"the {name}" if number == 1 else f"{number} {name}s"

@@ -1,0 +1,122 @@
+"""A clip as morph targets: the mesh is frame 0, and target k - 1 takes it to frame k at time k / fps.
+
+One target for each frame after the first, its weight 1 at its own key and 0 at all others, linear in between: at a key
+exactly one target is active, between two keys two, and what is shown there is the straight line between both frames.
+Clients may limit how many targets act at once (glTF promises eight), which never touches this layout. Frame 0 is the
+mesh itself, so that a client that ignores morph targets shows the beginning of the clip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..geometry import corner_fans, face_vectors, rotate_between
+from ..mesh import Clip, Mesh
+from .gltf_draft import VERTEX_DATA, Draft, bounds_of
+from .gltf_primitives import Placed
+from .gltf_scene import unit
+
+
+def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> None:
+    """Add the frames of `clip` to a document that shows its frame 0; `mesh` is the clip's, with corner normals.
+
+    The only large arrays made are the float32 deltas that go into the file.
+    """
+    deltas = _frame_deltas(placed, mesh, clip)
+    for one, arrays in zip(placed, deltas, strict=True):
+        targets = _add_targets(draft, arrays)
+        for primitive in one.primitives:
+            primitive["targets"] = [dict(target) for target in targets]
+    nodes = list(dict.fromkeys(one.node for one in placed))
+    for node in nodes:
+        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], len(clip) - 1)
+    draft.gltf["animations"] = [_animation(draft, nodes, clip)]
+
+
+def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str, Float[np.ndarray, "T N 3"]]]:
+    """For each placed group, what each frame after the first adds to the float32 attributes of frame 0."""
+    turned = _normal_turner(mesh) if any(one.has_normals for one in placed) else None
+    base: list[dict[str, np.ndarray]] = []
+    deltas: list[dict[str, np.ndarray]] = []
+    for frame in range(len(clip)):
+        vertices = np.asarray(clip.vertices[frame], np.float64)
+        normals = turned(vertices) if turned else None
+        for number, one in enumerate(placed):
+            now = _local(one, vertices, normals)
+            if frame == 0:
+                base.append({name: values.astype(np.float32).astype(np.float64) for name, values in now.items()})
+                deltas.append({name: np.empty((len(clip) - 1, *values.shape), "<f4") for name, values in now.items()})
+            else:
+                for name, values in now.items():
+                    deltas[number][name][frame - 1] = values - base[number][name]
+    return deltas
+
+
+def _local(
+    one: Placed, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
+) -> dict[str, Float[np.ndarray, "N 3"]]:
+    """Positions and normals of a group's elements in the frame of its node; without a face the normal is constant."""
+    linear, origin = one.T_world_local[:3, :3], one.T_world_local[:3, 3]
+    local = {"POSITION": (vertices[one.vertex_of] - origin) @ np.linalg.inv(linear).T}
+    if one.has_normals and normals is not None:
+        local["NORMAL"] = np.where(one.corner_of[:, None] >= 0, unit(normals[one.corner_of] @ linear), 0.0)
+    return local
+
+
+def _normal_turner(mesh: Mesh) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "C 3"]]:
+    """`geometry.turn_normals` of one mesh for many frames, the fans found once: vertices to one normal a corner."""
+    from scipy.sparse import csr_array
+
+    assert mesh.corner_normals is not None
+    rest, faces = mesh.corner_normals.reshape(-1, 3), mesh.faces
+    fans = corner_fans(mesh.corner_normals, faces, mesh.vertices)
+    owner = np.repeat(np.arange(len(faces)), 3)
+    gather = csr_array((np.ones(len(fans)), (fans, owner)), shape=(fans.max(initial=-1) + 1, len(faces)))
+
+    def fan_normals(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
+        sums = np.asarray(gather @ face_vectors(vertices, faces))
+        return np.where(sums.any(axis=1, keepdims=True), unit(sums), [0.0, 1.0, 0.0])[fans]
+
+    old = fan_normals(mesh.vertices)
+    return lambda vertices: rotate_between(old, fan_normals(vertices), rest)
+
+
+def _add_targets(draft: Draft, deltas: dict[str, Float[np.ndarray, "T N 3"]]) -> list[dict[str, int]]:
+    """One view for all frames of an attribute, one accessor for each frame."""
+    targets: list[dict[str, int]] = [{} for _ in next(iter(deltas.values()))]
+    for name, frames in deltas.items():
+        view = draft.add_view(frames, target=VERTEX_DATA, byteStride=12)
+        for number, values in enumerate(frames):
+            accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * values.nbytes, "componentType": 5126}
+            accessor |= {"count": len(values), "type": "VEC3"} | (bounds_of(values) if name == "POSITION" else {})
+            targets[number][name] = draft.add_accessor(accessor)
+    return targets
+
+
+def _complete_mesh(draft: Draft, mesh: dict[str, Any], frames: int) -> None:
+    """Weights and names for the targets, and targets that do nothing for the lines and points of the mesh.
+
+    glTF wants one number of targets for all primitives of a mesh. An accessor without a view is all zeros.
+    """
+    for primitive in mesh["primitives"]:
+        if "targets" not in primitive:
+            count = draft.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+            zeros = {"componentType": 5126, "count": count, "type": "VEC3", "min": [0.0] * 3, "max": [0.0] * 3}
+            primitive["targets"] = [{"POSITION": draft.add_accessor(zeros)}] * frames
+    mesh["weights"] = [0.0] * frames
+    if isinstance(mesh.setdefault("extras", {}), dict):
+        mesh["extras"]["targetNames"] = [f"frame {number}" for number in range(1, frames + 1)]
+
+
+def _animation(draft: Draft, nodes: list[int], clip: Clip) -> dict[str, Any]:
+    times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
+    weights = draft.add_floats(np.eye(len(clip), dtype=np.float32)[:, 1:].reshape(-1, 1))
+    return {
+        "name": clip.mesh.name,
+        "samplers": [{"input": times, "interpolation": "LINEAR", "output": weights}],
+        "channels": [{"sampler": 0, "target": {"node": node, "path": "weights"}} for node in nodes],
+    }

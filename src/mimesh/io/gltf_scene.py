@@ -1,0 +1,251 @@
+"""Where the vertices of a glTF file are: node tree, skins and morph targets, evaluated in float64.
+
+Matrices act on columns, `T_world_node @ [x, y, z, 1]`. Everything takes the node transforms as an argument, so the
+same functions serve the file's rest state and any frame of its animations.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError
+from .gltf_document import Document, read_accessor, read_floats
+
+REST_TURN_AND_SCALE = {"rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+
+
+def node_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
+    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale."""
+    nodes = document.gltf.get("nodes", [])
+    return np.array([_node_matrix(node) for node in nodes], np.float64).reshape(-1, 4, 4)
+
+
+def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "N 4 4"]:
+    """Each node's transform to the world: the product of the transforms from its root down.
+
+    Raises:
+        InputError: the node tree has a loop, or a node with two parents.
+    """
+    T_world_node = T_parent_node.copy()
+    parent = _parents(document)
+    for node in _parents_first(document, parent):
+        if parent[node] >= 0:
+            T_world_node[node] = T_world_node[parent[node]] @ T_parent_node[node]
+    return T_world_node
+
+
+def shown_nodes(document: Document) -> list[int]:
+    """The nodes of the default scene (else of scene 0, else all), depth first: the scene order."""
+    gltf = document.gltf
+    scenes = gltf.get("scenes")
+    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(_parents(document))
+    order: dict[int, None] = {}
+    stack = list(reversed(roots))
+    while stack:
+        node = stack.pop()
+        if node not in order:
+            order[node] = None
+            stack.extend(reversed(gltf["nodes"][node].get("children", [])))
+    return list(order)
+
+
+def attribute(document: Document, primitive: dict[str, Any], name: str, kind: str) -> Float[np.ndarray, "V C"] | None:
+    """A vertex attribute in float64, or None where the primitive has none.
+
+    Raises:
+        InputError: it is not of the expected kind (VEC2, VEC3, VEC4), or does not have one element for each position.
+    """
+    return _vertex_data(document, primitive, primitive["attributes"], name, kind)
+
+
+def morph_delta(
+    document: Document, primitive: dict[str, Any], target: int, name: str
+) -> Float[np.ndarray, "V 3"] | None:
+    """What morph target number `target` adds to an attribute at weight 1, or None where it leaves it alone."""
+    return _vertex_data(document, primitive, primitive["targets"][target], name, "VEC3")
+
+
+def morphed(
+    document: Document, primitive: dict[str, Any], name: str, kind: str, weights: list[float]
+) -> Float[np.ndarray, "V C"] | None:
+    """A vertex attribute with its weighted morph targets added (w of a tangent has none)."""
+    values = attribute(document, primitive, name, kind)
+    for target, weight in enumerate(weights[: len(primitive.get("targets", []))]):
+        delta = morph_delta(document, primitive, target, name) if weight and values is not None else None
+        if delta is not None and values is not None:
+            values[:, :3] += weight * delta
+    return values
+
+
+def morph_weights(document: Document, node: int) -> list[float]:
+    """The morph weights of a node at rest: its own, else its mesh's."""
+    owner = document.gltf["nodes"][node]
+    weights = owner.get("weights") or document.gltf["meshes"][owner["mesh"]].get("weights") or []
+    return [float(weight) for weight in weights]
+
+
+def vertex_matrices(
+    document: Document, node: int, primitive: dict[str, Any], T_world_node: Float[np.ndarray, "N 4 4"]
+) -> Float[np.ndarray, "M 3 4"]:
+    """What takes each vertex of a primitive to the world: its joints' blend, or one matrix for all without a skin.
+
+    A skinned vertex ignores the transform of the node that shows it, as glTF has it. Weights are divided by their sum;
+    a vertex without any weight follows its first joint, as in three.js.
+    """
+    skin = document.gltf["nodes"][node].get("skin")
+    if skin is None or "JOINTS_0" not in primitive["attributes"]:
+        return T_world_node[node][None, :3]
+    joints, weights = _influences(document, primitive)
+    T_world_bind = joint_matrices(document, skin, T_world_node)
+    if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(T_world_bind):
+        raise InputError(
+            f"{document.path}: expected joints below {len(T_world_bind)} in skin {skin}, found {joints.max()}; "
+            "the file is damaged, export it again"
+        )
+    blend = np.zeros((len(joints), 3, 4))
+    for joint, weight in zip(joints.T, weights.T, strict=True):
+        blend += weight[:, None, None] * T_world_bind[joint, :3]
+    return blend
+
+
+def joint_matrices(
+    document: Document, skin: int, T_world_node: Float[np.ndarray, "N 4 4"]
+) -> Float[np.ndarray, "J 4 4"]:
+    """World from bind space for each joint of a skin: its node's transform times its inverse bind matrix."""
+    entry = document.gltf["skins"][skin]
+    T_world_joint = T_world_node[entry["joints"]]
+    if "inverseBindMatrices" not in entry:
+        return T_world_joint
+    columns = read_floats(document, entry["inverseBindMatrices"])
+    if columns.shape[1] != 16 or len(columns) < len(T_world_joint):
+        raise InputError(
+            f"{document.path}: expected {len(T_world_joint)} inverse bind matrices in skin {skin}, found "
+            f"{len(columns)} x {columns.shape[1]} numbers; export it again"
+        )
+    return T_world_joint @ columns[: len(T_world_joint)].reshape(-1, 4, 4).transpose(0, 2, 1)
+
+
+def transform(matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """Points taken by their own matrix each, or all by one."""
+    return turn(matrices[:, :, :3], points) + matrices[:, :, 3]
+
+
+def turn(matrices: Float[np.ndarray, "M 3 3"], vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """Vectors taken by their own 3x3 matrix each, or all by one."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
+
+
+def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 3 3"]:
+    """Inverse transposes up to a positive factor, through cofactors, so that flattening matrices have one too."""
+    a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+    return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
+
+
+def unit(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+    """Vectors of length 1; those of length 0 stay."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)
+
+
+def _node_matrix(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
+    if "matrix" in node:
+        return np.array(node["matrix"], np.float64).reshape(4, 4).T
+    matrix = np.eye(4)
+    rotation, scale = (np.array(node.get(key, rest), np.float64) for key, rest in REST_TURN_AND_SCALE.items())
+    matrix[:3, :3] = _rotation(rotation) * scale
+    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+    return matrix
+
+
+def _rotation(quat_xyzw: Float[np.ndarray, 4]) -> Float[np.ndarray, "3 3"]:
+    x, y, z, w = quat_xyzw / (np.linalg.norm(quat_xyzw) or 1.0)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _parents(document: Document) -> list[int]:
+    """The parent of each node, -1 for roots."""
+    nodes = document.gltf.get("nodes", [])
+    parent = [-1] * len(nodes)
+    for index, node in enumerate(nodes):
+        for child in node.get("children", []):
+            if parent[child] >= 0:
+                raise InputError(f"{document.path}: expected one parent for node {child}, found two; export it again")
+            parent[child] = index
+    return parent
+
+
+def _roots(parent: list[int]) -> list[int]:
+    return [node for node, above in enumerate(parent) if above < 0]
+
+
+def _parents_first(document: Document, parent: list[int]) -> list[int]:
+    """All nodes, each after its parent."""
+    order = _roots(parent)
+    for node in order:  # grows while it is walked
+        order.extend(document.gltf["nodes"][node].get("children", []))
+    if len(order) < len(parent):
+        lost = min(set(range(len(parent))) - set(order))
+        raise InputError(f"{document.path}: expected a tree of nodes, found node {lost} below itself; export it again")
+    return order
+
+
+def _influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
+    """Joint numbers and weights of each vertex from all sets; joints of no weight are 0, whatever the file says."""
+    joints, weights, number = [], [], 0
+    while f"JOINTS_{number}" in primitive["attributes"]:
+        joints.append(attribute(document, primitive, f"JOINTS_{number}", "VEC4"))
+        weights.append(attribute(document, primitive, f"WEIGHTS_{number}", "VEC4"))
+        number += 1
+    if any(part is None for part in weights):
+        raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
+    joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
+    total = weight.sum(axis=1, keepdims=True)
+    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), np.eye(1, weight.shape[1]))
+    return np.where(weight == 0, 0, joint).astype(np.int64), weight
+
+
+def _vertex_data(
+    document: Document, primitive: dict[str, Any], accessors: dict[str, int], name: str, kind: str
+) -> Float[np.ndarray, "V C"] | None:
+    if name not in accessors:
+        return None
+    accessor = document.gltf["accessors"][accessors[name]]
+    count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    if accessor["type"] != kind or accessor["count"] != count:
+        raise InputError(
+            f"{document.path}: expected {count} {kind} in {name}, found {accessor['count']} {accessor['type']}; "
+            "the file is damaged, export it again"
+        )
+    return read_floats(document, accessors[name])
+
+
+def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
+    """The vertex numbers a primitive draws, in order; all of them where it has no index buffer.
+
+    Raises:
+        InputError: the indices are not unsigned integers, or point past the last vertex.
+    """
+    count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    if "indices" not in primitive:
+        return np.arange(count)
+    values = read_accessor(document, primitive["indices"])
+    if values.dtype.kind != "u" or values.shape[1] != 1:
+        raise InputError(
+            f"{document.path}: expected unsigned indices, found {values.dtype} x {values.shape[1]}; export it again"
+        )
+    if values.max(initial=0) >= count:
+        raise InputError(
+            f"{document.path}: expected face indices below {count}, found {values.max()}; "
+            "the file is damaged, export it again"
+        )
+    return values.ravel().astype(np.int64)

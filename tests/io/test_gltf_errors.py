@@ -1,0 +1,194 @@
+"""Every way a glTF file can be wrong is one line that names the file, what was expected and what was found."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gltf_samples as samples
+import pytest
+
+from mimesh.io.gltf import read_gltf
+from mimesh.mesh import InputError
+
+Change = Callable[[dict[str, Any]], Any]
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        read_gltf(path)
+    text = str(caught.value)
+    assert text.startswith(f"{path}: expected ")
+    assert "\n" not in text
+
+
+JSON_CHANGES: dict[str, tuple[Change, str]] = {
+    "gltf 1": (lambda g: g.update(asset={"version": "1.0"}), "glTF version 2.0, found 1.0"),
+    "no asset": (lambda g: g.pop("asset"), "glTF version 2.0, found None"),
+    "draco": (
+        lambda g: g.update(extensionsRequired=["KHR_draco_mesh_compression"]),
+        "KHR_draco_mesh_compression; export without compression",
+    ),
+    "meshopt": (
+        lambda g: g.update(extensionsRequired=["EXT_meshopt_compression"]),
+        "EXT_meshopt_compression; export without compression",
+    ),
+    "unknown": (lambda g: g.update(extensionsRequired=["ACME_fur"]), "found required ACME_fur"),
+    "accessors no list": (lambda g: g.update(accessors={}), "a list before"),
+    "node no object": (lambda g: g["nodes"].append(5), "an object around"),
+    "no count": (lambda g: g["accessors"][0].pop("count"), "'count' in each of 'accessors \\[\\]'"),
+    "negative": (lambda g: g["accessors"][0].update(count=-1), "a count in 'accessors \\[\\] count', found -1"),
+    "type number": (lambda g: g["accessors"][0].update(type=3), "text in 'accessors \\[\\] type'"),
+    "strange type": (lambda g: g["accessors"][0].update(type="VEC9"), "24 VEC3 in POSITION, found 24 VEC9"),
+    "strange index type": (
+        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["indices"]].update(type="VEC9"),
+        "glTF 2.0 type in accessor .*, found 5123 VEC9",
+    ),
+    "strange component": (lambda g: g["accessors"][0].update(componentType=5130), "5130 VEC3"),
+    "matrix": (lambda g: g["nodes"][0].update(matrix=[1, 0]), "16 numbers in 'nodes \\[\\] matrix'"),
+    "extensions": (lambda g: g["materials"][0].update(extensions=[1]), "an object in"),
+    "dangling mesh": (lambda g: g["nodes"][3].update(mesh=9), "'nodes \\[\\] mesh' to be one of 2 meshes, found 9"),
+    "dangling scene": (lambda g: g.update(scene=4), "'scene' to be one of 1 scenes, found 4"),
+    "dangling accessor": (
+        lambda g: g["meshes"][0]["primitives"][0]["attributes"].update(NORMAL=999),
+        "to be one of .* accessors, found 999",
+    ),
+    "dangling texture": (lambda g: g["textures"][0].update(source=7), "to be one of 2 images, found 7"),
+    "accessor past its view": (lambda g: g["accessors"][0].update(count=10_000), "bytes for accessor 0"),
+    "view past its buffer": (lambda g: g["bufferViews"][0].update(byteLength=10**6), "buffer view 0 inside its buffer"),
+    "attribute count": (
+        lambda g: g["accessors"][g["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]].update(count=7),
+        "24 VEC3 in NORMAL, found 7 VEC3",
+    ),
+    "position type": (
+        lambda g: g["accessors"][g["meshes"][1]["primitives"][0]["attributes"]["POSITION"]].update(type="VEC2"),
+        "12 VEC3 in POSITION, found 12 VEC2",
+    ),
+    "float indices": (
+        lambda g: g["meshes"][0]["primitives"][0].update(
+            indices=g["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
+        ),
+        "unsigned indices, found float32",
+    ),
+    "no weights": (
+        lambda g: [p["attributes"].pop("WEIGHTS_0", 0) for p in g["meshes"][0]["primitives"]],
+        "WEIGHTS for each set of JOINTS",
+    ),
+    "joint out of range": (lambda g: g["skins"][0].update(joints=[1], inverseBindMatrices=0), "inverse bind matrices"),
+    "too few joints": (
+        lambda g: [g["skins"][0].pop("inverseBindMatrices"), g["skins"][0].update(joints=[1])],
+        "joints below 1",
+    ),
+    "loop": (lambda g: g["nodes"][2].update(children=[4, 1]), "one parent for node 1|below itself"),
+    "own child": (lambda g: g["nodes"][6].update(children=[6]), "node 6 below itself"),
+    "two parents": (lambda g: g["nodes"][5].update(children=[4]), "one parent for node 4"),
+    "no triangles": (
+        lambda g: [p.update(mode=1) for mesh in g["meshes"] for p in mesh["primitives"]],
+        r"with triangles, found none \(2 meshes, 1 animations\)",
+    ),
+    "base64": (lambda g: g["images"][1].update(uri="data:image/png;base64,%%%"), "base64 data"),
+    "lost buffer": (lambda g: g["buffers"][0].update(uri="lost.bin"), "the data of buffer 0, found no file 'lost.bin'"),
+    "short buffer": (lambda g: g["buffers"][0].update(byteLength=10**6), "1000000 bytes in buffer 0"),
+    "no data": (lambda g: g["buffers"].append({"byteLength": 4}), "the data of buffer 1, found no file 'inside'"),
+    "sparse index": (
+        lambda g: next(a for a in g["accessors"] if "sparse" in a).update(count=3),
+        "24 VEC2 in TEXCOORD_1|sparse indices below 3",
+    ),
+    "signed sparse": (
+        lambda g: next(a for a in g["accessors"] if "sparse" in a)["sparse"]["indices"].update(componentType=5122),
+        "unsigned sparse indices",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", JSON_CHANGES)
+def test_wrong_json(name, tmp_path):
+    sample = samples.hero()
+    change, message = JSON_CHANGES[name]
+    gltf = json.loads(json.dumps(sample.finished()))
+    gltf["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1  # so that the sparse uv is read
+    change(gltf)
+    path = tmp_path / "a.glb"
+    path.write_bytes(samples.pack_glb(gltf, bytes(sample.data)))
+    refused(path, message)
+
+
+def test_sparse_index_out_of_range(tmp_path):
+    sample = samples.hero()
+    entry = next(a for a in sample.gltf["accessors"] if "sparse" in a)
+    start = sample.gltf["bufferViews"][entry["sparse"]["indices"]["bufferView"]]["byteOffset"]
+    sample.data[start : start + 2] = struct.pack("<H", 999)
+    sample.gltf["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]["texCoord"] = 1
+    refused(sample.glb(tmp_path / "a.glb"), "sparse indices below 24 in accessor .*, found 999")
+
+
+def test_index_of_no_vertex(tmp_path):
+    sample = samples.hero()
+    sample.gltf["meshes"][0]["primitives"][0]["indices"] = sample.indices([0, 1, 24])
+    refused(sample.glb(tmp_path / "a.glb"), "face indices below 24, found 24")
+
+
+def test_nan_position(tmp_path):
+    sample = samples.props()
+    positions = samples.box()[0]
+    positions[3, 1] = float("nan")
+    accessor = sample.accessor(positions, min=[0, 0, 0], max=[0, 0, 0])
+    sample.gltf["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = accessor
+    refused(sample.glb(tmp_path / "a.glb"), "finite coordinates, found NaN or infinity in 2 of 58")
+
+
+@pytest.mark.parametrize("length", [0, 10, 19, 100, 5000, -1, -100])
+def test_truncated_glb(length, tmp_path):
+    path = samples.hero().glb(tmp_path / "a.glb")
+    path.write_bytes(path.read_bytes()[:length])
+    refused(path, "truncated|binary glTF")
+
+
+def test_truncated_chunk(tmp_path):
+    path = samples.props().glb(tmp_path / "a.glb")
+    content = bytearray(path.read_bytes())
+    start = 20 + struct.unpack_from("<I", content, 12)[0]
+    struct.pack_into("<I", content, start, 10**6)
+    path.write_bytes(content)
+    refused(path, "a binary chunk of 1000000 bytes")
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "message"),
+    [
+        (0, b"fTlg", "a binary glTF .* found b'fTlg'"),
+        (4, b"\1\0\0\0", "GLB version 2, found 1"),
+        (16, b"BIN\0", "JSON chunk first"),
+    ],
+)
+def test_wrong_header(offset, value, message, tmp_path):
+    path = samples.props().glb(tmp_path / "a.glb")
+    content = bytearray(path.read_bytes())
+    content[offset : offset + len(value)] = value
+    path.write_bytes(content)
+    refused(path, message)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "JSON, found text that does not parse"),
+        ('{"asset": {"version": "2.0"}, "extras": NaN}', "NaN is not a JSON number"),
+        ("[]", "a JSON object, found list"),
+        ("[" * 100_000, "JSON, found text that does not parse"),
+        ('{"asset": {"version": "2.0"}}', "with triangles, found none"),
+    ],
+)
+def test_wrong_text(text, message, tmp_path):
+    path = tmp_path / "a.gltf"
+    path.write_text(text)
+    refused(path, message)
+
+
+def test_not_utf8(tmp_path):
+    path = tmp_path / "a.gltf"
+    path.write_bytes(b'{"asset": "\xff"}')
+    refused(path, "JSON, found text that does not parse")

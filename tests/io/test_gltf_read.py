@@ -1,0 +1,232 @@
+"""Reading glTF: the rest state against a naive second reader and trimesh, and every way an array can be stored."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+from gltf_twin import Twin
+
+from mimesh.io.gltf import read_gltf
+from mimesh.io.gltf_edit import GltfSource
+
+
+@pytest.fixture(params=["hero", "props"])
+def sample(request: pytest.FixtureRequest) -> samples.Sample:
+    return getattr(samples, request.param)()
+
+
+def test_rest_is_what_a_naive_reader_finds(sample, tmp_path):
+    path = sample.glb(tmp_path / "a.glb")
+    mesh, twin = read_gltf(path), Twin(path)
+    for run in mesh.source.rest.runs:
+        for primitive in run.primitives:
+            found = mesh.vertices[run.start : run.stop]
+            np.testing.assert_allclose(found, twin.points(run.node, primitive), atol=1e-12)
+
+
+def test_normals_are_what_a_naive_reader_finds(sample, tmp_path):
+    path = sample.glb(tmp_path / "a.glb")
+    mesh, twin = read_gltf(path), Twin(path)
+    for run in mesh.source.rest.runs:
+        for primitive in run.primitives:
+            start, stop = mesh.source.rest.faces.get((run.node, primitive), (0, 0))
+            if twin.attribute(run.node, primitive, "NORMAL") is not None and stop > start:
+                expected = twin.normals(run.node, primitive)[mesh.faces[start:stop] - run.start]
+                np.testing.assert_allclose(mesh.corner_normals[start:stop], expected, atol=1e-12)
+
+
+def test_triangles_are_where_trimesh_puts_them(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    path = samples.props().glb(tmp_path / "a.glb")
+    mesh = read_gltf(path)
+    other = trimesh.load_scene(path, process=False).to_mesh()
+
+    def sheets_left_out(triangles: np.ndarray) -> np.ndarray:  # trimesh leaves fans out and keeps a strip's repeats
+        triangles = triangles[triangles[:, :, 1].max(axis=1) < 8.9]
+        centres = triangles.mean(axis=1).round(6)
+        return centres[np.lexsort(centres.T)]
+
+    ours, theirs = (sheets_left_out(m.vertices[m.faces]) for m in (mesh, other))
+    assert len(ours) == 24
+    np.testing.assert_allclose(ours, theirs, atol=1e-6)
+
+
+def test_all_containers_give_one_mesh(sample, tmp_path):
+    first = read_gltf(sample.glb(tmp_path / "a.glb"))
+    for path in (sample.text(tmp_path / "b.gltf"), sample.text(tmp_path / "c.gltf", outside=True)):
+        mesh = read_gltf(path)
+        np.testing.assert_array_equal(mesh.vertices, first.vertices)
+        np.testing.assert_array_equal(mesh.faces, first.faces)
+        assert mesh.parts == first.parts
+        assert mesh.source.suffix == ".gltf"
+    assert (first.name, first.source.suffix) == ("a", ".glb")
+
+
+def test_parts_and_materials(tmp_path):
+    mesh = read_gltf(samples.hero().glb(tmp_path / "a.glb"))
+    assert [(part.name, part.start, part.stop) for part in mesh.parts] == [
+        ("face", 0, 4),
+        ("body", 4, 11),
+        ("body", 11, 16),
+    ]
+    cloth, skin = mesh.parts[1].material, mesh.parts[2].material
+    assert (cloth.name, cloth.base_color, cloth.texture) == ("cloth", (1, 1, 1, 1), samples.png())
+    assert (skin.name, skin.base_color, skin.texture) == ("skin", (0.5, 0.25, 1, 1), samples.png())
+    assert mesh.parts[0].material is skin
+
+
+def test_shared_vertices_come_once_and_instances_twice(tmp_path):
+    hero, props = (read_gltf(sample.glb(tmp_path / "a.glb")) for sample in (samples.hero(), samples.props()))
+    assert len(hero.vertices) == 12 + 24  # the loose points of the body are no part of the mesh
+    assert len(props.vertices) == 24 + 24 + 6 + 4
+    assert [(run.node, run.start, run.stop) for run in props.source.rest.runs] == [
+        (1, 0, 24),
+        (2, 24, 48),
+        (3, 48, 54),
+        (3, 54, 58),
+    ]
+
+
+def test_faces_of_a_mirrored_node_still_look_outward(tmp_path):
+    mesh = read_gltf(samples.props().glb(tmp_path / "a.glb"))
+    for start, stop in ((0, 12), (12, 24)):
+        corners = mesh.vertices[mesh.faces[start:stop]]
+        corners = corners - corners.mean(axis=(0, 1))
+        volume = np.linalg.det(corners).sum() / 6
+        assert volume == pytest.approx(24.0)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        assert ((normals[:, None] * mesh.corner_normals[start:stop]).sum(-1) > 0).all()
+
+
+def test_strips_and_fans_become_triangles(tmp_path):
+    mesh = read_gltf(samples.props().glb(tmp_path / "a.glb"))
+    strip, fan = mesh.faces[24:28] - 48, mesh.faces[28:30] - 54
+    assert strip.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4]]
+    assert fan.tolist() == [[1, 2, 0], [2, 3, 0]]
+    assert (mesh.corner_normals[24:28] == mesh.corner_normals[24:28, :1]).all()  # none given: flat
+
+
+def test_repeats_in_a_strip_are_no_faces(tmp_path):
+    sample = samples.props()
+    sample.gltf["meshes"][1]["primitives"][0]["indices"] = sample.indices([0, 1, 2, 2, 3, 3, 4, 5])
+    mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
+    assert (mesh.faces[24:-2] - 48).tolist() == [[0, 1, 2], [3, 5, 4]]
+
+
+def test_uv_is_turned_up(tmp_path):
+    path = samples.hero().glb(tmp_path / "a.glb")
+    mesh, twin = read_gltf(path), Twin(path)
+    u, v = twin.attribute(3, 0, "TEXCOORD_0")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
+    np.testing.assert_allclose(mesh.corner_uv[4:11], np.stack([u, 1 - v], axis=-1), atol=1e-12)
+
+
+def test_uv_follows_the_base_texture(tmp_path):
+    """Its set, and its transform: half the size, moved, turned by 90 degrees."""
+    sample = samples.hero()
+    texture = sample.gltf["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    texture |= {"extensions": {"KHR_texture_transform": {"scale": [0.5, 0.25], "offset": [0.1, 0.2], "texCoord": 1}}}
+    path = sample.glb(tmp_path / "a.glb")
+    mesh, twin = read_gltf(path), Twin(path)
+    u, v = twin.attribute(3, 0, "TEXCOORD_1")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
+    expected = np.stack([0.1 + 0.5 * u, 1 - (0.2 + 0.25 * v)], axis=-1)
+    np.testing.assert_allclose(mesh.corner_uv[4:11], expected, atol=1e-12)
+    texture["extensions"]["KHR_texture_transform"]["rotation"] = np.pi / 2
+    mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
+    expected = np.stack([0.1 + 0.25 * v, 1 - (0.2 - 0.5 * u)], axis=-1)
+    np.testing.assert_allclose(mesh.corner_uv[4:11], expected, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "normalized"), [("i1", True), ("u1", True), ("i2", True), ("u2", True), ("i2", False)]
+)
+def test_quantized_positions(dtype, normalized, tmp_path):
+    sample, whole = samples.props(), samples.props()
+    steps = np.random.default_rng(0).integers(0, 100, (24, 3))
+    accessor = sample.accessor(steps, dtype, **({"normalized": True} if normalized else {}))
+    sample.gltf["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = accessor
+    sample.gltf["extensionsUsed"] = sample.gltf["extensionsRequired"] = ["KHR_mesh_quantization"]
+    largest = np.iinfo(dtype).max if normalized else 1
+    floats = whole.accessor(steps / largest)
+    whole.gltf["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = floats
+    quantized, plain = read_gltf(sample.glb(tmp_path / "a.glb")), read_gltf(whole.glb(tmp_path / "b.glb"))
+    np.testing.assert_allclose(quantized.vertices, plain.vertices, rtol=1e-6, atol=1e-6)
+
+
+def test_most_negative_integer_is_minus_one(tmp_path):
+    sample = samples.props()
+    rows = np.tile([-128, 127, 0], (24, 1))
+    normals = sample.accessor(rows, "i1", normalized=True)
+    sample.gltf["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = normals
+    sample.gltf["nodes"][0] = {"children": [1, 2]}
+    sample.gltf["nodes"][1] = {"mesh": 0}
+    mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
+    np.testing.assert_allclose(mesh.corner_normals[0, 0], [-(0.5**0.5), 0.5**0.5, 0], atol=1e-12)
+
+
+def _with_influences(sets: list[tuple[list[float], list[float]]]) -> samples.Sample:
+    """The hero with the same joints and weights at every vertex of its body, in as many sets as given."""
+    sample = samples.hero()
+    for primitive in sample.gltf["meshes"][0]["primitives"][:3]:
+        for number, (joints, weights) in enumerate(sets):
+            primitive["attributes"][f"JOINTS_{number}"] = sample.accessor(np.tile(joints, (24, 1)), "u2")
+            primitive["attributes"][f"WEIGHTS_{number}"] = sample.accessor(np.tile(weights, (24, 1)))
+    return sample
+
+
+@pytest.mark.parametrize(
+    "sets",
+    [
+        [([1, 0, 0, 0], [0.0, 0.0, 0.0, 0.0])],  # no weight at all: the first joint
+        [([1, 99, 7, 0], [0.5, 0.0, 0.0, 0.0])],  # weights that do not sum to 1, joints of no weight out of range
+        [([0, 0, 0, 0], [0.0, 0.0, 0.0, 0.0]), ([0, 1, 0, 0], [0.0, 0.7, 0.0, 0.0])],  # all weight in the second set
+    ],
+)
+def test_odd_influences_mean_the_chest(sets, tmp_path):
+    odd = read_gltf(_with_influences(sets).glb(tmp_path / "a.glb"))
+    plain = read_gltf(_with_influences([([1, 0, 0, 0], [1.0, 0.0, 0.0, 0.0])]).glb(tmp_path / "b.glb"))
+    np.testing.assert_allclose(odd.vertices, plain.vertices, atol=1e-12)
+
+
+def test_scene_of_points_is_a_point_cloud(tmp_path):
+    sample = samples.props()
+    points = np.random.default_rng(0).normal(size=(7, 3))
+    sample.gltf["meshes"][1]["primitives"] = [{"attributes": {"POSITION": sample.accessor(points)}, "mode": 0}]
+    sample.gltf["scenes"][1]["nodes"] = [3]
+    mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
+    assert mesh.faces.shape == (0, 3)
+    np.testing.assert_allclose(mesh.vertices, points + [0, 9, 0], atol=1e-6)
+
+
+def test_without_scenes_all_nodes_are_shown(tmp_path):
+    sample = samples.props()
+    del sample.gltf["scene"], sample.gltf["scenes"]
+    assert [run.node for run in read_gltf(sample.glb(tmp_path / "a.glb")).source.rest.runs] == [1, 2, 3, 3, 4, 4]
+
+
+def test_notes_say_what_will_be_left_out(tmp_path):
+    sample = samples.hero()
+    sample.gltf["animations"] *= 3
+    sample.gltf["extensionsUsed"] += ["ACME_fur"]
+    sample.gltf["images"][1] = {"uri": "lost.png"}
+    source = read_gltf(sample.glb(tmp_path / "a.glb")).source
+    assert isinstance(source, GltfSource)
+    assert source.notes == (
+        "dropped the skin and 3 animations: the points now carry the pose",
+        "kept the reference to image 'lost.png', which is not there",
+        "kept the data of extension ACME_fur as it is: it does not follow the new shape",
+    )
+    assert read_gltf(samples.props().glb(tmp_path / "a.glb")).source.notes == (
+        "gave each of 3 nodes a mesh of its own, 2 were shared: they now move apart",
+    )
+
+
+def test_a_file_that_is_no_image_is_not_taken_along(tmp_path: Path):
+    (tmp_path / "secret.txt").write_text("not an image")
+    (tmp_path / "red one.png").write_bytes(samples.png())
+    sample = samples.hero()
+    sample.gltf["images"] = [{"uri": "secret.txt"}, {"uri": "red%20one.png"}]
+    document = read_gltf(sample.glb(tmp_path / "a.glb")).source.document
+    assert document.images == (None, samples.png())
