@@ -73,12 +73,22 @@ def test_subsets_are_normalised_as_the_whole():
 
 
 def test_spread_vertices_cover_the_body():
-    source = PairSource(DataConfig("wide", 64), load_body(), torch.device("cpu"), seed=0)
+    source = PairSource(DataConfig("table6", 64), load_body(), torch.device("cpu"), seed=0)
     drawn = source._spread(2, 100, torch.Generator().manual_seed(0))
     rank = torch.empty(6890, dtype=torch.long)
     rank[source.order] = torch.arange(6890)
     cells = (rank[drawn].sort(dim=1).values * 100 / 6890).long()
     assert all(len(c.unique()) >= 95 for c in cells)
+
+
+def test_wide_meshes_may_be_as_dense_as_their_area():
+    source = PairSource(DataConfig("wide", 64), load_body(), torch.device("cpu"), seed=0)
+    drawn = source._spread(400, 100, torch.Generator().manual_seed(0))
+    hands = torch.from_numpy(
+        load_body().weights[:, [n.startswith(("LeftHand", "RightHand")) for n in load_body().joint_names]].sum(1) > 0.5
+    )
+    share = hands[drawn].float().mean(dim=1)
+    assert share.quantile(0.9) > 1.5 * share.quantile(0.1) > 0
 
 
 def test_extreme_vertices_are_few():

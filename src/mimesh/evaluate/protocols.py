@@ -91,4 +91,4 @@ class PoseTransferProtocol:
         )
 
 
-HUMAN_NPT = PoseTransferProtocol("human-npt", 1, people=16, poses=400, new_people=14, pairs=72, spread=1.3)
+HUMAN_NPT = PoseTransferProtocol("human-npt", 1, people=16, poses=400, new_people=14, pairs=72, spread=1.1)

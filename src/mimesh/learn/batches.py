@@ -66,6 +66,9 @@ class PairSource:
         self.body = TorchBody(body).to(device)
         self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
         self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
+        area = torch.from_numpy(vertex_areas(body)).float().to(device)[self.order]
+        # Shares of the body before each vertex of that order, counted in vertices and in area.
+        self.shares = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
         self.first_neighbour, self.neighbours = (
             torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
         )
@@ -153,10 +156,15 @@ class PairSource:
     def _spread(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Random vertices, one from each of `count` equal cells of the body, in random order.
 
-        Means over them (InstanceNorm lives on those) waver far less than over vertices drawn at random.
+        Means over them (InstanceNorm lives on those) waver far less than over vertices drawn at random. Half of the
+        `wide` meshes are as dense as the body's file everywhere, the others lean towards even density by area, as
+        meshes of other makers may be.
         """
+        even = torch.rand(size, 1, generator=rng, device=self.device) * 2 - 1
+        even = even.clamp_min(0) if self.config.kind == "wide" else torch.zeros_like(even)
         cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
-        drawn = self.order[(cell * (len(self.order) / count)).long().clamp_max(len(self.order) - 1)]
+        shares = self.shares[0] + even * (self.shares[1] - self.shares[0])
+        drawn = self.order[torch.searchsorted(shares, cell / count).clamp_max(len(self.order) - 1)]
         return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
 
     def _mesh(self, shape, rotmat, index, radius=None):
@@ -185,6 +193,12 @@ def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"
         found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]
         found += np.argsort(np.linalg.norm(vertices - centre, axis=1))[-3:].tolist()
     return np.unique(found)
+
+
+def vertex_areas(body: RiggedBody) -> Float[np.ndarray, " V"]:
+    """Area of the mean shape that belongs to each vertex: a third of its triangles'."""
+    areas = geometry.face_areas(body.vertices, body.faces)
+    return np.bincount(body.faces.ravel(), np.repeat(areas / 3, 3), minlength=len(body.vertices))
 
 
 def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:

@@ -1,9 +1,9 @@
 """Neural Pose Transfer (Wang et al., CVPR 2020): give an identity mesh the pose of a driving mesh.
 
 Table 5: every driving vertex passes through three 1x1 convolutions with InstanceNorm (the *pose code*), is paired with
-one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position.
-The pairing is random; vertices meet only in the mean and variance of InstanceNorm. Where the paper's tables and its public
-code differ the default is the paper, and a field of `NPTConfig` is the other reading.
+one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position. The pairing is
+random; vertices meet only in the mean and variance of InstanceNorm. Where the paper's tables and its public code differ
+the default is the paper, and a field of `NPTConfig` is the other reading.
 """
 
 from __future__ import annotations
