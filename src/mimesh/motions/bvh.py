@@ -1,0 +1,188 @@
+"""BVH motion capture files: any hierarchy, any channel order, read in one pass and checked at the door.
+
+A file's axes, units and joint names are kept as they are; `retarget` puts them onto one of our bodies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class Bvh:
+    """A skeleton and its motion, in the file's own axes and length unit."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the root; parents come before children."""
+    offsets: Float[np.ndarray, "J 3"]
+    """Position of each joint in its parent's frame; at rest all frames are parallel, so these are the rest bones."""
+    ends: dict[str, Float[np.ndarray, "3"]]
+    """Offset of the End Site of each joint that has one."""
+    rotmat: Float[np.ndarray, "T J 3 3"]
+    root: Float[np.ndarray, "T 3"]
+    """Position of the root joint."""
+    fps: float
+
+    def rest(self) -> Float[np.ndarray, "J 3"]:
+        """Joint positions at rest, the root at the origin."""
+        places = np.zeros_like(self.offsets)
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                places[j] = places[parent] + self.offsets[j]
+        return places
+
+    def world(self) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
+        """World rotation and position of every joint in every frame."""
+        rotation, place = self.rotmat.copy(), np.empty(self.rotmat.shape[:-1])
+        place[:, 0] = self.root
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                rotation[:, j] = rotation[:, parent] @ self.rotmat[:, j]
+                place[:, j] = place[:, parent] + rotation[:, parent] @ self.offsets[j]
+        return rotation, place
+
+
+def load_bvh(path: str | Path) -> Bvh:
+    """Read a BVH file (degrees; rotation channels apply in the order they are listed, the last one first).
+
+    Position channels of joints other than the root are skipped: bones keep the length of their OFFSET.
+
+    Raises:
+        InputError: not a BVH file, a damaged hierarchy, several roots, or motion rows that do not fit it.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: expected a BVH file, found none; check the name")
+    text = path.read_bytes().decode("utf-8", errors="replace")
+    header, found, rows = text.partition("MOTION")
+    if not found or header.split()[:1] != ["HIERARCHY"]:
+        raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
+    names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
+    frame_time, values = _read_rows(rows, sum(map(len, channels)), path)
+    rotmat, root = _apply_channels(channels, values, offsets[0])
+    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, 1.0 / frame_time)
+
+
+def _read_hierarchy(tokens: list[str], path: Path):
+    """Joints in file order from the tokens of the HIERARCHY section."""
+    names, parents, offsets, channels, ends = [], [], [], [], {}
+    stack: list[int] = []  # open joints; -1 marks an open End Site
+    i = 0
+    try:
+        while i < len(tokens):
+            word, i = tokens[i].upper(), i + 1
+            if word in ("ROOT", "JOINT"):
+                brace = tokens.index("{", i)
+                if (word == "ROOT") != (not stack) or (word == "ROOT" and names):
+                    raise InputError(
+                        f"{path}: expected one ROOT with all joints inside, found {word} {tokens[i]}; "
+                        "export one skeleton per file"
+                    )
+                names.append(" ".join(tokens[i:brace]))
+                parents.append(stack[-1] if stack else -1)
+                offsets.append(np.zeros(3))
+                channels.append([])
+                stack.append(len(names) - 1)
+                i = brace + 1
+            elif word == "END":
+                stack.append(-1)
+                i = tokens.index("{", i) + 1
+            elif word == "OFFSET":
+                offset = np.array([float(v) for v in tokens[i : i + 3]])
+                if offset.shape != (3,) or not np.isfinite(offset).all():
+                    raise ValueError
+                if stack[-1] < 0:
+                    ends[names[stack[-2]]] = offset
+                else:
+                    offsets[stack[-1]] = offset
+                i += 3
+            elif word == "CHANNELS":
+                count = int(tokens[i])
+                channels[stack[-1]] = [_channel(t, path) for t in tokens[i + 1 : i + 1 + count]]
+                i += 1 + count
+            elif word == "}":
+                stack.pop()
+            else:
+                raise InputError(f"{path}: expected ROOT, JOINT, OFFSET, CHANNELS or a brace, found {word[:40]!r}; "
+                                 "the hierarchy is damaged, export it again")  # fmt: skip
+    except (ValueError, IndexError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            f"{path}: expected a whole HIERARCHY, found damage near word {i} ({' '.join(tokens[i - 1 : i + 3])[:60]}); "
+            "export it again"
+        ) from None
+    if stack or not names:
+        raise InputError(f"{path}: expected a whole HIERARCHY, found {len(stack)} braces open; export it again")
+    return names, parents, np.array(offsets), ends, channels
+
+
+def _channel(word: str, path: Path) -> tuple[str, int]:
+    """Kind and axis of a channel: "Zrotation" is ("rotation", 2)."""
+    axis, kind = word[:1].lower(), word[1:].lower()
+    if axis not in "xyz" or kind not in ("rotation", "position"):
+        raise InputError(f"{path}: expected channels such as Zrotation, found {word[:40]!r}; export it again")
+    return kind, "xyz".index(axis)
+
+
+def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"]]:
+    """Frame time (s) and the numbers of the MOTION section."""
+    words = text.split()
+    try:
+        if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
+            raise ValueError
+        frames, frame_time = int(words[1]), float(words[4])
+        values = np.fromiter(map(float, words[5:]), float, len(words) - 5)
+    except (ValueError, IndexError) as error:
+        raise InputError(
+            f"{path}: expected 'Frames: N', 'Frame Time: s' and numbers after MOTION, found damage ({error}); "
+            "export it again"
+        ) from None
+    if not frame_time > 0 or frames < 1:
+        raise InputError(
+            f"{path}: expected frames and a positive frame time, found {frames} and {frame_time:g}; export it again"
+        )
+    if values.size != frames * channels:
+        raise InputError(
+            f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
+            "the file is cut short or its frame count is wrong, export it again"
+        )
+    if not np.isfinite(values).all():
+        bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
+        raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
+    return frame_time, values.reshape(frames, channels)
+
+
+def _apply_channels(channels, values, rest_root):
+    """Local rotation matrices (T, J, 3, 3) and the root's path (T, 3)."""
+    frames = len(values)
+    rotmat = np.tile(np.eye(3), (frames, len(channels), 1, 1))
+    root = np.tile(rest_root, (frames, 1))
+    column = 0
+    for j, kinds in enumerate(channels):
+        for kind, axis in kinds:
+            if kind == "rotation":
+                rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
+            elif j == 0:
+                root[:, axis] = values[:, column]
+            column += 1
+    return rotmat, root
+
+
+def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
+    """Rotation by `angle` (radians) about coordinate axis 0, 1 or 2."""
+    rotmat = np.zeros((len(angle), 3, 3))
+    b, c = (axis + 1) % 3, (axis + 2) % 3
+    rotmat[:, axis, axis] = 1.0
+    rotmat[:, b, b] = rotmat[:, c, c] = np.cos(angle)
+    rotmat[:, c, b] = np.sin(angle)
+    rotmat[:, b, c] = -np.sin(angle)
+    return rotmat

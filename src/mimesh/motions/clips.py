@@ -1,0 +1,87 @@
+"""The shipped motions: two takes of the CMU motion capture database on our skeleton, and named pieces of them.
+
+Which part of a take belongs to which split is written here and nowhere else. Built by `scripts/build_motions.py`.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib import resources
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from ..bodies.sampling import rotvec_to_rotmat
+from ..mesh import InputError
+from .motion import Motion, mirror, rotmat_to_rotvec, window
+
+TAKES = ("cmu_01_01", "cmu_01_03")
+SEGMENTS = {
+    "jump": ("cmu_01_01", 1.0, 3.0),
+    "turn": ("cmu_01_01", 8.2, 10.2),
+    "jump-away": ("cmu_01_01", 12.0, 14.0),
+    "walk-climb": ("cmu_01_03", 1.0, 4.0),
+    "climb-over": ("cmu_01_03", 9.5, 12.5),
+    "swing": ("cmu_01_03", 13.5, 18.0),
+    "walk": ("cmu_01_03", 18.4, 20.6),
+}
+"""Name -> take, start and stop in seconds."""
+DEMO = "jump"
+SPLITS = {
+    "train": (("cmu_01_01", 0.5, 17.0), ("cmu_01_03", 0.5, 27.5)),
+    "val": (("cmu_01_01", 17.0, 20.0), ("cmu_01_03", 27.5, 32.0)),
+    "test": (("cmu_01_01", 20.0, 22.5), ("cmu_01_03", 32.0, 37.5)),
+}
+"""Windows of the takes, disjoint in time: take, start, stop in seconds. Each take begins with a T-pose, left out here."""
+QUANTUM = np.pi / 32767
+"""Rotation vectors are stored as 16-bit multiples of this (radians)."""
+
+
+def motion_names() -> tuple[str, ...]:
+    """Names that `load_motion` knows: whole takes and named pieces."""
+    return (*TAKES, *SEGMENTS)
+
+
+def load_motion(name: str) -> Motion:
+    """A shipped motion at 30 frames a second.
+
+    Raises:
+        InputError: no such motion.
+    """
+    if name in SEGMENTS:
+        take, start, stop = SEGMENTS[name]
+        return window(_take(take), start, stop, name)
+    if name not in TAKES:
+        raise InputError(
+            f"{name}: expected a shipped motion ({', '.join(motion_names())}), found another; check the name"
+        )
+    return _take(name)
+
+
+def split_windows(split: Literal["train", "val", "test"]) -> list[Motion]:
+    """The motions of a split, in order."""
+    return [window(_take(take), start, stop, f"{take}@{start:g}") for take, start, stop in SPLITS[split]]
+
+
+def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32[np.ndarray, "N J 3"]:
+    """Rotation vectors of every third frame of a split and of its mirror image, turned to face +z.
+
+    The heading is the direction of the hips' front along the ground; tilts stay.
+    """
+    motions = [m for clip in split_windows(split) for m in (clip, mirror(clip))]
+    rotmat = np.concatenate([m.rotmat[::every] for m in motions])
+    front = rotmat[:, 0, :, 2]
+    heading = np.arctan2(front[:, 0], front[:, 2])
+    back = np.zeros((len(heading), 3))
+    back[:, 1] = -heading
+    rotmat[:, 0] = rotvec_to_rotmat(back) @ rotmat[:, 0]
+    return rotmat_to_rotvec(rotmat).astype(np.float32)
+
+
+@cache
+def _take(name: str) -> Motion:
+    with np.load(str(resources.files("mimesh.motions") / "cmu.npz")) as data:
+        rotvec = data[f"{name}_rotvec"].astype(np.float64) * QUANTUM
+        root: Float[np.ndarray, "T 3"] = data[f"{name}_root"].astype(np.float64)
+        return Motion(name, tuple(data["joint_names"].tolist()), rotvec_to_rotmat(rotvec), root, 30.0)
