@@ -1,5 +1,3 @@
-
-    _m.pose_bank = lambda s: _n.zeros((9, 31, 3), "float32")
 """Learning tests need the [train] extra and one thread."""
 
 import pytest

@@ -33,7 +33,7 @@ SPLITS = {
     "val": (("cmu_01_01", 17.0, 20.0), ("cmu_01_03", 27.5, 32.0)),
     "test": (("cmu_01_01", 20.0, 22.5), ("cmu_01_03", 32.0, 37.5)),
 }
-"""Windows of the takes, disjoint in time: take, start, stop in seconds. Each take begins with a T-pose, left out here."""
+"""Windows of the takes, disjoint in time: take, start, stop (s). The T-pose that takes begin with is left out."""
 QUANTUM = np.pi / 32767
 """Rotation vectors are stored as 16-bit multiples of this (radians)."""
 
