@@ -230,3 +230,13 @@ def test_a_file_that_is_no_image_is_not_taken_along(tmp_path: Path):
     sample.gltf["images"] = [{"uri": "secret.txt"}, {"uri": "red%20one.png"}]
     document = read_gltf(sample.glb(tmp_path / "a.glb")).source.document
     assert document.images == (None, samples.png())
+
+
+def test_empty_primitives_are_passed_over(tmp_path):
+    sample = samples.props()
+    nothing = sample.entry(np.zeros((1, 3), "<f4"), "f4", count=0)
+    sample.gltf["meshes"][0]["primitives"] += [{"attributes": {"POSITION": nothing}}, {"attributes": {}}]
+    mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
+    assert len(mesh.vertices) == 58
+    mesh.source.write(mesh, tmp_path / "b.glb")
+    np.testing.assert_array_equal(read_gltf(tmp_path / "b.glb").faces, mesh.faces)

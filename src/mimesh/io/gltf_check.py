@@ -124,6 +124,18 @@ def is_understood(extension: str) -> bool:
     return extension in UNDERSTOOD or extension.startswith(HARMLESS)
 
 
+VERTEX_KINDS = {
+    "POSITION": "VEC3",
+    "NORMAL": "VEC3",
+    "TANGENT": "VEC4",
+    "TEXCOORD": "VEC2",
+    "JOINTS": "VEC4",
+    "WEIGHTS": "VEC4",
+}
+DELTA_KINDS = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
+INDEX_TYPES = (5121, 5123, 5125)
+
+
 def check_document(gltf: Any, path: Path) -> None:
     """Check the JSON of a glTF file.
 
@@ -156,6 +168,8 @@ def check_document(gltf: Any, path: Path) -> None:
         for value in _find(gltf, place, path):
             count = len(gltf.get(name, ()))
             _expect(_is_index(value) and value < count, path, f"'{place}' to be one of {count} {name}", value)
+    for primitive in _find(gltf, "meshes [] primitives []", path):
+        _check_primitive(gltf, primitive, path)
 
 
 def _check_version(gltf: dict[str, Any], path: Path) -> None:
@@ -176,6 +190,24 @@ def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
             raise InputError(
                 f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
             )
+
+
+def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
+    """Attributes and targets of the right kind, one element for each vertex; indices that can count."""
+    attributes, accessors = primitive["attributes"], gltf.get("accessors", [])
+    if "POSITION" not in attributes:
+        return  # nothing to draw; such a primitive is carried along unread
+    count = accessors[attributes["POSITION"]]["count"]
+    owners = [(attributes, VERTEX_KINDS), *((target, DELTA_KINDS) for target in primitive.get("targets", []))]
+    for name, index, kinds in ((name, index, kinds) for owner, kinds in owners for name, index in owner.items()):
+        accessor = accessors[index]
+        kind = kinds.get(name.partition("_")[0], accessor["type"])
+        found = f"{accessor['count']} {accessor['type']}"
+        _expect(found == f"{count} {kind}", path, f"{count} {kind} in {name}", found)
+    if "indices" in primitive:
+        accessor = accessors[primitive["indices"]]
+        good = accessor["componentType"] in INDEX_TYPES and accessor["type"] == "SCALAR"
+        _expect(good, path, "unsigned indices", f"{accessor['componentType']} {accessor['type']}")
 
 
 def _find(value: Any, place: str, path: Path) -> Iterator[Any]:

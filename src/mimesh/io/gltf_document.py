@@ -53,9 +53,11 @@ def open_document(path: Path) -> Document:
     gltf = _parse_json(text, path)
     check_document(gltf, path)
     gltf, binary = _join_buffers(_without_compression(gltf), chunk, path)
-    return Document(
-        path, gltf, binary, tuple(_read_image(image, gltf, binary, path) for image in gltf.get("images", []))
-    )
+    images = tuple(_read_image(image, gltf, binary, path) for image in gltf.get("images", []))
+    document = Document(path, gltf, binary, images)
+    for index in sorted(_used_accessors(gltf)):
+        element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
+    return document
 
 
 def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
@@ -81,7 +83,8 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
 def read_accessor(document: Document, index: int) -> Shaped[np.ndarray, "N C"]:
     """The values of an accessor as stored, one a row (with the padding that matrices of small integers get)."""
     rows = np.ascontiguousarray(element_bytes(document, index))
-    return rows.view(COMPONENTS[document.gltf["accessors"][index]["componentType"]]).reshape(len(rows), -1)
+    dtype = np.dtype(COMPONENTS[document.gltf["accessors"][index]["componentType"]])
+    return rows.view(dtype).reshape(len(rows), rows.shape[1] // dtype.itemsize)
 
 
 def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
@@ -109,6 +112,17 @@ def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
 def image_type(content: bytes) -> str | None:
     """The MIME type of an image that glTF can hold, told by its first bytes."""
     return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
+
+
+def _used_accessors(gltf: dict[str, Any]) -> set[int]:
+    """The accessors of all primitives and skins; those of animations are never read here."""
+    used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
+    for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
+        used |= {
+            index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()
+        }
+        used |= {primitive["indices"]} if "indices" in primitive else set()
+    return used
 
 
 def _sparse_places(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:

@@ -129,6 +129,8 @@ class Carrier:
 
 def bounds_of(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
     """`min` and `max` of an accessor, exactly as its float32 values are."""
+    if not len(values):
+        return {}
     return {"min": values.min(axis=0).astype(float).tolist(), "max": values.max(axis=0).astype(float).tolist()}
 
 

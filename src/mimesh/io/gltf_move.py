@@ -46,11 +46,11 @@ def local_attributes(
     carry_normal = linear.T @ wanted.turns @ normal_matrices(matrices[:, :, :3])
     base: Arrays = {"POSITION": (wanted.points - T_world_local[:3, 3]) @ back.T}
     scale = {"POSITION": np.ones((1, 1))}
-    rest_normals = morphed(document, primitive, "NORMAL", "VEC3", weights)
+    rest_normals = morphed(document, primitive, "NORMAL", weights)
     if rest_normals is not None and wanted.normals is not None:
         base["NORMAL"] = unit(wanted.normals @ linear)
         scale["NORMAL"] = _inverse_length(turn(carry_normal, rest_normals))
-    tangents = morphed(document, primitive, "TANGENT", "VEC4", weights)
+    tangents = morphed(document, primitive, "TANGENT", weights)
     if tangents is not None:
         along = turn(carry, tangents[:, :3])
         scale["TANGENT"] = _inverse_length(along)

@@ -90,7 +90,7 @@ def rest_points(
 ) -> Float[np.ndarray, "V 3"]:
     """The world positions of a primitive's vertices."""
     entry = primitive_of(document, (node, primitive))
-    points = morphed(document, entry, "POSITION", "VEC3", morph_weights(document, node))
+    points = morphed(document, entry, "POSITION", morph_weights(document, node))
     assert points is not None
     return transform(vertex_matrices(document, node, entry, T_world_node), points)
 
@@ -100,7 +100,7 @@ def rest_normals(
 ) -> Float[np.ndarray, "V 3"] | None:
     """The world normals of a primitive's vertices, or None where it has none; a zero normal stays zero."""
     entry = primitive_of(document, (node, primitive))
-    normals = morphed(document, entry, "NORMAL", "VEC3", morph_weights(document, node))
+    normals = morphed(document, entry, "NORMAL", morph_weights(document, node))
     if normals is None:
         return None
     linear = vertex_matrices(document, node, entry, T_world_node)[:, :, :3]
@@ -125,7 +125,8 @@ def _find_runs(document: Document) -> tuple[Run, ...]:
         mesh = document.gltf["nodes"][node].get("mesh")
         primitives = document.gltf["meshes"][mesh]["primitives"] if mesh is not None else []
         for index, primitive in enumerate(primitives):
-            if "POSITION" in primitive["attributes"]:
+            position = primitive["attributes"].get("POSITION")
+            if position is not None and document.gltf["accessors"][position]["count"]:
                 groups.setdefault((node, *_deformation(primitive)), []).append((node, index))
     wanted = [group for group in groups.values() if any(_mode(document, key) >= TRIANGLES for key in group)]
     wanted = wanted or [group for group in groups.values() if any(_mode(document, key) == POINTS for key in group)]
@@ -205,8 +206,8 @@ def _vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.ndarra
     texture = _base_texture(_material_entry(document, primitive))
     change = texture.get("extensions", {}).get("KHR_texture_transform", {})
     number = change.get("texCoord", texture.get("texCoord", 0))
-    uv = attribute(document, primitive, f"TEXCOORD_{number}", "VEC2")
-    uv = attribute(document, primitive, "TEXCOORD_0", "VEC2") if uv is None else uv
+    uv = attribute(document, primitive, f"TEXCOORD_{number}")
+    uv = attribute(document, primitive, "TEXCOORD_0") if uv is None else uv
     if uv is None:
         return None
     sine, cosine = np.sin(change.get("rotation", 0.0)), np.cos(change.get("rotation", 0.0))

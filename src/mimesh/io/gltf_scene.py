@@ -52,27 +52,43 @@ def shown_nodes(document: Document) -> list[int]:
     return list(order)
 
 
-def attribute(document: Document, primitive: dict[str, Any], name: str, kind: str) -> Float[np.ndarray, "V C"] | None:
-    """A vertex attribute in float64, or None where the primitive has none.
+def attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
+    """A vertex attribute in float64, or None where the primitive has none."""
+    index = primitive["attributes"].get(name)
+    return None if index is None else read_floats(document, index)
+
+
+def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
+    """The vertex numbers a primitive draws, in order; all of them where it has no index buffer.
 
     Raises:
-        InputError: it is not of the expected kind (VEC2, VEC3, VEC4), or does not have one element for each position.
+        InputError: an index points past the last vertex.
     """
-    return _vertex_data(document, primitive, primitive["attributes"], name, kind)
+    count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
+    if "indices" not in primitive:
+        return np.arange(count)
+    values = read_accessor(document, primitive["indices"]).ravel()
+    if values.max(initial=0) >= count:
+        raise InputError(
+            f"{document.path}: expected face indices below {count}, found {values.max()}; "
+            "the file is damaged, export it again"
+        )
+    return values.astype(np.int64)
 
 
 def morph_delta(
     document: Document, primitive: dict[str, Any], target: int, name: str
 ) -> Float[np.ndarray, "V 3"] | None:
     """What morph target number `target` adds to an attribute at weight 1, or None where it leaves it alone."""
-    return _vertex_data(document, primitive, primitive["targets"][target], name, "VEC3")
+    index = primitive["targets"][target].get(name)
+    return None if index is None else read_floats(document, index)
 
 
 def morphed(
-    document: Document, primitive: dict[str, Any], name: str, kind: str, weights: list[float]
+    document: Document, primitive: dict[str, Any], name: str, weights: list[float]
 ) -> Float[np.ndarray, "V C"] | None:
     """A vertex attribute with its weighted morph targets added (w of a tangent has none)."""
-    values = attribute(document, primitive, name, kind)
+    values = attribute(document, primitive, name)
     for target, weight in enumerate(weights[: len(primitive.get("targets", []))]):
         delta = morph_delta(document, primitive, target, name) if weight and values is not None else None
         if delta is not None and values is not None:
@@ -203,8 +219,8 @@ def _influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarr
     """Joint numbers and weights of each vertex from all sets; joints of no weight are 0, whatever the file says."""
     joints, weights, number = [], [], 0
     while f"JOINTS_{number}" in primitive["attributes"]:
-        joints.append(attribute(document, primitive, f"JOINTS_{number}", "VEC4"))
-        weights.append(attribute(document, primitive, f"WEIGHTS_{number}", "VEC4"))
+        joints.append(attribute(document, primitive, f"JOINTS_{number}"))
+        weights.append(attribute(document, primitive, f"WEIGHTS_{number}"))
         number += 1
     if any(part is None for part in weights):
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
@@ -212,40 +228,3 @@ def _influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarr
     total = weight.sum(axis=1, keepdims=True)
     weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), np.eye(1, weight.shape[1]))
     return np.where(weight == 0, 0, joint).astype(np.int64), weight
-
-
-def _vertex_data(
-    document: Document, primitive: dict[str, Any], accessors: dict[str, int], name: str, kind: str
-) -> Float[np.ndarray, "V C"] | None:
-    if name not in accessors:
-        return None
-    accessor = document.gltf["accessors"][accessors[name]]
-    count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
-    if accessor["type"] != kind or accessor["count"] != count:
-        raise InputError(
-            f"{document.path}: expected {count} {kind} in {name}, found {accessor['count']} {accessor['type']}; "
-            "the file is damaged, export it again"
-        )
-    return read_floats(document, accessors[name])
-
-
-def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
-    """The vertex numbers a primitive draws, in order; all of them where it has no index buffer.
-
-    Raises:
-        InputError: the indices are not unsigned integers, or point past the last vertex.
-    """
-    count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
-    if "indices" not in primitive:
-        return np.arange(count)
-    values = read_accessor(document, primitive["indices"])
-    if values.dtype.kind != "u" or values.shape[1] != 1:
-        raise InputError(
-            f"{document.path}: expected unsigned indices, found {values.dtype} x {values.shape[1]}; export it again"
-        )
-    if values.max(initial=0) >= count:
-        raise InputError(
-            f"{document.path}: expected face indices below {count}, found {values.max()}; "
-            "the file is damaged, export it again"
-        )
-    return values.ravel().astype(np.int64)
