@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -73,17 +75,45 @@ def turn_normals(
     before: Float[np.ndarray, "V 3"],
     after: Float[np.ndarray, "V 3"],
 ) -> Float[np.ndarray, "F 3 3"]:
-    """Turn given corner normals along with the surface, keeping hard edges hard and custom normals custom.
+    """Turn given corner normals along with the surface; for many frames of one mesh call `normal_turner` once."""
+    return normal_turner(corner_normals, faces, before)(after)
 
-    Corners at one position with one normal form a smooth fan. Each fan's area-weighted normal is measured before and
-    after; the given normal is turned by the smallest rotation between the two. An unmoved fan keeps its normal exactly.
-    Twist about the normal does not matter to a normal and is not estimated.
+
+def normal_turner(
+    corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "V 3"]
+) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "F 3 3"]]:
+    """A function from moved vertices to turned corner normals that keeps hard edges hard and custom normals custom.
+
+    Corners at one position with one normal form a smooth fan. A fan's frame (area-weighted normal, and its first edge
+    laid into the tangent plane) is measured before and after, and the given normal keeps its place in that frame. So a
+    rigid motion turns every normal exactly, and an unmoved fan keeps its normal to the last bit.
     """
+    from scipy.sparse import csr_array
+
     fans = corner_fans(corner_normals, faces, before)
-    old, new = (_fan_normals(fans, faces, points) for points in (before, after))
-    turned = rotate_between(old, new, corner_normals.reshape(-1, 3))
-    moved = (old != new).any(axis=1)
-    return np.where(moved[:, None], turned, corner_normals.reshape(-1, 3)).reshape(corner_normals.shape)
+    first = np.unique(fans, return_index=True)[1]
+    following = first - first % 3 + (first % 3 + 1) % 3
+    start, end = faces.ravel()[first], faces.ravel()[following]
+    gather = csr_array(
+        (np.ones(len(fans)), (fans, np.repeat(np.arange(len(faces)), 3))), shape=(len(first), len(faces))
+    )
+
+    def fan_frames(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "S 3 3"]:
+        normal = _unit(np.asarray(gather @ face_vectors(vertices, faces)).reshape(-1, 3))
+        edge = vertices[end] - vertices[start]
+        tangent = _unit(edge - normal * (edge * normal).sum(-1, keepdims=True))
+        return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
+
+    rest, old = corner_normals.reshape(-1, 3), fan_frames(before)
+    place = np.einsum("ckd,cd->ck", old[fans], rest)
+
+    def turn(after: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 3 3"]:
+        new = fan_frames(after)
+        moved = (new != old).any(axis=(1, 2))[fans]
+        turned = np.einsum("ckd,ck->cd", new[fans], place)
+        return np.where(moved[:, None], turned, rest).reshape(corner_normals.shape)
+
+    return turn
 
 
 def corner_fans(
@@ -108,13 +138,8 @@ def rotate_between(
     return np.where(opposite, -vectors, turned)
 
 
-def _fan_normals(fans, faces, vertices):
-    vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
-    return _unit(_sum_by(fans, vectors, int(fans.max()) + 1 if fans.size else 0))[fans]
-
-
 def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size: int) -> Float[np.ndarray, "S 3"]:
-    return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1)
+    return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1).astype(float)
 
 
 def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:

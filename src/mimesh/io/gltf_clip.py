@@ -8,13 +8,12 @@ mesh itself, so that a client that ignores morph targets shows the beginning of 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
-from ..geometry import corner_fans, face_vectors, rotate_between
+from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
 from .gltf_draft import VERTEX_DATA, Draft, bounds_of
 from .gltf_primitives import Placed
@@ -39,12 +38,15 @@ def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> No
 
 def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str, Float[np.ndarray, "T N 3"]]]:
     """For each placed group, what each frame after the first adds to the float32 attributes of frame 0."""
-    turned = _normal_turner(mesh) if any(one.has_normals for one in placed) else None
+    turned = None
+    if any(one.has_normals for one in placed):
+        assert mesh.corner_normals is not None
+        turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
     base: list[dict[str, np.ndarray]] = []
     deltas: list[dict[str, np.ndarray]] = []
     for frame in range(len(clip)):
         vertices = np.asarray(clip.vertices[frame], np.float64)
-        normals = turned(vertices) if turned else None
+        normals = turned(vertices).reshape(-1, 3) if turned else None
         for number, one in enumerate(placed):
             now = _local(one, vertices, normals)
             if frame == 0:
@@ -65,24 +67,6 @@ def _local(
     if one.has_normals and normals is not None:
         local["NORMAL"] = np.where(one.corner_of[:, None] >= 0, unit(normals[one.corner_of] @ linear), 0.0)
     return local
-
-
-def _normal_turner(mesh: Mesh) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "C 3"]]:
-    """`geometry.turn_normals` of one mesh for many frames, the fans found once: vertices to one normal a corner."""
-    from scipy.sparse import csr_array
-
-    assert mesh.corner_normals is not None
-    rest, faces = mesh.corner_normals.reshape(-1, 3), mesh.faces
-    fans = corner_fans(mesh.corner_normals, faces, mesh.vertices)
-    owner = np.repeat(np.arange(len(faces)), 3)
-    gather = csr_array((np.ones(len(fans)), (fans, owner)), shape=(fans.max(initial=-1) + 1, len(faces)))
-
-    def fan_normals(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "C 3"]:
-        sums = np.asarray(gather @ face_vectors(vertices, faces))
-        return np.where(sums.any(axis=1, keepdims=True), unit(sums), [0.0, 1.0, 0.0])[fans]
-
-    old = fan_normals(mesh.vertices)
-    return lambda vertices: rotate_between(old, fan_normals(vertices), rest)
 
 
 def _add_targets(draft: Draft, deltas: dict[str, Float[np.ndarray, "T N 3"]]) -> list[dict[str, int]]:

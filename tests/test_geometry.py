@@ -1,0 +1,124 @@
+"""Geometry by its properties: areas, welding, sampling, closest points, and normals that follow the surface."""
+
+import numpy as np
+import pytest
+import zoo
+from scipy.spatial.transform import Rotation
+
+from mimesh import geometry
+from mimesh.bodies import load_body
+
+FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
+
+
+def turned(rng):
+    return Rotation.random(random_state=rng).as_matrix()
+
+
+def test_cube_by_hand():
+    cube = zoo.cube()
+    assert geometry.face_areas(cube.vertices, cube.faces).sum() == pytest.approx(6)
+    assert len(geometry.edges(cube.faces)) == 18
+    centre = cube.vertices.mean(axis=0)
+    assert ((cube.vertices - centre) * geometry.vertex_normals(cube.vertices, cube.faces) > 0).all()
+
+
+def test_normals_of_a_point_cloud_point_up():
+    cloud = zoo.point_cloud()
+    np.testing.assert_array_equal(geometry.vertex_normals(cloud.vertices, cloud.faces), np.tile([0.0, 1, 0], (50, 1)))
+
+
+@pytest.mark.parametrize("make", zoo.ZOO)
+def test_weld_gives_the_vertices_back(make):
+    vertices = np.concatenate([make().vertices, make().vertices[::-1]])
+    merged, index = geometry.weld(vertices)
+    np.testing.assert_array_equal(merged[index], vertices)
+    assert len(merged) == len(np.unique(vertices, axis=0)) <= len(vertices) // 2
+
+
+def test_neighbours_are_those_of_the_edges():
+    faces = zoo.two_parts().faces
+    first, index = geometry.neighbours(faces)
+    pairs = {(int(a), int(b)) for a, b in geometry.edges(faces)}
+    found = {(v, int(n)) for v in range(12) for n in index[first[v] : first[v + 1]]}
+    assert found == pairs | {(b, a) for a, b in pairs}
+
+
+def test_spatial_order_keeps_near_points_near():
+    points = np.random.default_rng(0).random((512, 3))
+    order = geometry.spatial_order(points)
+    np.testing.assert_array_equal(np.sort(order), np.arange(512))
+    steps = np.linalg.norm(np.diff(points[order], axis=0), axis=1).mean()
+    assert steps < 0.5 * np.linalg.norm(np.diff(points, axis=0), axis=1).mean()
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_samples_lie_on_the_surface_and_come_back(make):
+    mesh = make()
+    chosen, weights = geometry.sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
+    points = geometry.at_barycentric(mesh.vertices, mesh.faces, chosen, weights)
+    _, again, distance = geometry.closest_on_mesh(points, mesh.vertices, mesh.faces)
+    assert distance.max() < 1e-12
+    np.testing.assert_allclose(again.sum(axis=1), 1)
+
+
+def test_samples_are_uniform_by_area():
+    mesh = zoo.grid(3)
+    chosen, _ = geometry.sample_surface(mesh.vertices, mesh.faces, 8000, np.random.default_rng(0))
+    np.testing.assert_allclose(np.bincount(chosen), 1000, rtol=0.15)
+
+
+def test_closest_point_against_a_dense_search():
+    rng = np.random.default_rng(1)
+    triangle, points = rng.normal(size=(1, 3, 3)), rng.normal(size=(40, 3))
+    weights = geometry.closest_barycentric(points, np.repeat(triangle, 40, axis=0))
+    found = np.linalg.norm(weights @ triangle[0] - points, axis=1)
+    u, v = np.meshgrid(np.linspace(0, 1, 200), np.linspace(0, 1, 200))
+    inside = np.stack([1 - u - v, u, v], -1)[u + v <= 1]
+    dense = np.linalg.norm((inside @ triangle[0])[None] - points[:, None], axis=-1).min(axis=1)
+    assert (found <= dense + 1e-12).all()
+    np.testing.assert_allclose(found, dense, atol=0.02)
+
+
+def test_rotate_between_turns_one_to_the_other():
+    rng = np.random.default_rng(2)
+    old, new = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 30, 3)))
+    np.testing.assert_allclose(geometry.rotate_between(old, new, old), new, atol=1e-12)
+    np.testing.assert_allclose(geometry.rotate_between(old, -old, old), -old, atol=1e-12)
+
+
+def custom_normals(mesh, rng):
+    """Hard where faces differ by a coin toss, and never quite the geometric normal."""
+    smooth = geometry.vertex_normals(mesh.vertices, mesh.faces)[mesh.faces]
+    flat = geometry.face_vectors(mesh.vertices, mesh.faces)[:, None]
+    flat = np.repeat(flat / np.linalg.norm(flat, axis=-1, keepdims=True), 3, axis=1)
+    normals = np.where(rng.random((len(mesh.faces), 1, 1)) < 0.5, flat, smooth) + [0.3, 0.1, 0.0]
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_a_rigid_motion_turns_custom_normals_exactly(make):
+    rng = np.random.default_rng(3)
+    mesh, rotation = make(), turned(rng)
+    normals = custom_normals(mesh, rng)
+    moved = geometry.turn_normals(normals, mesh.faces, mesh.vertices, mesh.vertices @ rotation.T + [1, 2, 3])
+    np.testing.assert_allclose(moved, normals @ rotation.T, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_unmoved_normals_stay_to_the_last_bit(make):
+    mesh = make()
+    normals = custom_normals(mesh, np.random.default_rng(4))
+    np.testing.assert_array_equal(
+        geometry.turn_normals(normals, mesh.faces, mesh.vertices, mesh.vertices.copy()), normals
+    )
+
+
+def test_smooth_normals_follow_a_bend():
+    body = load_body()
+    smooth = geometry.vertex_normals(body.vertices, body.faces)[body.faces]
+    bent = body.vertices * [1, 1, 1] + 0.2 * np.sin(2 * body.vertices[:, [1, 2, 0]])
+    moved = geometry.turn_normals(smooth, body.faces, body.vertices, bent)
+    np.testing.assert_allclose(np.linalg.norm(moved, axis=-1), 1, atol=1e-9)
+    expected = geometry.vertex_normals(bent, body.faces)[body.faces]
+    assert np.quantile((moved * expected).sum(-1), 0.01) > 0.999
