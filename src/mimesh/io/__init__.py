@@ -1,6 +1,215 @@
 """Reading and writing meshes and clips: one file per format, suffix -> function in one literal dict each.
 
-A reader takes a Path and returns a checked Mesh or Clip. A writer takes the Mesh or Clip and a Path; the file appears
-whole or not at all (`atomic.whole_file`). `save_mesh` gives the identity's own file back, points moved, whenever the
-suffix is the one it came with.
+A reader takes a Path and returns a Mesh or Clip, which `load_mesh` and `load_clip` check. A writer takes the Mesh or
+Clip and a Path; the file appears whole or not at all (`atomic.whole_file`). `save_mesh` gives the identity's own file
+back, points moved, whenever the suffix is the one it came with.
 """
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
+from .atomic import whole_file
+from .mtl import copy_companions
+from .npz import read_npz, read_npz_clip, write_npz, write_npz_clip
+from .obj import read_obj, write_obj
+from .obj_source import ObjSource
+from .off import read_off, write_off
+from .ply import PlySource, read_ply, write_ply
+from .sequence import read_sequence, write_sequence
+from .stl import read_stl, write_stl
+
+DEFAULT_FPS = 30.0
+Function = TypeVar("Function")
+
+
+def _read_gltf(path: Path) -> Mesh:
+    from .gltf import read_gltf
+
+    return read_gltf(path)
+
+
+def _write_gltf(mesh: Mesh, path: Path) -> None:
+    from .gltf import write_gltf
+
+    with whole_file(path) as temporary:
+        write_gltf(mesh, temporary)
+
+
+def _write_gltf_clip(clip: Clip, path: Path) -> None:
+    from .gltf import write_gltf_clip
+
+    with whole_file(path) as temporary:
+        write_gltf_clip(clip, temporary)
+
+
+MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".glb": _read_gltf,
+    ".gltf": _read_gltf,
+    ".npz": read_npz,
+    ".obj": read_obj,
+    ".off": read_off,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".vrm": _read_gltf,
+}
+MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
+    ".glb": _write_gltf,
+    ".gltf": _write_gltf,
+    ".npz": write_npz,
+    ".obj": write_obj,
+    ".off": write_off,
+    ".ply": write_ply,
+    ".stl": write_stl,
+}
+CLIP_READERS: dict[str, Callable[[Path, float | None], Clip]] = {".npz": read_npz_clip}
+CLIP_WRITERS: dict[str, Callable[[Clip, Path], None]] = {
+    ".glb": _write_gltf_clip,
+    ".gltf": _write_gltf_clip,
+    ".npz": write_npz_clip,
+}
+FRAME_SUFFIXES = (".obj", ".ply")
+"""What a clip is written as when it goes into a folder."""
+
+
+def load_mesh(path: str | Path) -> Mesh:
+    """Read one mesh from a file and check it.
+
+    Raises:
+        InputError: no such file, a format that is not read, a damaged file, or a mesh that cannot be worked with.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
+    reader = _by_suffix(MESH_READERS, path)
+    with _reading(path):
+        mesh = reader(path)
+    return check_mesh(mesh, path)
+
+
+def load_clip(path: str | Path, fps: float | None = None) -> Clip:
+    """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
+
+    `fps` overrides the file's own frame rate; without either it is 30 per second.
+
+    Raises:
+        InputError: as `load_mesh`, or frames that do not share one topology.
+    """
+    path = Path(path)
+    if fps is not None and not fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    if path.is_dir():
+        with _reading(path):
+            return check_clip(read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh), path)
+    if path.suffix.lower() in CLIP_READERS:
+        with _reading(path):
+            return check_clip(CLIP_READERS[path.suffix.lower()](path, fps), path)
+    mesh = load_mesh(path)
+    return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+
+
+def save_mesh(mesh: Mesh, path: str | Path) -> None:
+    """Write a mesh, whole or not at all; in the format of its own file that file comes back with the points moved.
+
+    Then polygons, texture coordinates, materials, groups, comments and order are as they were, and the material
+    libraries and images it names are copied beside it unless files of these names exist. In another format it becomes a
+    new file of triangles.
+
+    Raises:
+        InputError: a format that is not written, or a place that cannot be written to.
+    """
+    path = Path(path)
+    if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
+        with _writing(path):
+            with whole_file(path) as temporary:
+                mesh.source.write(mesh, temporary)
+            _copy_companions(mesh, path.parent)
+    else:
+        writer = _by_suffix(MESH_WRITERS, path)
+        with _writing(path):
+            writer(mesh, path)
+
+
+def save_clip(clip: Clip, path: str | Path, suffix: str | None = None) -> None:
+    """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
+
+    `suffix` chooses the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+
+    Raises:
+        InputError: a format that holds no clip, or a place that cannot be written to.
+    """
+    path = Path(path)
+    is_folder = path.is_dir() or not path.suffix
+    if not is_folder and path.suffix.lower() in CLIP_WRITERS:
+        with _writing(path):
+            CLIP_WRITERS[path.suffix.lower()](clip, path)
+        return
+    if not is_folder:
+        raise InputError(
+            f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
+            f"write {path.with_suffix('.glb').name}, or {path.stem}/ for one mesh per frame"
+        )
+    own = clip.mesh.source.suffix if clip.mesh.source else ""
+    suffix = suffix or (own if own in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    if suffix not in FRAME_SUFFIXES:
+        raise InputError(
+            f"{path}: expected frames of {' or '.join(FRAME_SUFFIXES)}, found '{suffix}'; choose one of them"
+        )
+    if path.is_file():
+        raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
+    with _writing(path):
+        write_sequence(clip, path, suffix, save_mesh, load_mesh)
+        _copy_companions(clip.mesh, path)
+
+
+def mesh_suffixes() -> tuple[str, ...]:
+    """Suffixes that `load_mesh` reads, with their dot."""
+    return tuple(MESH_READERS)
+
+
+def clip_suffixes() -> tuple[str, ...]:
+    """Suffixes that `save_clip` writes as one file, with their dot."""
+    return tuple(CLIP_WRITERS)
+
+
+def _by_suffix(table: dict[str, Function], path: Path) -> Function:
+    suffix = path.suffix.lower()
+    if suffix in table:
+        return table[suffix]
+    found = f"'{suffix}'" if suffix else "no suffix"
+    raise InputError(f"{path}: expected one of {' '.join(table)}, found {found}; convert it to one of these first")
+
+
+def _copy_companions(mesh: Mesh, folder: Path) -> None:
+    if isinstance(mesh.source, ObjSource | PlySource):
+        copy_companions(mesh.source.companions, mesh.source.path.parent, folder)
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be opened, and that it is empty if it is."""
+    try:
+        if path.is_file() and path.stat().st_size == 0:
+            raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
+        yield
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path") from error
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
+        ) from error
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"
+        ) from error

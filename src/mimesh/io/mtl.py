@@ -1,0 +1,119 @@
+"""Material libraries (.mtl) and the images they name: read for looks, copied along, written for new OBJ files."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..mesh import Material, Mesh
+from .atomic import whole_file
+
+_NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
+
+
+def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Material], list[str]]:
+    """Materials of the libraries that can be read, and the files found (libraries and images), relative to `folder`.
+
+    Takes name, diffuse colour (Kd, taken as linear), opacity (d or Tr) and the diffuse image (map_Kd). A library or an
+    image that is not there costs the looks, never the mesh.
+    """
+    materials: dict[str, Material] = {}
+    found: list[str] = []
+    for name in names:
+        if not (folder / name).is_file():
+            continue
+        found.append(name)
+        for block in _NEW_MATERIAL.split((folder / name).read_text("utf-8", "replace"))[1:]:
+            material, image = _read_material(block, folder, Path(name).parent)
+            materials[material.name] = material
+            found += [image] if image else []
+    return materials, list(dict.fromkeys(found))
+
+
+def read_image(path: Path) -> bytes | None:
+    """Content of a PNG or JPEG file; None for anything else, which `Material.texture` does not hold."""
+    content = path.read_bytes()
+    return content if image_suffix(content) else None
+
+
+def image_suffix(content: bytes) -> str:
+    """`.png` or `.jpg` by the first bytes of the file, empty if it is neither."""
+    if content.startswith(b"\x89PNG"):
+        return ".png"
+    return ".jpg" if content.startswith(b"\xff\xd8") else ""
+
+
+def copy_companions(names: Iterable[str], source: Path, target: Path) -> None:
+    """Copy the files a mesh refers to (relative names) from its folder to the output's, keeping relative paths.
+
+    Never overwrites, and writes nothing outside of `target`: a name with `..` or an absolute one is left where it is.
+    """
+    if source.resolve() == target.resolve():
+        return
+    for name in names:
+        inside = not Path(name).is_absolute() and ".." not in Path(name).parts
+        if inside and (source / name).is_file() and not (target / name).exists():
+            with whole_file(target / name) as temporary:
+                shutil.copyfile(source / name, temporary)
+
+
+def write_library(mesh: Mesh, path: Path) -> None:
+    """Write the materials of a mesh's parts as a .mtl file, with its images beside it."""
+    materials = {safe_name(part.material.name): part.material for part in mesh.parts if part.material}
+    text = "".join(_material_text(name, material, path) for name, material in materials.items())
+    with whole_file(path) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def safe_name(name: str) -> str:
+    """A name that survives as one word of an OBJ or MTL file."""
+    return "_".join(name.split()) or "unnamed"
+
+
+def _material_text(name: str, material: Material, path: Path) -> str:
+    red, green, blue, alpha = material.base_color
+    text = f"newmtl {name}\nKd {red:.6g} {green:.6g} {blue:.6g}\nd {alpha:.6g}\n"
+    if material.texture is None:
+        return text + "\n"
+    word = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
+    image = path.with_name(f"{path.stem}_{word}{image_suffix(material.texture)}")
+    with whole_file(image) as temporary:
+        temporary.write_bytes(material.texture)
+    return text + f"map_Kd {image.name}\n\n"
+
+
+def _read_material(block: str, folder: Path, inner: Path) -> tuple[Material, str]:
+    lines = block.splitlines()
+    pairs = [line.split(None, 1) for line in lines[1:]]
+    values = {pair[0].lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
+    image = _find_image(values.get("map_kd", ""), folder, inner)
+    color = _numbers(values.get("kd", ""), 3) or [0.8, 0.8, 0.8]
+    opacity = _numbers(values.get("d", ""), 1) or [1.0 - t for t in _numbers(values.get("tr", ""), 1)] or [1.0]
+    texture = read_image(folder / image) if image else None
+    name = lines[0].strip() if lines else ""
+    return Material(name, (color[0], color[1], color[2], opacity[0]), texture), image
+
+
+def _numbers(text: str, count: int) -> list[float]:
+    try:
+        numbers = [float(word) for word in text.split()[:count]]
+    except ValueError:
+        return []  # "Kd spectral file.rfl" and the like say nothing we can hold
+    return numbers if len(numbers) == count else []
+
+
+def _find_image(text: str, folder: Path, inner: Path) -> str:
+    """The image a map statement names, relative to `folder`; also looked for by its bare name beside the library."""
+    words = text.split()
+    while words and words[0].startswith("-"):  # "-s 1 1 1", "-bm 0.5", "-clamp on", ...
+        words = words[2:]
+        while words and _numbers(words[0], 1):
+            words = words[1:]
+    for statement in (text, " ".join(words)):
+        name = statement.replace("\\", "/")
+        for candidate in (name, name.rpartition("/")[2]):
+            if candidate and (folder / inner / candidate).is_file():
+                return (inner / candidate).as_posix()
+    return ""

@@ -1,0 +1,119 @@
+"""OFF, with its COFF, NOFF and STOFF variants, in text: read a mesh, keep the file, and write new files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..mesh import InputError, Mesh
+from .atomic import whole_file
+from .polygons import fan_corners, scatter_corners, unit_rows
+from .text import line_number, read_numbers, replace_rows, without_comments
+
+# The counts may follow the keyword on its line, even without a space (ModelNet); the keyword may be missing.
+_HEADER = re.compile(rb"\s*(?P<kind>(ST)?[CN]*(?P<other>4?n?)OFF)?(?P<binary>\s+BINARY)?(?P<rest>.*)", re.DOTALL)
+
+
+@dataclass(frozen=True, eq=False)
+class OffSource:
+    """The lines of an OFF file and which of them hold vertices. Satisfies `mesh.Source`."""
+
+    lines: list[bytes]
+    vertex_lines: Int[np.ndarray, " V"]
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    normals: Float[np.ndarray, "V 3"] | None
+    """Vertex normals at length one, in a NOFF file."""
+    suffix = ".off"
+
+    def write(self, mesh: Mesh, path: Path) -> None:
+        """Write the file with the points (and, in a NOFF file, vertex normals) of `mesh`; all else as it was."""
+        if mesh.vertices.shape != self.vertices.shape:
+            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
+        lines = list(self.lines)
+        replace_rows(lines, self.vertex_lines, mesh.vertices, self.vertices, skip=0)
+        if self.normals is not None and mesh.corner_normals is not None:
+            normals = scatter_corners(mesh.corner_normals, self.faces, self.normals)
+            replace_rows(lines, self.vertex_lines, normals, self.normals, skip=3)
+        path.write_bytes(b"".join(lines))
+
+
+def read_off(path: Path) -> Mesh:
+    """Read an OFF file, one vertex or face per line; polygons become triangle fans, colours stay in `source`.
+
+    Binary, four-dimensional and n-dimensional OFF are not read.
+
+    Raises:
+        InputError: another kind of file, or fewer lines or worse numbers than its counts promise.
+    """
+    lines = path.read_bytes().splitlines(keepends=True)
+    plain = without_comments(lines)
+    full = [i for i, line in enumerate(plain) if line.strip()]
+    vertex_count, face_count, start, has_normals = _read_header(plain, full, path)
+    rows = full[start : start + vertex_count + face_count]
+    if len(rows) < vertex_count + face_count:
+        raise InputError(
+            f"{path}: expected {vertex_count} vertex and {face_count} face lines, found {len(rows)} in all; "
+            "the file is cut short, export it again"
+        )
+    vertex_lines, face_lines = rows[:vertex_count], rows[vertex_count:]
+    vertices = read_numbers(lines, vertex_lines, 0, 3, path)
+    faces = _read_faces(plain, face_lines, vertex_count, path)
+    normals = unit_rows(read_numbers(lines, vertex_lines, 3, 3, path)) if has_normals else None
+    corner_normals = normals[faces] if normals is not None and len(faces) else None
+    source = OffSource(lines, np.array(vertex_lines, int), vertices, faces, normals)
+    return Mesh(vertices, faces, name=path.stem, corner_normals=corner_normals, source=source)
+
+
+def write_off(mesh: Mesh, path: Path) -> None:
+    """Write any mesh as a new OFF file of triangles; normals, texture coordinates and materials are not written."""
+    lines = ["OFF", f"{len(mesh.vertices)} {len(mesh.faces)} 0"]
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
+    lines += [f"3 {a} {b} {c}" for a, b, c in mesh.faces.tolist()]
+    with whole_file(path) as temporary:
+        temporary.write_bytes("\n".join([*lines, ""]).encode())
+
+
+def _read_header(lines: list[bytes], full: list[int], path: Path) -> tuple[int, int, int, bool]:
+    """Vertex and face counts, how many full lines the header takes, and whether vertices carry normals."""
+    match = _HEADER.match(lines[full[0]]) if full else None
+    counts = match["rest"].split() if match else []
+    used = 1
+    if match and match["kind"] and not counts and len(full) > 1:
+        counts, used = lines[full[1]].split(), 2
+    if (
+        not match
+        or match["binary"]
+        or match["other"]
+        or len(counts) < 2
+        or not all(word.isdigit() for word in counts[:2])
+    ):
+        found = lines[full[0]].strip().decode("utf-8", "replace")[:40] if full else ""
+        raise InputError(
+            f"{path}: expected text that begins with OFF and its counts, found {found!r}; export it as OFF"
+        )
+    return int(counts[0]), int(counts[1]), used, b"N" in (match["kind"] or b"")
+
+
+def _read_faces(lines: list[bytes], index: list[int], vertex_count: int, path: Path) -> Int[np.ndarray, "F 3"]:
+    rows = [lines[i].split() for i in index]
+    try:
+        polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]
+    except ValueError as error:
+        raise InputError(
+            f"{path}: expected whole numbers in face lines, found an error ({error}); export it again"
+        ) from error
+    for i, row, polygon in zip(index, rows, polygons, strict=True):
+        if len(polygon) != int(row[0]) or (polygon and not 0 <= min(polygon) <= max(polygon) < vertex_count):
+            found = b" ".join(row).decode("utf-8", "replace")[:60]
+            raise InputError(
+                f"{path}: expected a corner count and indices in 0..{vertex_count - 1}, "
+                f"found {found!r} in line {line_number(lines, i)}; the file is damaged, export it again"
+            )
+    triangles, _ = fan_corners(np.array([len(polygon) for polygon in polygons], int))
+    return np.array(list(chain.from_iterable(polygons)), np.int64)[triangles]

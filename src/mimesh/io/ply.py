@@ -1,0 +1,197 @@
+"""PLY in its three encodings: read a mesh or a point cloud, keep the file, and write new files."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..mesh import InputError, Material, Mesh, Part
+from .atomic import whole_file
+from .mtl import read_image
+from .ply_layout import Column, Header, gather, locate, read_header, read_units, scatter
+from .polygons import fan_corners, scatter_corners, unit_rows
+
+_UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+
+
+@dataclass(frozen=True, eq=False)
+class PlySource:
+    """A PLY file kept whole, with the places of its points and normals. Satisfies `mesh.Source`."""
+
+    path: Path
+    data: bytes
+    header: Header
+    units: np.ndarray
+    """The body: bytes, or the numbers of an ASCII file."""
+    columns: dict[str, dict[str, Column]]
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    normals: Float[np.ndarray, "V 3"] | None
+    """Vertex normals at length one, where the file has nx, ny, nz."""
+    companions: list[str]
+    """The texture the file names, if it is there, relative to its folder."""
+    suffix = ".ply"
+
+    def write(self, mesh: Mesh, path: Path) -> None:
+        """Write the file with the points (and vertex normals, if it has any) of `mesh`, in its own encoding and types.
+
+        Raises:
+            InputError: the file keeps its points as integers, which cannot hold moved ones.
+        """
+        if mesh.vertices.shape != self.vertices.shape:
+            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
+        changes = [("xyz", mesh.vertices, self.vertices)]
+        if self.normals is not None and mesh.corner_normals is not None:
+            normals = scatter_corners(mesh.corner_normals, self.faces, self.normals)
+            changes.append(("normals", normals, self.normals))
+        write_body = self._ascii if self.header.ascii else self._binary
+        path.write_bytes(self.data[: self.header.size] + write_body(changes))
+
+    def _binary(self, changes) -> bytes:
+        units = self.units.copy()
+        for column, rows, values in self._moved(changes):
+            scatter(units, column, rows, values)
+        return units.tobytes()
+
+    def _ascii(self, changes) -> bytes:
+        pieces = re.split(rb"(\s+)", self.data[self.header.size :])  # word, gap, word, gap, ...
+        first = 0 if pieces[0] else 2
+        for column, rows, values in self._moved(changes):
+            words = values.astype(column.dtype).astype(str).tolist()  # shortest text that reads back in that type
+            for unit, word in zip(column.starts[rows].tolist(), words, strict=True):
+                pieces[first + 2 * unit] = word.encode()
+        return b"".join(pieces)
+
+    def _moved(self, changes):
+        """Each coordinate's column, the rows that differ from the file's, and their new values."""
+        for names, new, old in changes:
+            rows = np.flatnonzero((new != old).any(axis=1))
+            for k, name in enumerate(("x", "y", "z") if names == "xyz" else ("nx", "ny", "nz")):
+                column = self.columns["vertex"][name]
+                if column.dtype.kind != "f" and rows.size:
+                    raise InputError(
+                        f"{self.path}: expected float coordinates to move, found '{name}' of type {column.dtype.name}; "
+                        "export it again with float coordinates"
+                    )
+                yield column, rows, new[rows, k]
+
+
+def read_ply(path: Path) -> Mesh:
+    """Read a PLY file: vertices in the file's order, polygons as triangle fans; without faces it is a point cloud.
+
+    Takes normals (nx ny nz), texture coordinates per vertex (s t, u v, texture_u texture_v) or per face corner
+    (texcoord), and the image of a `comment TextureFile`. All else (colours, confidence, other elements) is kept in
+    `source`. Triangle strips are not read.
+
+    Raises:
+        InputError: a header or body that is damaged or cut short, or has no x, y, z.
+    """
+    data = path.read_bytes()
+    header = read_header(data, path)
+    units = read_units(data, header, path)
+    columns = locate(header, units, path)
+    vertices = _read_points(columns, units, ("x", "y", "z"))
+    if vertices is None:
+        raise InputError(f"{path}: expected an element 'vertex' with x, y, z, found none; export it again")
+    polygons = _polygon_column(columns, path)
+    sizes = polygons.counts if polygons is not None and polygons.counts is not None else np.zeros(0, int)
+    corners = gather(units, polygons).astype(np.int64) if polygons is not None else np.zeros(0, np.int64)
+    triangles, _ = fan_corners(sizes)
+    faces = corners[triangles]
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        worst = faces.max() if faces.max() >= len(vertices) else faces.min()
+        raise InputError(
+            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
+            "the file is damaged, export it again"
+        )
+    normals = _read_points(columns, units, ("nx", "ny", "nz"))
+    normals = unit_rows(normals) if normals is not None else None
+    parts, companions = _read_texture(header, path, len(faces))
+    return Mesh(
+        vertices,
+        faces,
+        name=path.stem,
+        corner_uv=_read_uv(columns, units, faces, triangles, sizes),
+        corner_normals=normals[faces] if normals is not None and len(faces) else None,
+        parts=parts,
+        source=PlySource(path, data, header, units, columns, vertices, faces, normals, companions),
+    )
+
+
+def read_ply_points(path: Path, like: PlySource) -> Float[np.ndarray, "V 3"] | None:
+    """Only the vertices of a PLY file that differs from `like` in nothing but its vertex rows; None if it differs."""
+    data = path.read_bytes()
+    header = read_header(data, path)
+    first = header.elements[0]
+    simple = first.name == "vertex" and all(p.count is None for p in first.properties)
+    if not simple or (header.ascii, header.elements) != (like.header.ascii, like.header.elements):
+        return None
+    units = read_units(data, header, path)
+    stop = first.length * sum(1 if header.ascii else p.dtype.itemsize for p in first.properties)
+    if len(units) != len(like.units) or not np.array_equal(units[stop:], like.units[stop:]):
+        return None
+    return _read_points(like.columns, units, ("x", "y", "z"))
+
+
+def write_ply(mesh: Mesh, path: Path) -> None:
+    """Write any mesh as a new binary PLY file: float positions, triangles and corner texture coordinates.
+
+    Normals, parts, materials and images are not written.
+    """
+    uv = mesh.corner_uv is not None
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    if len(mesh.faces):
+        header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices"]
+        header += ["property list uchar float texcoord"] if uv else []
+    fields = [("count", "u1"), ("corners", "<i4", (3,))] + ([("six", "u1"), ("uv", "<f4", (6,))] if uv else [])
+    rows = np.zeros(len(mesh.faces), np.dtype(fields))
+    rows["count"], rows["corners"] = 3, mesh.faces
+    if mesh.corner_uv is not None:
+        rows["six"], rows["uv"] = 6, mesh.corner_uv.reshape(-1, 6)
+    with whole_file(path) as temporary:
+        text = "\n".join([*header, "end_header", ""]).encode()
+        temporary.write_bytes(text + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+
+
+def _read_points(columns, units: np.ndarray, names: tuple[str, str, str]) -> Float[np.ndarray, "V 3"] | None:
+    vertex = columns.get("vertex", {})
+    if not all(name in vertex and vertex[name].counts is None for name in names):
+        return None
+    return np.stack([gather(units, vertex[name]).astype(np.float64) for name in names], axis=1)
+
+
+def _polygon_column(columns, path: Path) -> Column | None:
+    """The list of vertex indices of the faces; None for a point cloud."""
+    if "tristrips" in columns:
+        raise InputError(f"{path}: expected polygons, found triangle strips; export it again with plain faces")
+    face = columns.get("face", {})
+    for name in ("vertex_indices", "vertex_index"):
+        if name in face and face[name].counts is not None:
+            return face[name]
+    if any(len(column.starts) for column in face.values()):
+        raise InputError(f"{path}: expected faces with a list vertex_indices, found {', '.join(face)}; export it again")
+    return None
+
+
+def _read_uv(columns, units: np.ndarray, faces, triangles, sizes) -> Float[np.ndarray, "F 3 2"] | None:
+    vertex, texcoord = columns["vertex"], columns.get("face", {}).get("texcoord")
+    if texcoord is not None and texcoord.counts is not None and len(sizes) and (texcoord.counts == 2 * sizes).all():
+        return gather(units, texcoord).astype(np.float64).reshape(-1, 2)[triangles]
+    for pair in _UV_NAMES:
+        if len(faces) and all(name in vertex and vertex[name].counts is None for name in pair):
+            return np.stack([gather(units, vertex[name]).astype(np.float64) for name in pair], axis=1)[faces]
+    return None
+
+
+def _read_texture(header: Header, path: Path, faces: int) -> tuple[tuple[Part, ...], list[str]]:
+    names = [comment.split(None, 1)[1] for comment in header.comments if comment.startswith("TextureFile ")]
+    found = [name for name in names if (path.parent / name).is_file()]
+    if not found or not faces:
+        return (), found
+    material = Material(Path(found[0]).stem, (1.0, 1.0, 1.0, 1.0), read_image(path.parent / found[0]))
+    return (Part(path.stem, 0, faces, material),), found

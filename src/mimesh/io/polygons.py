@@ -1,0 +1,35 @@
+"""From the polygons of a file to the triangles of a Mesh, and from its corner normals back to the file's."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
+    """Triangulate polygons, each as a fan around its first corner.
+
+    `sizes` are the corner counts of polygons whose corners lie one after another in a flat list. Returns the place
+    in that list of each triangle's corners, and the polygon each triangle came from. Polygons of one or two corners
+    give no triangle; concave polygons are not treated apart.
+    """
+    triangles = np.maximum(sizes - 2, 0)
+    polygon = np.repeat(np.arange(len(sizes)), triangles)
+    first = (np.cumsum(sizes) - sizes)[polygon]
+    step = np.arange(len(polygon)) - (np.cumsum(triangles) - triangles)[polygon]
+    return np.stack([first, first + step + 1, first + step + 2], axis=1).astype(np.int64), polygon
+
+
+def unit_rows(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Vectors at length one; zero vectors stay zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)
+
+
+def scatter_corners(
+    corner_values: Float[np.ndarray, "F 3 C"], index: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "N C"]
+) -> Float[np.ndarray, "N C"]:
+    """Bring values at triangle corners back to the `index` they were taken from; rows no corner uses keep `before`."""
+    after = before.copy()
+    after[index.ravel()] = corner_values.reshape(-1, corner_values.shape[-1])
+    return after

@@ -1,0 +1,110 @@
+"""A folder of numbered meshes is a clip: walk_0001.obj, walk_0002.obj, ..."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import Clip, InputError, Mesh
+from .atomic import whole_folder
+from .obj import read_obj_points
+from .obj_source import ObjSource
+from .ply import PlySource, read_ply_points
+
+_NUMBER = re.compile(r"\d+")
+
+
+def read_sequence(folder: Path, fps: float, suffixes: Collection[str], read: Callable[[Path], Mesh]) -> Clip:
+    """Read the numbered meshes of a folder, in the order of their numbers, as one clip.
+
+    Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
+    another name around the number) the longest is read. `read` reads a mesh; later OBJ and PLY frames that differ in
+    nothing but their points are read faster.
+
+    Raises:
+        InputError: no numbered meshes, two series of equal length, or a frame of another topology, which is named.
+    """
+    paths = find_frames(folder, suffixes)
+    first = read(paths[0])
+    frames = [first.vertices, *(_read_frame(path, first, paths[0], read) for path in paths[1:])]
+    return Clip(first, np.stack(frames), fps)
+
+
+def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """The numbered meshes of a folder in natural order (2 before 10): the longest series of one name and suffix.
+
+    Raises:
+        InputError: there are none, or two series are equally long.
+    """
+    visible = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
+    series = Counter(_series(path) for path in visible if _NUMBER.search(path.stem))
+    ranked = series.most_common(2)
+    if not ranked:
+        raise InputError(
+            f"{folder}: expected numbered meshes such as 0001.obj, found {len(visible)} meshes without a number; "
+            f"number the files (one of {' '.join(sorted(suffixes))})"
+        )
+    if len(ranked) == 2 and ranked[0][1] == ranked[1][1]:
+        both = " and ".join(name for name, _ in ranked)
+        raise InputError(
+            f"{folder}: expected one series of numbered meshes, found {both} with {ranked[0][1]} each; "
+            "move one of them to another folder"
+        )
+    chosen = [path for path in visible if _NUMBER.search(path.stem) and _series(path) == ranked[0][0]]
+    return sorted(chosen, key=lambda path: ([int(digits) for digits in _NUMBER.findall(path.stem)], path.name))
+
+
+def write_sequence(
+    clip: Clip, folder: Path, suffix: str, save: Callable[[Mesh, Path], None], read: Callable[[Path], Mesh]
+) -> None:
+    """Write each frame as a mesh 0000, 0001, ... of the given suffix: the identity's own file where it has one.
+
+    Otherwise the first frame is written anew and the others are that file with its points moved, so that they share
+    its materials. Frames already in the folder are overwritten, other files are left alone.
+
+    Raises:
+        InputError: the folder holds numbered meshes that would be mistaken for further frames.
+    """
+    names = [f"{t:0{max(4, len(str(len(clip) - 1)))}d}{suffix}" for t in range(len(clip))]
+    stale = [path.name for path in folder.glob(f"*{suffix}") if path.name not in names] if folder.is_dir() else []
+    if stale:
+        raise InputError(
+            f"{folder}: expected a folder without other {suffix} files, found {min(stale)}; "
+            "choose a new folder or delete the old frames"
+        )
+    with whole_folder(folder) as temporary:
+        mesh = clip.mesh
+        if mesh.source is None or mesh.source.suffix != suffix:
+            save(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
+            written = read(temporary / names[0])
+            mesh = written if len(written.vertices) == len(mesh.vertices) else mesh
+        for name, vertices in zip(names, clip.vertices, strict=True):
+            save(mesh.with_vertices(vertices), temporary / name)
+
+
+def _series(path: Path) -> str:
+    return _NUMBER.sub("#", path.stem) + path.suffix.lower()
+
+
+def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+    points = None
+    if isinstance(first.source, ObjSource):
+        points = read_obj_points(path, first.source)
+    elif isinstance(first.source, PlySource):
+        points = read_ply_points(path, first.source)
+    if points is not None:
+        return points
+    mesh = read(path)
+    if len(mesh.vertices) != len(first.vertices) or not np.array_equal(mesh.faces, first.faces):
+        raise InputError(
+            f"{path}: expected the topology of {first_path.name} ({len(first.vertices)} vertices, {len(first.faces)} "
+            f"triangles), found {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles"
+            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; "
+            "export all frames from one mesh"
+        )
+    return mesh.vertices

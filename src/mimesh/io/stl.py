@@ -1,0 +1,132 @@
+"""STL, binary and text: triangle soup, welded on reading and given back triangle by triangle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..geometry import face_vectors, weld
+from ..mesh import InputError, Mesh, Part
+from .atomic import whole_file
+from .polygons import unit_rows
+from .text import read_numbers, replace_numbers
+
+_RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEADER_SIZE = 84  # 80 bytes of anything and a triangle count
+
+
+@dataclass(frozen=True, eq=False)
+class StlSource:
+    """An STL file kept whole, and the welded mesh that was read from it. Satisfies `mesh.Source`."""
+
+    data: bytes
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    is_text: bool
+    suffix = ".stl"
+
+    def write(self, mesh: Mesh, path: Path) -> None:
+        """Write the same triangles in the same order, header and attributes kept, moved facets with new normals."""
+        if mesh.vertices.shape != self.vertices.shape:
+            raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
+        moved = np.flatnonzero((mesh.vertices != self.vertices).any(axis=1)[self.faces].any(axis=1))
+        corners = mesh.vertices[self.faces[moved]].astype(np.float64)
+        normals = unit_rows(face_vectors(mesh.vertices, self.faces[moved]))
+        path.write_bytes(self._text(moved, corners, normals) if self.is_text else self._binary(moved, corners, normals))
+
+    def _binary(self, moved, corners, normals) -> bytes:
+        body = self.data[_HEADER_SIZE : _HEADER_SIZE + len(self.faces) * _RECORD.itemsize]
+        records = np.frombuffer(body, _RECORD).copy()
+        records["normal"][moved], records["corners"][moved] = normals, corners
+        return self.data[:_HEADER_SIZE] + records.tobytes() + self.data[_HEADER_SIZE + len(body) :]
+
+    def _text(self, moved, corners, normals) -> bytes:
+        lines = self.data.splitlines(keepends=True)
+        facet_lines, vertex_lines = _lines_with(lines, b"facet"), _lines_with(lines, b"vertex")
+        for face, points, normal in zip(moved.tolist(), corners.tolist(), normals.tolist(), strict=True):
+            at = facet_lines[face]
+            lines[at] = replace_numbers(lines[at], [float(f"{x:.6g}") for x in normal], skip=2)
+            for at, point in zip(vertex_lines[3 * face : 3 * face + 3], points, strict=True):
+                lines[at] = replace_numbers(lines[at], point, skip=1)
+        return b"".join(lines)
+
+
+def read_stl(path: Path) -> Mesh:
+    """Read an STL file; corners at exactly one position become one vertex, in order of first appearance.
+
+    So the mesh has fewer vertices than the file has corners, and writing it back still gives every triangle, in order.
+    Each `solid` of a text file is a part. Facet normals are not kept: they follow from the triangles.
+
+    Raises:
+        InputError: a file that is cut short, or is no STL.
+    """
+    data = path.read_bytes()
+    is_text = _is_text(data)
+    soup, parts = _read_text(data, path) if is_text else (_read_binary(data, path), ())
+    merged, index = weld(soup)
+    _, first, appearance = np.unique(index, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    vertices, faces = merged[order], rank[appearance].reshape(-1, 3)
+    return Mesh(vertices, faces, name=path.stem, parts=parts, source=StlSource(data, vertices, faces, is_text))
+
+
+def write_stl(mesh: Mesh, path: Path) -> None:
+    """Write any mesh as a new binary STL file: triangles only, without vertex order, parts or looks."""
+    if not len(mesh.faces):
+        raise InputError(f"{path}: expected a mesh with faces for STL, found a point cloud; write .ply or .obj")
+    records = np.zeros(len(mesh.faces), _RECORD)
+    records["normal"] = unit_rows(face_vectors(mesh.vertices, mesh.faces))
+    records["corners"] = mesh.vertices[mesh.faces]
+    with whole_file(path) as temporary:
+        temporary.write_bytes(bytes(80) + len(records).to_bytes(4, "little") + records.tobytes())
+
+
+def _is_text(data: bytes) -> bool:
+    """Text begins with `solid`, but so do some binary files: there the size fits the triangle count."""
+    return data.lstrip()[:5].lower() == b"solid" and len(data) != _binary_size(data)
+
+
+def _binary_size(data: bytes) -> int:
+    return _HEADER_SIZE + int.from_bytes(data[80:84], "little") * _RECORD.itemsize
+
+
+def _read_binary(data: bytes, path: Path) -> Float[np.ndarray, "C 3"]:
+    count = int.from_bytes(data[80:84], "little")
+    if len(data) < _HEADER_SIZE or len(data) < _binary_size(data):
+        raise InputError(
+            f"{path}: expected an STL file of {max(_binary_size(data), _HEADER_SIZE)} bytes ({count} triangles), "
+            f"found {len(data)}; the file is cut short or no STL, export it again"
+        )
+    records = np.frombuffer(data, _RECORD, count=count, offset=_HEADER_SIZE)
+    return records["corners"].astype(np.float64).reshape(-1, 3)
+
+
+def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
+    lines = data.splitlines(keepends=True)
+    facets, corners = _lines_with(lines, b"facet"), _lines_with(lines, b"vertex")
+    closed = len(_lines_with(lines, b"endfacet"))
+    if len(corners) != 3 * len(facets) or closed != len(facets):
+        raise InputError(
+            f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
+            f"found {len(corners)} and {closed}; the file is cut short, export it again"
+        )
+    return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, facets)
+
+
+def _read_parts(lines: list[bytes], facets: list[int]) -> tuple[Part, ...]:
+    solids = _lines_with(lines, b"solid")
+    if len(solids) < 2:
+        return ()
+    starts = np.searchsorted(facets, solids).tolist()
+    names = [b" ".join(lines[i].split()[1:]).decode("utf-8", "replace") for i in solids]
+    spans = zip(names, starts, [*starts[1:], len(facets)], strict=True)
+    return tuple(Part(name, start, stop) for name, start, stop in spans if start < stop)
+
+
+def _lines_with(lines: list[bytes], word: bytes) -> list[int]:
+    return [i for i, line in enumerate(lines) if line.split(None, 1)[:1] and line.split(None, 1)[0].lower() == word]

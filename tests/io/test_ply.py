@@ -1,0 +1,224 @@
+"""PLY in three encodings: everything but the points comes back byte by byte."""
+
+from __future__ import annotations
+
+import dataclasses
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+import zoo
+from nasty import bent, rotation, triangle_soup
+from PIL import Image
+
+from mimesh.geometry import fan_triangles, vertex_normals
+from mimesh.io import load_mesh, save_mesh
+
+ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")
+CODES = {"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint32": "I", "float": "f", "double": "d"}
+POLYGONS = [(0, 1, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+
+
+def encode(encoding: str, elements: list, comments: tuple[str, ...] = (), end: str = "\n") -> bytes:
+    """A PLY file, written value by value: `elements` are (name, [property lines], [rows])."""
+    header = ["ply", f"format {encoding} 1.0", *comments]
+    body = b""
+    for name, properties, rows in elements:
+        header += [f"element {name} {len(rows)}", *(f"property {text}" for text in properties)]
+        for row in rows:
+            body += encode_row(encoding, properties, row, end)
+    return end.join([*header, "end_header", ""]).encode() + body
+
+
+def encode_row(encoding: str, properties: list[str], row: tuple, end: str) -> bytes:
+    values: list[tuple[str, float]] = []
+    for text, value in zip(properties, row, strict=True):
+        words = text.split()
+        values += [(words[1], len(value))] if words[0] == "list" else []
+        values += [(words[2], item) for item in value] if words[0] == "list" else [(words[0], value)]
+    if encoding == "ascii":
+        return " ".join(f"{value:g}" for _, value in values).encode() + end.encode()
+    order = "<" if encoding == "binary_little_endian" else ">"
+    return b"".join(struct.pack(order + CODES[kind], value) for kind, value in values)
+
+
+def everything(encoding: str, end: str = "\n", polygons=POLYGONS, coordinate: str = "float", index: str = "uchar int"):
+    """A cube with all that PLY files carry, and more: an element before the vertices, lists in odd places, an edge."""
+    cube = zoo.cube()
+    normals = cube.vertices - 0.5
+    vertices = [
+        (*(v / 4).tolist(), *(n * 2).tolist(), 10 * i, 255, 0.125 * i, (i, 3))
+        for i, (v, n) in enumerate(zip(cube.vertices, normals, strict=True))
+    ]
+    faces = [(7, polygon, [k / 8 for k in range(2 * len(polygon))], -i) for i, polygon in enumerate(polygons)]
+    colours = ["uchar red", "uchar green", "double confidence", "list uchar short rings"]
+    axes = [f"{coordinate} {axis}" for axis in ("x", "y", "z")]
+    return encode(
+        encoding,
+        [
+            ("camera", ["list uchar float view", "int id"], [((1, 2), 3), ((4, 5, 6), 7)]),
+            ("vertex", [*axes, *(f"float n{axis}" for axis in "xyz"), *colours], vertices),
+            ("face", ["uchar flag", f"list {index} vertex_indices", "list uchar float texcoord", "char q"], faces),
+            ("edge", ["uint32 a", "ushort b"], [(0, 1), (70000, 2)]),
+        ],
+        ("comment made by hand", "obj_info and told"),
+        end,
+    )
+
+
+@pytest.fixture(params=[(e, end) for e in ENCODINGS for end in ("\n", "\r\n")], ids=str)
+def ply(request, tmp_path):
+    path = tmp_path / "all.ply"
+    path.write_bytes(everything(*request.param))
+    return path
+
+
+def test_unmoved_mesh_gives_the_same_bytes(ply, tmp_path):
+    save_mesh(load_mesh(ply), tmp_path / "same.ply")
+    assert (tmp_path / "same.ply").read_bytes() == ply.read_bytes()
+
+
+def test_reading_takes_points_polygons_normals_and_texture_coordinates(ply):
+    mesh = load_mesh(ply)
+    np.testing.assert_array_equal(mesh.vertices, zoo.cube().vertices / 4)
+    np.testing.assert_array_equal(mesh.faces, [t for polygon in POLYGONS for t in fan_triangles(list(polygon))])
+    np.testing.assert_allclose(mesh.corner_normals, ((zoo.cube().vertices - 0.5) / np.sqrt(0.75))[mesh.faces])
+    np.testing.assert_array_equal(mesh.corner_uv[1], [[0, 1 / 8], [4 / 8, 5 / 8], [6 / 8, 7 / 8]])
+
+
+def test_moving_replaces_points_and_normals_and_nothing_else(ply, tmp_path):
+    mesh = load_mesh(ply)
+    turned = mesh.with_vertices(mesh.vertices @ rotation().T)
+    save_mesh(turned, tmp_path / "turned.ply")
+    back = load_mesh(tmp_path / "turned.ply")
+    np.testing.assert_array_equal(back.vertices.astype(np.float32), turned.vertices.astype(np.float32))
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    np.testing.assert_allclose(back.corner_normals, turned.corner_normals, atol=1e-6)
+    # Put the old numbers into the new file: if nothing else changed, that is the old file again (up to number texts).
+    again = dataclasses.replace(back, vertices=mesh.vertices, corner_normals=mesh.corner_normals)
+    save_mesh(again, tmp_path / "restored.ply")
+    before, after = (masked(path.read_bytes()) for path in (ply, tmp_path / "restored.ply"))
+    assert after == before
+
+
+def masked(data: bytes) -> list:
+    """The values of a file of `everything`, its unit normals left out: header, and words or bytes."""
+    header, _, body = data.partition(b"end_header")
+    if b"ascii" in header:
+        rows = [line.split(b" ") for line in body.splitlines(keepends=True)]
+        vertices = [[*map(float, row[:3]), *row[6:]] for row in rows[3:11]]
+        return [header, rows[:3], vertices, rows[11:]]
+    start = body.index(struct.pack("<i" if b"little" in header else ">i", 7)) + 4
+    size = 6 * 4 + 2 + 8 + 1 + 2 * 2
+    vertices = [body[i : i + 12] + body[i + 24 : i + size] for i in range(start, start + 8 * size, size)]
+    return [header, body[:start], vertices, body[start + 8 * size :]]
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_moved_points_are_what_trimesh_reads(encoding, tmp_path):
+    triangles = [tuple(face) for face in zoo.cube().faces.tolist()]
+    (tmp_path / "a.ply").write_bytes(plain(encoding, triangles))
+    mesh = load_mesh(tmp_path / "a.ply")
+    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
+    other = trimesh.load(tmp_path / "b.ply", process=False)
+    np.testing.assert_allclose(other.vertices, bent(mesh.vertices), rtol=1e-6)
+    np.testing.assert_array_equal(other.faces, mesh.faces)
+
+
+def plain(
+    encoding: str, polygons, coordinate: str = "float", index: str = "uchar int", name: str = "vertex_index"
+) -> bytes:
+    vertex = ("vertex", [f"{coordinate} {axis}" for axis in "xyz"], [tuple(v) for v in zoo.cube().vertices.tolist()])
+    return encode(encoding, [vertex, ("face", [f"list {index} {name}"], [(polygon,) for polygon in polygons])])
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+@pytest.mark.parametrize("index", ["uchar int", "int uint32", "ushort short", "char uchar"])
+@pytest.mark.parametrize("polygons", [POLYGONS, POLYGONS[3:], [*POLYGONS, (), (0,)]], ids=["mixed", "quads", "short"])
+def test_every_count_and_index_type(encoding, index, polygons, tmp_path):
+    (tmp_path / "a.ply").write_bytes(plain(encoding, polygons, index=index))
+    mesh = load_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.faces, [t for p in polygons for t in fan_triangles(list(p))])
+    save_mesh(mesh, tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == (tmp_path / "a.ply").read_bytes()
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_doubles_read_back_exactly(encoding, tmp_path):
+    (tmp_path / "a.ply").write_bytes(plain(encoding, POLYGONS, coordinate="double"))
+    mesh = load_mesh(tmp_path / "a.ply")
+    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bent(mesh.vertices))
+
+
+def test_ascii_keeps_spacing_and_the_text_of_unmoved_vertices(tmp_path):
+    text = (
+        b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        b"property uchar red\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+        b"  0.0 0.00 0 1 \n1.000\t0 0   2\n\n0 1 0 3\n3 0 1  2"
+    )
+    (tmp_path / "a.ply").write_bytes(text)
+    mesh = load_mesh(tmp_path / "a.ply")
+    moved = mesh.vertices.copy()
+    moved[2] = [0.1, 2, -0.5]
+    save_mesh(mesh.with_vertices(moved), tmp_path / "b.ply")
+    assert (tmp_path / "b.ply").read_bytes() == text.replace(b"0 1 0 3\n", b"0.1 2.0 -0.5 3\n")
+
+
+@pytest.mark.parametrize("encoding", ENCODINGS)
+def test_point_cloud_without_faces(encoding, tmp_path):
+    rows = [tuple(row) for row in zoo.point_cloud().vertices.round(3).tolist()]
+    (tmp_path / "a.ply").write_bytes(encode(encoding, [("vertex", ["double x", "double y", "double z"], rows)]))
+    mesh = load_mesh(tmp_path / "a.ply")
+    assert mesh.faces.shape == (0, 3)
+    np.testing.assert_allclose(mesh.vertices, rows, atol=1e-5)
+    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bent(mesh.vertices))
+
+
+def test_vertex_normals_follow_the_surface(tmp_path):
+    grid = zoo.grid()
+    normals = vertex_normals(grid.vertices, grid.faces)
+    rows = [(*v, *n) for v, n in zip(grid.vertices.tolist(), normals.tolist(), strict=True)]
+    faces = [(tuple(face),) for face in grid.faces.tolist()]
+    properties = [f"double {name}" for name in ("x", "y", "z", "nx", "ny", "nz")]
+    data = encode("binary_big_endian", [("vertex", properties, rows), ("face", ["list uchar int vertex_index"], faces)])
+    (tmp_path / "a.ply").write_bytes(data)
+    mesh = load_mesh(tmp_path / "a.ply")
+    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
+    back = load_mesh(tmp_path / "b.ply")
+    np.testing.assert_allclose(back.corner_normals, vertex_normals(back.vertices, back.faces)[back.faces], atol=1e-12)
+
+
+def test_texture_and_texture_coordinates_per_vertex(tmp_path):
+    Image.new("RGB", (1, 1)).save(tmp_path / "skin.png")
+    rows = [(*v, *v[:2]) for v in zoo.cube().vertices.tolist()]
+    properties = [f"float {name}" for name in ("x", "y", "z", "s", "t")]
+    faces = ("face", ["list uchar int vertex_index"], [(polygon,) for polygon in POLYGONS])
+    data = encode("binary_little_endian", [("vertex", properties, rows), faces], ("comment TextureFile skin.png",))
+    (tmp_path / "a.ply").write_bytes(data)
+    mesh = load_mesh(tmp_path / "a.ply")
+    np.testing.assert_array_equal(mesh.corner_uv, mesh.vertices[mesh.faces][..., :2])
+    assert mesh.parts[0].material.texture == (tmp_path / "skin.png").read_bytes()
+    save_mesh(mesh, tmp_path / "out" / "b.ply")
+    assert (tmp_path / "out" / "skin.png").read_bytes() == (tmp_path / "skin.png").read_bytes()
+
+
+@pytest.mark.parametrize("with_uv", [False, True])
+@pytest.mark.parametrize("make", zoo.ZOO)
+def test_any_mesh_is_written_anew(make, with_uv, tmp_path):
+    mesh = make()
+    if with_uv:
+        mesh = dataclasses.replace(mesh, corner_uv=mesh.vertices[mesh.faces][..., :2])
+    save_mesh(mesh, tmp_path / "new.ply")
+    back = load_mesh(tmp_path / "new.ply")
+    np.testing.assert_array_equal(back.vertices, mesh.vertices.astype(np.float32))
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    if with_uv and len(mesh.faces):
+        np.testing.assert_array_equal(back.corner_uv, mesh.corner_uv.astype(np.float32))
+    if len(mesh.faces):
+        other = trimesh.load(tmp_path / "new.ply", process=False)
+        np.testing.assert_array_equal(
+            triangle_soup(other.vertices, other.faces), triangle_soup(mesh.vertices, mesh.faces)
+        )

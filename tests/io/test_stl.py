@@ -1,0 +1,130 @@
+"""STL: triangles come back in their order, header and attributes stay, normals follow."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+import pytest
+import trimesh
+import zoo
+from nasty import bent, rotation
+
+from mimesh.io import load_mesh, save_mesh
+from mimesh.mesh import Mesh, permute_vertices
+
+
+def binary(mesh: Mesh, header: bytes = b"solid but binary", tail: bytes = b"") -> bytes:
+    """A binary STL with another attribute on each facet."""
+    data = header.ljust(80, b"\0") + struct.pack("<I", len(mesh.faces))
+    for i, triangle in enumerate(mesh.vertices[mesh.faces]):
+        data += struct.pack("<12fH", 0, 0, 0, *triangle.ravel(), 1000 + i)
+    return data + tail
+
+
+def text(mesh: Mesh, end: str = "\n") -> bytes:
+    """A text STL of two solids, with numbers that a program would not write this way."""
+    lines = ["solid first half"]
+    for i, triangle in enumerate(mesh.vertices[mesh.faces]):
+        lines += ["endsolid", "solid second"] if i == 2 else []
+        lines += ["  FACET normal 0 0 0.00", "    outer loop"]
+        lines += [f"\tvertex  {x:.4f} {y:e} {z:g}" for x, y, z in triangle]
+        lines += ["    endloop", "  endfacet"]
+    return end.join([*lines, "endsolid second", ""]).encode()
+
+
+FILES = {
+    "binary": binary(zoo.two_parts()),
+    "tail": binary(zoo.two_parts(), b"made by hand", b"more"),
+    "text": text(zoo.two_parts()),
+    "text crlf": text(zoo.two_parts(), "\r\n"),
+}
+
+
+@pytest.fixture(params=FILES)
+def stl(request, tmp_path):
+    path = tmp_path / "a.stl"
+    path.write_bytes(FILES[request.param])
+    return path
+
+
+def test_welding_finds_the_shared_corners_in_order_of_appearance(stl):
+    mesh = load_mesh(stl)
+    soup = zoo.two_parts().vertices[zoo.two_parts().faces]
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], soup)
+    assert len(mesh.vertices) == 12
+    first_seen = list(dict.fromkeys(mesh.faces.ravel().tolist()))
+    assert first_seen == list(range(12))
+
+
+def test_unmoved_mesh_gives_the_same_bytes(stl, tmp_path):
+    save_mesh(load_mesh(stl), tmp_path / "b.stl")
+    assert (tmp_path / "b.stl").read_bytes() == stl.read_bytes()
+
+
+def test_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
+    mesh = load_mesh(stl)
+    moved = mesh.with_vertices((mesh.vertices @ rotation().T).astype(np.float32).astype(np.float64))
+    save_mesh(moved, tmp_path / "b.stl")
+    back = load_mesh(tmp_path / "b.stl")
+    np.testing.assert_array_equal(back.vertices, moved.vertices)
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    assert back.parts == mesh.parts
+    if not stl.read_bytes()[84:].endswith(b"more"):  # trimesh rejects a tail
+        other = trimesh.load(tmp_path / "b.stl", process=False, force="mesh")
+        np.testing.assert_allclose(other.triangles, moved.vertices[moved.faces], atol=1e-6)
+        np.testing.assert_allclose(
+            other.face_normals,
+            other.triangles_cross / np.linalg.norm(other.triangles_cross, axis=1)[:, None],
+            atol=1e-5,
+        )
+
+
+def test_header_attributes_and_tail_are_kept(tmp_path):
+    (tmp_path / "a.stl").write_bytes(FILES["tail"])
+    mesh = load_mesh(tmp_path / "a.stl")
+    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.stl")
+    data = (tmp_path / "b.stl").read_bytes()
+    assert data[:84] == FILES["tail"][:84]
+    assert data[-4:] == b"more"
+    assert [struct.unpack_from("<H", data, 84 + 50 * i + 48)[0] for i in range(16)] == list(range(1000, 1016))
+    x, y, z = mesh.with_vertices(bent(mesh.vertices)).vertices[mesh.faces[5]]
+    normal = np.cross(y - x, z - x)
+    np.testing.assert_allclose(struct.unpack_from("<3f", data, 84 + 50 * 5), normal / np.linalg.norm(normal), atol=1e-6)
+
+
+def test_text_keeps_its_words_and_only_moved_triangles_change(tmp_path):
+    (tmp_path / "a.stl").write_bytes(FILES["text"])
+    mesh = load_mesh(tmp_path / "a.stl")
+    assert [(part.name, part.start, part.stop) for part in mesh.parts] == [("first half", 0, 2), ("second", 2, 16)]
+    moved = mesh.vertices.copy()
+    moved[4:] *= 2  # the cube, not the tetrahedron
+    save_mesh(mesh.with_vertices(moved), tmp_path / "b.stl")
+    before, after = FILES["text"].splitlines(), (tmp_path / "b.stl").read_bytes().splitlines()
+    changed = [i for i, (a, b) in enumerate(zip(before, after, strict=True)) if a != b]
+    assert min(changed) > before.index(b"solid second")
+    assert {line.split()[0] for line in (after[i] for i in changed)} == {b"FACET", b"vertex"}
+    assert all(before[i].split()[0] == after[i].split()[0] and before[i][:2] == after[i][:2] for i in changed)
+
+
+def test_vertex_order_of_a_mesh_does_not_matter_to_the_file(tmp_path):
+    mesh = zoo.cube()
+    save_mesh(mesh, tmp_path / "a.stl")
+    save_mesh(permute_vertices(mesh, np.random.default_rng(0).permutation(8)), tmp_path / "b.stl")
+    assert (tmp_path / "a.stl").read_bytes() == (tmp_path / "b.stl").read_bytes()
+
+
+@pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
+def test_any_mesh_is_written_anew(make, tmp_path):
+    mesh = make()
+    save_mesh(mesh, tmp_path / "new.stl")
+    back = load_mesh(tmp_path / "new.stl")
+    np.testing.assert_array_equal(back.vertices[back.faces], mesh.vertices[mesh.faces].astype(np.float32))
+
+
+def test_minus_zero_is_zero_when_corners_are_welded(tmp_path):
+    mesh = Mesh(
+        np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, 0], [0, -1, 0]], float), np.array([[0, 1, 2], [3, 4, 1]])
+    )
+    (tmp_path / "a.stl").write_bytes(binary(mesh))
+    assert len(load_mesh(tmp_path / "a.stl").vertices) == 4
