@@ -60,8 +60,7 @@ def facing_note(frame: Frame, name: str, option: str) -> tuple[str, ...]:
 
 def _against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:
     vectors = face_vectors(np.asarray(vertices, np.float64), faces)
-    around = np.zeros_like(vertices, dtype=np.float64)
-    for k in range(3):
-        np.add.at(around, faces[:, k], vectors)
+    corners, thrice = faces.ravel(), np.repeat(vectors, 3, axis=0)
+    around = np.stack([np.bincount(corners, thrice[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
     neighbours = around[faces].sum(axis=1) - 3 * vectors
     return (neighbours * vectors).sum(axis=1) < 0

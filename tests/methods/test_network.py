@@ -1,4 +1,5 @@
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -6,8 +7,9 @@ from networks import write_network
 from people import person, walk
 from zoo import point_cloud, two_parts
 
+from mimesh.frame import ROTATIONS
 from mimesh.mesh import Clip, InputError, Mesh
-from mimesh.methods import find_method
+from mimesh.methods import SHIPPED_NETWORKS, find_method
 from mimesh.methods.network import POOLED_POINTS, load_network
 from mimesh.methods.pairing import rank_vertices, surface_points
 from mimesh.pipeline import animate, transfer
@@ -64,7 +66,7 @@ def test_a_larger_identity_takes_larger_steps(network):
 def test_an_ensemble_is_the_mean_of_its_pairings(network):
     """Naive twin: the mean of single pairings, each run by hand."""
     identity, driving = person(0), person(1, 0)
-    method = load_network(find_path(network), name="tiny", ensemble=3)
+    method = load_network(Path(network), name="tiny", ensemble=3)
     points = surface_points(driving, len(identity.vertices), np.random.default_rng(0))
     at = points.at(driving.vertices).astype(np.float32)
     ranked = rank_vertices(identity.vertices)
@@ -72,12 +74,6 @@ def test_an_ensemble_is_the_mean_of_its_pairings(network):
     pairings = [np.random.default_rng(k).permutation(len(at)) for k in range(3)]
     singles = [method.session.run(["result"], {"identity": still, "driving": at[p][None]})[0][0] for p in pairings]
     assert np.allclose(method._run(still[0], at, pairings), np.mean(singles, axis=0), atol=1e-6)
-
-
-def find_path(name):
-    from pathlib import Path
-
-    return Path(name)
 
 
 def test_seed_and_ensemble_change_the_result(network):
@@ -161,6 +157,15 @@ def test_unknown_metadata_is_told(tmp_path, key):
     onnx.save(model, str(tmp_path / "odd.onnx"))
     with pytest.raises(InputError, match=key):
         find_method(str(tmp_path / "odd.onnx"))
+
+
+@pytest.mark.parametrize("name", sorted(SHIPPED_NETWORKS))
+def test_shipped_networks_bring_a_turned_driving_to_the_same_result(name):
+    identity, driving = person(0, faces=400), person(1, 0, faces=300)
+    turned = Mesh(driving.vertices @ ROTATIONS[5].T * 3 + 1, driving.faces)
+    expected = transfer(identity, driving, name).vertices
+    assert np.isfinite(expected).all()
+    assert np.allclose(transfer(identity, turned, name).vertices, expected, atol=1e-4)
 
 
 def test_an_unknown_model_lists_the_known_ones():
