@@ -54,11 +54,14 @@ class RiggedBody:
 
     def posed(
         self,
-        shape: Float[np.ndarray, "*B K"],
-        rotmat: Float[np.ndarray, "*B J 3 3"],
-        root: Float[np.ndarray, "*B 3"] | None = None,
-    ) -> Float[np.ndarray, "*B V 3"]:
-        """Vertices under local joint rotations; `root` (metres) is added to where the root joint rests."""
+        shape: Float[np.ndarray, "*#B K"],
+        rotmat: Float[np.ndarray, "*#B J 3 3"],
+        root: Float[np.ndarray, "*#B 3"] | None = None,
+    ) -> Float[np.ndarray, "*C V 3"]:
+        """Vertices under local joint rotations; `root` (metres) is added to where the root joint rests.
+
+        One person in many poses and many people in one pose are fine: leading axes broadcast.
+        """
         vertices, joints = self.shaped(shape)
         rotation, translation = self.skinning_transforms(joints, rotmat, root)
         blended = np.einsum("vj,...jkl->...vkl", self.weights, rotation)
@@ -66,8 +69,8 @@ class RiggedBody:
         return np.einsum("...vkl,...vl->...vk", blended, vertices) + offset
 
     def skinning_transforms(
-        self, joints: Float[np.ndarray, "*B J 3"], rotmat: Float[np.ndarray, "*B J 3 3"], root=None
-    ) -> tuple[Float[np.ndarray, "*B J 3 3"], Float[np.ndarray, "*B J 3"]]:
+        self, joints: Float[np.ndarray, "*#B J 3"], rotmat: Float[np.ndarray, "*#B J 3 3"], root=None
+    ) -> tuple[Float[np.ndarray, "*C J 3 3"], Float[np.ndarray, "*C J 3"]]:
         """Rotation and translation that each joint applies to a rest point: x -> rotation x + translation."""
         rotation, position = [], []
         for j, parent in enumerate(self.parents):

@@ -1,0 +1,127 @@
+"""BVH: a hand-made file against hand-made matrices, retargeting by bone directions, and every kind of damage."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.mesh import InputError
+from mimesh.motions import load_bvh, retarget
+from mimesh.motions.motion import joint_tracks
+from mimesh.motions.retarget import BONES
+
+SMALL = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 1 2 3
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  JOINT Knee
+  {
+    OFFSET 0 -5 0
+    CHANNELS 3 Xrotation Zrotation Yrotation
+    End Site
+    {
+      OFFSET 0 -4 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.0333333
+0 0 0 0 0 0 0 0 0
+7 8 9 10 20 30 40 50 60
+"""
+
+
+def write(tmp_path, text, name="a.bvh"):
+    path = tmp_path / name
+    path.write_text(text)
+    return path
+
+
+def test_channels_apply_in_their_order(tmp_path):
+    bvh = load_bvh(write(tmp_path, SMALL))
+    assert (bvh.joint_names, bvh.parents) == (("Hips", "Knee"), (-1, 0))
+    assert bvh.fps == pytest.approx(30, rel=1e-4)
+    np.testing.assert_array_equal(bvh.root, [[0, 0, 0], [7, 8, 9]])
+    np.testing.assert_allclose(
+        bvh.rotmat[1, 0], Rotation.from_euler("ZYX", [10, 20, 30], degrees=True).as_matrix(), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        bvh.rotmat[1, 1], Rotation.from_euler("XZY", [40, 50, 60], degrees=True).as_matrix(), atol=1e-12
+    )
+    np.testing.assert_array_equal(bvh.ends["Knee"], [0, -4, 0])
+    rotation, place = bvh.world()
+    np.testing.assert_allclose(place[1, 1], [7, 8, 9] + bvh.rotmat[1, 0] @ [0, -5, 0])
+    np.testing.assert_allclose(rotation[1, 1], bvh.rotmat[1, 0] @ bvh.rotmat[1, 1])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("HIERARCHY", "SOMETHING", "expected a BVH file"),
+        ("OFFSET 0 -5 0", "OFFSET 0 five 0", "expected a whole HIERARCHY"),
+        ("Zrotation Yrotation Xrotation\n  JOINT", "Zrotation Yrotation Wrotation\n  JOINT", "found 'Wrotation'"),
+        ("MOTION", "}\nMOTION", "expected a whole HIERARCHY"),
+        ("}\nMOTION", "MOTION", "1 braces open"),
+        ("Frames: 2", "Frames: 3", "cut short"),
+        ("Frame Time: 0.0333333", "Frame Time: 0", "positive frame time"),
+        ("7 8 9", "7 nan 9", "NaN or infinity in frame 1"),
+        ("JOINT Knee", "BONE Knee", "found 'BONE'"),
+    ],
+)
+def test_damage_is_one_line(tmp_path, old, new, message):
+    with pytest.raises(InputError, match=message) as error:
+        load_bvh(write(tmp_path, SMALL.replace(old, new, 1)))
+    assert "\n" not in str(error.value)
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(InputError, match="found none"):
+        load_bvh(tmp_path / "no.bvh")
+
+
+def as_bvh(body, rng, frames=4, scale=17.0):
+    """Our own skeleton as a BVH file, z up and facing -y, in another unit, in random poses."""
+    children = {j: [k for k, p in enumerate(body.parents) if p == j] for j in range(len(body.parents))}
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    lines: list[str] = ["HIERARCHY"]
+    order: list[int] = []
+
+    def visit(j):
+        parent = body.parents[j]
+        offset = scale * turn @ (body.joints[j] - (body.joints[parent] if parent >= 0 else 0))
+        order.append(j)
+        kind, numbers = "ROOT" if parent < 0 else "JOINT", " ".join(repr(float(x)) for x in offset)
+        lines.append(f"{kind} {body.joint_names[j]}\n{{\nOFFSET {numbers}")
+        position = "6 Xposition Yposition Zposition" if parent < 0 else "3"
+        lines.append(f"CHANNELS {position} Zrotation Yrotation Xrotation")
+        for child in children[j]:
+            visit(child)
+        if not children[j]:
+            lines.append("End Site\n{\nOFFSET 0 0 1\n}")
+        lines.append("}")
+
+    visit(0)
+    angles = rng.uniform(-40, 40, (frames, len(order), 3))
+    rows = [" ".join(map(str, [0, 0, 16, *row.ravel()])) for row in angles]
+    return "\n".join([*lines, "MOTION", f"Frames: {frames}", "Frame Time: 0.01", *rows]) + "\n"
+
+
+def test_limbs_point_where_the_sources_point(tmp_path):
+    body = load_body()
+    source = load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0))))
+    motion = retarget(source, body)
+    axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    _, ours = joint_tracks(body, motion)
+    theirs = source.world()[1] @ axes.T
+    for joint, tail in BONES.items():
+        a = ours[:, body.joint(tail)] - ours[:, body.joint(joint)]
+        b = theirs[:, source.joint_names.index(tail)] - theirs[:, source.joint_names.index(joint)]
+        unit = [v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b)]
+        np.testing.assert_allclose(*unit, atol=1e-9)
+
+
+def test_a_foreign_skeleton_is_refused(tmp_path):
+    with pytest.raises(InputError, match="LeftUpLeg"):
+        retarget(load_bvh(write(tmp_path, SMALL)), load_body())

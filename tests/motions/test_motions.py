@@ -1,0 +1,111 @@
+"""Shipped and procedural motions, and what can be done to a motion."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import rotvec_to_rotmat, sample_shape
+from mimesh.mesh import InputError
+from mimesh.motions import (
+    DEMO,
+    load_motion,
+    mirror,
+    motion_clip,
+    motion_names,
+    pose_bank,
+    resample,
+    spline_motion,
+    walk_motion,
+    window,
+)
+from mimesh.motions.clips import SPLITS, TAKES
+from mimesh.motions.motion import lowest
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+def test_every_shipped_motion_fits_the_body(body):
+    assert DEMO in motion_names()
+    for name in motion_names():
+        motion = load_motion(name)
+        assert motion.joint_names == body.joint_names
+        assert motion.fps == 30
+        np.testing.assert_allclose(np.linalg.det(motion.rotmat[::20]), 1, atol=1e-9)
+
+
+def test_splits_are_disjoint_in_time_and_leave_the_t_pose_out():
+    for take in TAKES:
+        spans = sorted((start, stop) for windows in SPLITS.values() for name, start, stop in windows if name == take)
+        assert spans[0][0] >= 0.5
+        assert all(a[1] <= b[0] for a, b in itertools.pairwise(spans))
+
+
+def test_feet_stand_on_the_floor(body):
+    motion = load_motion("jump")
+    heights = lowest(body, motion.rotmat, motion.root)
+    assert abs(np.median(heights)) < 0.05
+    assert heights.min() > -0.1
+    assert heights.max() > 0.15  # it does jump
+
+
+def test_clip_is_the_posed_body(body):
+    motion, shape = load_motion(DEMO), sample_shape(body, 0, 0)
+    clip = motion_clip(body, shape, motion)
+    still = motion_clip(body, shape, window(motion, 1.0, 1.0 + 1 / 30))
+    np.testing.assert_allclose(clip.vertices[30], still.vertices[0])
+    assert (len(clip), clip.fps) == (len(motion), 30)
+
+
+def test_pose_bank_faces_front():
+    for split in ("train", "val", "test"):
+        bank = pose_bank(split)
+        assert bank.shape[1:] == (31, 3)
+        front = rotvec_to_rotmat(bank[:, 0].astype(float))[..., 2]
+        assert np.abs(front[:, 0]).max() < 1e-4
+        assert front[:, 2].min() > 0
+
+
+def test_mirroring_twice_is_nothing(body):
+    motion = load_motion("walk")
+    twice = mirror(mirror(motion))
+    np.testing.assert_allclose(twice.rotmat, motion.rotmat, atol=1e-12)
+    np.testing.assert_allclose(twice.root, motion.root)
+    left, right = body.joint("LeftArm"), body.joint("RightArm")
+    flip = np.diag([-1.0, 1, 1])
+    np.testing.assert_allclose(mirror(motion).rotmat[:, left], flip @ motion.rotmat[:, right] @ flip, atol=1e-12)
+
+
+def test_resampling_keeps_the_frames_it_shares():
+    motion = load_motion("walk")
+    fast = resample(motion, 60)
+    np.testing.assert_allclose(fast.rotmat[::2], motion.rotmat[: len(fast.rotmat[::2])], atol=1e-9)
+    assert abs(fast.seconds - motion.seconds) < 1 / 30
+    with pytest.raises(InputError, match="positive frame rate"):
+        resample(motion, 0)
+
+
+@pytest.mark.parametrize("make", [spline_motion, walk_motion])
+def test_procedural_motion_is_reproducible_smooth_and_on_the_floor(make, body):
+    motion = make(body, 4, 2, seconds=1.0)
+    again, other = make(body, 4, 2, seconds=1.0), make(body, 4, 3, seconds=1.0)
+    np.testing.assert_array_equal(motion.rotmat, again.rotmat)
+    assert not np.array_equal(motion.rotmat, other.rotmat)
+    assert len(motion) == 30
+    np.testing.assert_allclose(lowest(body, motion.rotmat, motion.root), 0, atol=1e-9)
+    vertices = motion_clip(body, None, motion).vertices
+    assert np.linalg.norm(np.diff(vertices, axis=0), axis=-1).max() < 0.35  # metres a frame: nothing jumps
+
+
+def test_windows_and_names_are_checked():
+    motion = load_motion("walk")
+    with pytest.raises(InputError, match=r"expected a window within 0\.\."):
+        window(motion, 1.0, 99.0)
+    with pytest.raises(InputError, match="cmu_01_01"):
+        load_motion("moonwalk")
+    with pytest.raises(InputError, match="retarget it first"):
+        motion_clip(load_body(), None, type(motion)("a", ("Hips",), motion.rotmat[:, :1], motion.root))
