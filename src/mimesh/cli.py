@@ -6,6 +6,7 @@ imports NumPy or anything heavier before a command runs, so that `mimesh --help`
 
 from __future__ import annotations
 
+import os
 import sys
 from typing import Annotated
 
@@ -37,16 +38,19 @@ COMMANDS = (
     learn.train,
     learn.export,
 )
+STOPPED = 130
+"""Exit code after Ctrl-C, as shells have it."""
 for _command in COMMANDS:
     app.command(_command.__name__)(_command)
 
 
-def _version(wanted: bool) -> None:
+def _version(wanted: bool) -> bool:
     if wanted:
         from . import __version__
 
         typer.echo(f"mimesh {__version__}")
         raise typer.Exit
+    return wanted
 
 
 @app.callback()
@@ -60,20 +64,24 @@ def _options(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and leave with its exit code."""
-    sys.exit(run(sys.argv[1:] if arguments is None else arguments))
+    code = run(sys.argv[1:] if arguments is None else arguments)
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # `mimesh look ... | head`: keep the interpreter from trying, and complaining, once more at its end.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
     try:
-        return int(app(arguments, prog_name="mimesh", standalone_mode=False) or 0)
+        code = int(app(arguments, prog_name="mimesh", standalone_mode=False) or 0)
+        return _tell("stopped", code) if code == STOPPED else code
     except Stop as stop:
         return stop.code
-    except KeyboardInterrupt:
-        return _tell("stopped", 130)
-    except BrokenPipeError:
-        # The reader of our output has gone (`mimesh look ... | head`); there is nobody left to tell.
-        sys.stdout = None
+    except SystemExit:
+        # Typer ends so when the reader of our output has gone; there is nobody left to tell.
         return 0
     except Exception as error:
         return _failed(error)
@@ -82,7 +90,7 @@ def run(arguments: list[str]) -> int:
 def _failed(error: Exception) -> int:
     # Typer's usage errors live in different places in its versions; all of them format their own message.
     if isinstance(error, typer.Abort):
-        return _tell("stopped", 130)
+        return _tell("stopped", STOPPED)
     if hasattr(error, "format_message"):
         return _usage(error)
     from .mesh import InputError

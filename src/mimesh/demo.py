@@ -11,13 +11,13 @@ import numpy as np
 from .bodies import RiggedBody, load_body
 from .io import save_clip, save_mesh
 from .mesh import Clip, Mesh
-from .motions import load_motion, motion_clip
+from .motions import DEMO, load_motion, motion_clip
 from .pipeline import Progress, animate
 from .preview import TILE, save_picture, still
 from .view.movie import clip_frames, save_movie
 from .view.sheet import DRIVING_TINT, page, stack, strip
 
-MOTION = "walk"
+MOTION = DEMO
 MODEL = "npt"
 FRAMES = 36
 RATE = 15.0

@@ -1,0 +1,269 @@
+"""The `mimesh` command on good input: what it writes, what it prints, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+
+import mimesh
+from mimesh.cli import COMMANDS, run
+from mimesh.io import load_clip, load_mesh, save_mesh
+
+MIMESH = Path(sys.executable).with_name("mimesh")
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """hero.obj, pose.ply and walk/ (three frames) of one topology, in a folder of their own."""
+    cube = zoo.cube()
+    save_mesh(cube, tmp_path / "hero.obj")
+    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.ply")
+    (tmp_path / "walk").mkdir()
+    for t in range(3):
+        save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), tmp_path / "walk" / f"{t:03}.obj")
+    return tmp_path
+
+
+def test_help_names_every_command_and_loads_nothing_heavy():
+    script = (
+        "import sys; from mimesh.cli import run; run(['--help']);"
+        "heavy = {'numpy', 'scipy', 'PIL', 'torch', 'onnxruntime', 'rich', 'jaxtyping'} & set(sys.modules);"
+        "sys.exit(f'loaded {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert all(command.__name__ in done.stdout for command in COMMANDS)
+
+
+@pytest.mark.parametrize("command", [c.__name__ for c in COMMANDS])
+def test_every_command_has_help_and_json(command, capsys):
+    assert run([command, "--help"]) == 0
+    assert "--json" in capsys.readouterr().out
+
+
+def test_version(capsys):
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out == f"mimesh {mimesh.__version__}\n"
+
+
+def test_transfer_names_its_output_and_the_next_command(files, capsys):
+    assert run(["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy"]) == 0
+    output = files / "hero-pose.obj"
+    text = capsys.readouterr()
+    assert str(output) in text.out
+    assert f"next: mimesh look {output}" in text.out
+    assert text.err == ""
+    assert len(load_mesh(output).vertices) == 8
+    assert (files / "hero-pose.preview.png").stat().st_size > 1000
+
+
+def test_transfer_json_is_one_object_with_the_promised_keys(files, capsys):
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "--no-preview", "--json"]
+    assert run(args) == 0
+    lines = capsys.readouterr().out.splitlines()
+    facts = json.loads(lines[0])
+    assert len(lines) == 1
+    assert set(facts) == {"output", "model", "vertices", "frames", "fps", "seconds", "report"}
+    assert set(facts["seconds"]) == {"load", "prepare", "drive", "refine", "write"}
+    assert facts["output"] == str(files / "hero-pose.obj")
+    assert (facts["model"], facts["vertices"], facts["frames"], facts["fps"]) == ("copy", 8, 1, None)
+    assert facts["report"]["pictures"] == []
+    assert not list(files.glob("*.preview.*"))
+
+
+def test_transfer_does_what_python_does(files):
+    output = files / "out.npz"
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(output), "-q"]
+    assert run([*args, "--no-preview"]) == 0
+    expected = mimesh.transfer(files / "hero.obj", files / "pose.ply", "copy")
+    np.testing.assert_array_equal(load_mesh(output).vertices, expected.vertices)
+
+
+def test_animate_writes_a_glb_and_moving_pictures(files, capsys):
+    assert run(["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "--fps", "10"]) == 0
+    assert (files / "hero-walk.glb").exists()
+    assert (files / "hero-walk.preview.webp").exists()
+    assert (files / "hero-walk.preview.png").exists()
+    text = capsys.readouterr()
+    assert "3 frames at 10 per second" in text.out
+    assert text.err == ""
+
+
+def test_animate_takes_a_range_and_writes_folders(files, capsys):
+    args = ["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "--start", "1", "--fps", "24"]
+    assert run([*args, "-o", str(files / "moved"), "--no-preview", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["frames"], facts["fps"]) == (2, 24)
+    assert len(load_clip(files / "moved")) == 2
+
+
+def test_quiet_says_nothing(files, capsys):
+    assert run(["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "-q", "--no-preview"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize("output", ["hero.obj", "pose.ply"])
+def test_inputs_are_never_written_over(files, output, capsys):
+    before = (files / output).read_bytes()
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / output)]
+    assert run(args) == 2
+    assert "apart from the inputs" in capsys.readouterr().err
+    assert (files / output).read_bytes() == before
+
+
+@pytest.mark.parametrize("output", ["walk", "walk/000.obj", "walk/new"])
+def test_nothing_is_written_into_the_driving_folder(files, output, capsys):
+    before = sorted((files / "walk").iterdir())
+    args = ["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "-o", str(files / output)]
+    assert run(args) == 2
+    assert "apart from the inputs" in capsys.readouterr().err
+    assert sorted((files / "walk").iterdir()) == before
+
+
+def test_look_tells_the_same_to_people_and_programs(files, capsys):
+    assert run(["look", str(files / "hero.obj"), str(files / "walk")]) == 0
+    assert "hero.obj" in capsys.readouterr().out
+    assert run(["look", str(files / "hero.obj"), str(files / "walk"), "--json"]) == 0
+    hero, walk = json.loads(capsys.readouterr().out)["files"]
+    assert (hero["vertices"], hero["frames"], walk["frames"]) == (8, 1, 3)
+
+
+@pytest.mark.parametrize(
+    ("flags", "output", "kind"),
+    [
+        ([], "x.png", "contact sheet"),
+        ([], "x.jpg", "contact sheet"),
+        (["--strip"], "x.png", "strip"),
+        (["--turntable"], "x.png", "turntable"),
+        (["--truth", "pose.ply"], "x.png", "heat map"),
+        ([], "x.webp", "movie"),
+        ([], "x.gif", "movie"),
+    ],
+)
+def test_render_draws(files, flags, output, kind, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    assert run(["render", "walk", *flags, "-o", output, "--size", "48", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"output": output, "kind": kind, "files": ["walk"]}
+    assert Path(output).stat().st_size > 100
+
+
+def test_render_draws_a_turning_movie(files, capsys):
+    assert run(["render", str(files / "hero.obj"), "--turntable", "-o", str(files / "x.gif"), "--size", "32"]) == 0
+    assert "turning movie of hero.obj" in capsys.readouterr().out
+
+
+def test_models_lists_all_that_can_be_asked_for(capsys):
+    from mimesh.methods import MODELS
+
+    assert run(["models", "--json"]) == 0
+    assert [m["name"] for m in json.loads(capsys.readouterr().out)["models"]] == list(MODELS)
+    assert run(["models"]) == 0
+    assert all(name in capsys.readouterr().out for name in ["copy"])
+
+
+def test_doctor_finds_this_installation_well(capsys):
+    assert run(["doctor", "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["ok"]
+    assert {check["name"] for check in facts["checks"]} >= {"shipped body", "shipped networks", "self check"}
+
+
+def test_doctor_reports_what_is_broken(capsys, monkeypatch):
+    monkeypatch.setattr("mimesh.doctor._transfer", lambda: 1 / 0)
+    assert run(["doctor"]) == 1
+    assert "FAIL  self check          ZeroDivisionError" in capsys.readouterr().out
+
+
+def test_demo_writes_its_files(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("mimesh.demo.FRAMES", 2)
+    monkeypatch.setattr("mimesh.demo.TILE", (90, 110))
+    assert run(["demo", "-o", str(tmp_path / "demo"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["frames"] == 2
+    names = {"identity.obj", "driving.obj", "driving.glb", "result.glb", "preview.png", "preview.webp"}
+    assert {path.name for path in (tmp_path / "demo").iterdir()} == names
+    assert (
+        load_mesh(tmp_path / "demo" / "result.glb").faces.shape
+        == load_mesh(tmp_path / "demo" / "identity.obj").faces.shape
+    )
+
+
+def test_evaluate_prints_a_table_or_json(tmp_path, capsys):
+    args = ["evaluate", "human-npt", "-m", "copy", "--pairs", "1"]
+    assert run(args) == 0
+    assert "copy" in capsys.readouterr().out
+    assert run([*args, "--json", "-o", str(tmp_path / "x.json")]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert set(printed) == {"protocol", "version", "provenance", "results"}
+    assert printed["results"] == json.loads((tmp_path / "x.json").read_text())["results"]
+
+
+@pytest.mark.parametrize("args", [["train", "npt"], ["export", "x.safetensors", "-o", "x.onnx"]])
+def test_a_missing_extra_is_one_sentence(args, capsys, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert run(args) == 2
+    assert "pip install 'mimesh[train]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "args", [["nonsense"], ["transfer", "one.obj"], ["look"], ["look", "a.obj", "--wrong"], ["render", "a.obj"]]
+)
+def test_wrong_usage_is_one_line(args, capsys):
+    assert run(args) == 2
+    text = capsys.readouterr()
+    assert text.out == ""
+    assert text.err.startswith("mimesh: ")
+    assert len(text.err.splitlines()) == 1
+    assert "--help" in text.err
+
+
+def test_a_bug_says_that_it_is_one(files, capsys, monkeypatch):
+    def broken(path):
+        raise RuntimeError("no luck")
+
+    monkeypatch.setattr("mimesh.look.look", broken)
+    assert run(["look", str(files / "hero.obj")]) == 1
+    error = capsys.readouterr().err
+    assert "RuntimeError: no luck" in error
+    assert "bug of mimesh" in error
+    assert len(error.splitlines()) < 15
+
+
+def test_stopping_is_no_bug(files, capsys, monkeypatch):
+    def stopped(path):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mimesh.look.look", stopped)
+    assert run(["look", str(files / "hero.obj")]) == 130
+    assert capsys.readouterr().err == "mimesh: stopped\n"
+
+
+def test_a_reader_that_leaves_is_no_error(files):
+    many = [str(files / "hero.obj")] * 200
+    looking = subprocess.Popen([MIMESH, "look", *many], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert looking.stdout is not None
+    looking.stdout.close()
+    assert looking.stderr is not None
+    with looking.stderr as errors:
+        assert errors.read() == b""
+    assert looking.wait() == 0
+
+
+@pytest.mark.slow
+def test_the_wheel_works_in_a_fresh_environment(tmp_path):
+    root = Path(__file__).parents[1]
+    subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path, root], check=True)
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    binaries = tmp_path / "venv" / "bin"
+    (wheel,) = tmp_path.glob("mimesh-*.whl")
+    subprocess.run([binaries / "pip", "install", "-q", "-c", root / "constraints.txt", wheel], check=True)
+    done = subprocess.run([binaries / "mimesh", "doctor"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    subprocess.run([binaries / "mimesh", "demo", "-q"], cwd=tmp_path, check=True)
+    assert (tmp_path / "mimesh-demo" / "result.glb").stat().st_size > 1e6
