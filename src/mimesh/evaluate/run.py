@@ -7,7 +7,7 @@ import json
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import numpy as np
 
@@ -29,7 +29,7 @@ def evaluate_command(
     protocol: str,
     methods: list[str],
     out: Path | None = None,
-    split: Split = "test",
+    split: str = "test",
     pairs: int = 0,
     ensemble: int = 1,
     progress: Progress | None = None,
@@ -39,12 +39,12 @@ def evaluate_command(
         raise InputError(f"{protocol}: expected a protocol ({', '.join(PROTOCOLS)}), found another; check the name")
     if split not in get_args(Split):
         raise InputError(f"{split}: expected a split ({', '.join(get_args(Split))}), found another; check the name")
-    chosen = PROTOCOLS[protocol]
+    chosen, part = PROTOCOLS[protocol], cast(Split, split)
     total, done, rows = 2 * (pairs or chosen.pairs) * len(methods), 0, []
     for method in methods:
         for poses in ("seen", "unseen"):
             figures = []
-            for pair in chosen.trials(load_body(), split, poses, pairs):
+            for pair in chosen.trials(load_body(), part, poses, pairs):
                 figures.append(measure(pair, method, ensemble))
                 done += 1
                 if progress is not None:
