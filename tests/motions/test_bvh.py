@@ -1,5 +1,7 @@
 """BVH: a hand-made file against hand-made matrices, retargeting by bone directions, and every kind of damage."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -8,7 +10,7 @@ from mimesh.bodies import load_body
 from mimesh.mesh import InputError
 from mimesh.motions import load_bvh, retarget
 from mimesh.motions.motion import joint_tracks
-from mimesh.motions.retarget import BONES
+from mimesh.motions.retarget import BONES, STILL
 
 SMALL = """HIERARCHY
 ROOT Hips
@@ -108,18 +110,48 @@ def as_bvh(body, rng, frames=4, scale=17.0):
     return "\n".join([*lines, "MOTION", f"Frames: {frames}", "Frame Time: 0.01", *rows]) + "\n"
 
 
-def test_limbs_point_where_the_sources_point(tmp_path):
-    body = load_body()
-    source = load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0))))
-    motion = retarget(source, body)
-    axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-    _, ours = joint_tracks(body, motion)
-    theirs = source.world()[1] @ axes.T
+def check_limbs(body, source):
+    """Limb bones of the retargeted motion point where the source's do."""
+    _, ours = joint_tracks(body, retarget(source, body))
+    theirs = source.world()[1] @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
     for joint, tail in BONES.items():
         a = ours[:, body.joint(tail)] - ours[:, body.joint(joint)]
         b = theirs[:, source.joint_names.index(tail)] - theirs[:, source.joint_names.index(joint)]
         unit = [v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b)]
         np.testing.assert_allclose(*unit, atol=1e-9)
+
+
+def test_limbs_point_where_the_sources_point(tmp_path):
+    body = load_body()
+    check_limbs(body, load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0)))))
+
+
+def test_our_own_skeleton_comes_back(tmp_path):
+    """Same rest pose, other axes, unit and joint order: the rotations themselves return (hands at rest)."""
+    body = load_body()
+    source = load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0))))
+    axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    motion = retarget(source, body)
+    for j, name in enumerate(body.joint_names):
+        theirs = axes @ source.rotmat[:, source.joint_names.index(name)] @ axes.T
+        still = any(word in name for word in STILL)
+        np.testing.assert_allclose(
+            motion.rotmat[:, j], np.broadcast_to(np.eye(3), theirs.shape) if still else theirs, atol=1e-9
+        )
+
+
+def test_rest_poses_may_differ(tmp_path):
+    """A source whose rest legs are splayed and arms hang (an A-pose) gives the same limb directions all the same."""
+    body = load_body()
+    text = as_bvh(body, np.random.default_rng(1), frames=2)
+    source = load_bvh(write(tmp_path, text))
+    bent = source.offsets.copy()
+    for side, sign in (("Left", 1.0), ("Right", -1.0)):
+        for joint, degrees in ((f"{side}Leg", 20.0), (f"{side}ForeArm", -40.0), (f"{side}Hand", -40.0)):
+            j = source.joint_names.index(joint)
+            bent[j] = Rotation.from_euler("y", -sign * degrees, degrees=True).apply(bent[j])
+    source = dataclasses.replace(source, offsets=bent)
+    check_limbs(body, source)
 
 
 def test_a_foreign_skeleton_is_refused(tmp_path):

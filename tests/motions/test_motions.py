@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.bodies.sampling import rotvec_to_rotmat, sample_shape
+from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_shape
 from mimesh.mesh import InputError
 from mimesh.motions import (
     DEMO,
@@ -21,7 +21,7 @@ from mimesh.motions import (
     window,
 )
 from mimesh.motions.clips import SPLITS, TAKES
-from mimesh.motions.motion import lowest
+from mimesh.motions.motion import joint_tracks, leg_length, lowest, rotmat_to_rotvec
 
 
 @pytest.fixture(scope="module")
@@ -82,11 +82,11 @@ def test_mirroring_twice_is_nothing(body):
 
 def test_resampling_keeps_the_frames_it_shares():
     motion = load_motion("walk")
-    fast = resample(motion, 60)
+    fast = resample(motion, 60.0)
     np.testing.assert_allclose(fast.rotmat[::2], motion.rotmat[: len(fast.rotmat[::2])], atol=1e-9)
     assert abs(fast.seconds - motion.seconds) < 1 / 30
     with pytest.raises(InputError, match="positive frame rate"):
-        resample(motion, 0)
+        resample(motion, 0.0)
 
 
 @pytest.mark.parametrize("make", [spline_motion, walk_motion])
@@ -99,6 +99,37 @@ def test_procedural_motion_is_reproducible_smooth_and_on_the_floor(make, body):
     np.testing.assert_allclose(lowest(body, motion.rotmat, motion.root), 0, atol=1e-9)
     vertices = motion_clip(body, None, motion).vertices
     assert np.linalg.norm(np.diff(vertices, axis=0), axis=-1).max() < 0.35  # metres a frame: nothing jumps
+
+
+def test_a_spline_stays_within_the_joint_limits(body):
+    motion = spline_motion(body, 1, 0, seconds=1.0, reach=1.0)
+    low, high = limits_rotvec(body, JOINT_LIMITS)
+    rotvec = rotmat_to_rotvec(motion.rotmat)[:, 1:]  # the root carries the heading as well
+    # Beyond half a turn a rotation vector has a shorter twin, which the limits do not list.
+    assert (np.linalg.norm(np.maximum(-low, high), axis=1)[1:] > np.pi).sum() == 0
+    assert (rotvec >= low[1:] - 1e-9).all()
+    assert (rotvec <= high[1:] + 1e-9).all()
+
+
+def test_a_walk_goes_where_it_faces_and_its_standing_foot_stays(body):
+    motion = walk_motion(body, 0, 1)
+    step = np.diff(motion.root[:, [0, 2]], axis=0)
+    front = motion.rotmat[:-1, 0][:, [0, 2], 2]
+    assert (step * front).sum() / np.linalg.norm(step, axis=1).sum() > 0.9
+    vertices = motion_clip(body, None, motion).vertices
+    rows = np.arange(len(vertices) - 1)
+    standing = (vertices[1:] + vertices[:-1])[..., 1].argmin(axis=1)
+    slip = np.linalg.norm((vertices[rows + 1, standing] - vertices[rows, standing])[:, [0, 2]], axis=1)
+    assert np.median(slip) < 0.003  # metres a frame; the root moves ten times as far
+    assert np.median(np.linalg.norm(step, axis=1)) > 0.02
+
+
+def test_a_longer_legged_person_goes_further(body):
+    motion = load_motion("jump")
+    shape = sample_shape(body, 0, 3)
+    scale = leg_length(body.shaped(shape)[1], body.joint_names) / leg_length(body.joints, body.joint_names)
+    _, place = joint_tracks(body, motion, shape)
+    np.testing.assert_allclose(place[-1, 0] - place[0, 0], scale * (motion.root[-1] - motion.root[0]), atol=1e-12)
 
 
 def test_windows_and_names_are_checked():

@@ -1,6 +1,23 @@
-"""Motions: clips of joint rotations, shipped and procedural, BVH files, and putting them on a body."""
+"""Motions: clips of joint rotations, shipped, read from BVH or made up from a seed, and putting them on a body."""
 
+from .bvh import load_bvh
 from .clips import DEMO, load_motion, motion_names, pose_bank
 from .motion import Motion, mirror, motion_clip, resample, window
+from .procedural import spline_motion, walk_motion
+from .retarget import retarget
 
-__all__ = ["DEMO", "Motion", "load_motion", "mirror", "motion_clip", "motion_names", "pose_bank", "resample", "window"]
+__all__ = [
+    "DEMO",
+    "Motion",
+    "load_bvh",
+    "load_motion",
+    "mirror",
+    "motion_clip",
+    "motion_names",
+    "pose_bank",
+    "resample",
+    "retarget",
+    "spline_motion",
+    "walk_motion",
+    "window",
+]

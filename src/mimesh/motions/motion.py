@@ -125,6 +125,14 @@ def joint_tracks(
     return rotation, translation + (rotation @ joints[..., None])[..., 0]
 
 
+def lowest(
+    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+) -> Float[np.ndarray, " T"]:
+    """Height (metres) of the lowest vertex of the mean body in every frame."""
+    chunks = _posed_chunks(body, np.zeros(0), rotmat, root)
+    return np.concatenate([vertices[..., 1].min(axis=1) for vertices in chunks])
+
+
 def motion_clip(body: RiggedBody, shape: Float[np.ndarray, " K"] | None, motion: Motion) -> Clip:
     """The body with the given shape (None: the mean) in motion: a Clip in metres.
 
@@ -136,12 +144,15 @@ def motion_clip(body: RiggedBody, shape: Float[np.ndarray, " K"] | None, motion:
     """
     shape = np.zeros(0) if shape is None else shape
     _, root = _fitted(body, motion, shape)
-    parts = [
-        body.posed(shape, motion.rotmat[t : t + _CHUNK], root[t : t + _CHUNK]) for t in range(0, len(motion), _CHUNK)
-    ]
-    return Clip(
-        dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name), np.concatenate(parts), motion.fps
-    )
+    vertices = np.concatenate(list(_posed_chunks(body, shape, motion.rotmat, root)))
+    rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
+    return Clip(rest, vertices, motion.fps)
+
+
+def _posed_chunks(body, shape, rotmat, root):
+    """Vertices of one person in every frame, some frames at a time."""
+    for t in range(0, len(rotmat), _CHUNK):
+        yield body.posed(shape, rotmat[t : t + _CHUNK], root[t : t + _CHUNK])
 
 
 def _fitted(body, motion, shape):

@@ -14,7 +14,7 @@ from ..bodies import RiggedBody
 from ..geometry import rotate_between
 from ..mesh import InputError
 from .bvh import Bvh
-from .motion import LEG, Motion, leg_length
+from .motion import LEG, Motion, leg_length, lowest
 
 _SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}
@@ -97,15 +97,6 @@ def to_local(world: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> F
         if parent >= 0:
             local[:, j] = np.swapaxes(world[:, parent], -1, -2) @ world[:, j]
     return local
-
-
-def lowest(
-    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
-) -> Float[np.ndarray, " T"]:
-    """Height (metres) of the lowest vertex of the mean body in every frame."""
-    shape = np.zeros(0)
-    chunks = (slice(t, t + 64) for t in range(0, len(rotmat), 64))
-    return np.concatenate([body.posed(shape, rotmat[c], root[c])[..., 1].min(axis=1) for c in chunks])
 
 
 def _grounded(path, target, body):

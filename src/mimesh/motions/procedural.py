@@ -1,0 +1,139 @@
+"""Motions made up from a seed: splines through random poses, and walks. Motion `i` is a function of (seed, i) alone.
+
+Nobody's capture is in them, so there are as many as wanted and they may be used for anything. The root is not drawn:
+it follows from the feet (`planted`), which keeps soles on the floor without sliding.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody
+from ..bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
+from .motion import Motion, lowest
+
+SOLE = 0.03
+"""Vertices lower than this at rest (metres) can be what a foot stands on."""
+SOFTNESS = 0.004
+"""Of several soles near the floor, one higher by this (metres) carries e times less of the weight."""
+HANGING = {"LeftArm": (0.0, 0.0, -72.0), "RightArm": (0.0, 0.0, 72.0)}
+"""Rotation vectors (degrees) that let the arms of a T-pose hang."""
+
+
+def spline_motion(
+    body: RiggedBody,
+    seed: int,
+    index: int,
+    *,
+    seconds: float = 2.0,
+    fps: float = 30.0,
+    reach: float = 0.6,
+    beat: float = 0.6,
+) -> Motion:
+    """A smooth way through random poses within `JOINT_LIMITS`, on turning feet.
+
+    Poses lie `reach` (0..1) of the way from standing at ease to a uniform sample of the limits, `beat` seconds apart,
+    and are joined by monotone cubics of the rotation vectors, which stay between the poses and so within the limits.
+    Limbs may pass through the body.
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    rng = np.random.default_rng(np.random.SeedSequence([seed, index, 2]))
+    at = np.arange(_frames(seconds, fps)) / fps
+    keys = np.arange(int(np.ceil(seconds / beat)) + 2) * beat
+    low, high = limits_rotvec(body, JOINT_LIMITS)
+    ease = _pose(body, HANGING)
+    poses = ease + reach * (rng.uniform(low, high, (len(keys), *low.shape)) - ease)
+    rotmat = rotvec_to_rotmat(PchipInterpolator(keys, poses)(at))
+    heading = PchipInterpolator(keys, rng.uniform(-np.pi, np.pi) + rng.normal(0, 0.5, len(keys)).cumsum())(at)
+    rotmat[:, 0] = _about(1, heading) @ rotmat[:, 0]
+    return Motion(f"spline-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0, fps: float = 30.0) -> Motion:
+    """A walk of random pace, stride, bounce, arm swing, stoop and turn; the path follows from the standing foot."""
+    rng = np.random.default_rng(np.random.SeedSequence([seed, index, 3]))
+    pace, stride, swing = rng.uniform(0.7, 1.1), rng.uniform(16, 30), rng.uniform(5, 35)
+    elbow, stoop, lift = rng.uniform(10, 70), rng.uniform(-4, 12), rng.uniform(45, 75)
+    at = np.arange(_frames(seconds, fps)) / fps
+    step = rng.random() + pace * at
+    turn = rng.uniform(-np.pi, np.pi) + np.radians(rng.uniform(-35, 35)) * at
+    rotmat = np.tile(np.eye(3), (len(at), len(body.joint_names), 1, 1))
+
+    def set_joint(name: str, *turns: tuple[int, Float[np.ndarray, " T"] | float]) -> None:
+        for axis, degrees in turns:
+            angle = np.broadcast_to(np.radians(degrees), at.shape)
+            rotmat[:, body.joint(name)] = rotmat[:, body.joint(name)] @ _about(axis, angle)
+
+    wave = np.cos(2 * np.pi * step)  # 1 when the left heel strikes
+    set_joint("Hips", (1, np.degrees(turn) - 0.2 * stride * wave), (2, 2.5 * np.sin(2 * np.pi * step)))
+    set_joint("LowerBack", (0, stoop / 2), (1, 0.15 * stride * wave))
+    set_joint("Spine", (0, stoop / 2), (1, 0.15 * stride * wave), (2, -2.5 * np.sin(2 * np.pi * step)))
+    set_joint("Head", (0, -stoop / 2))
+    for side, sign, phase in (("Left", 1.0, step), ("Right", -1.0, step + 0.5)):
+        leg = gait(phase, stride, lift)
+        set_joint(f"{side}UpLeg", (0, leg["hip"]))
+        set_joint(f"{side}Leg", (0, leg["knee"]))
+        set_joint(f"{side}Foot", (0, leg["ankle"]))
+        set_joint(f"{side}ToeBase", (0, leg["toes"]))
+        back = swing * np.cos(2 * np.pi * phase)  # arms swing against the legs
+        set_joint(f"{side}Arm", (0, back), (2, -72.0 * sign))
+        set_joint(f"{side}ForeArm", (1, -sign * (elbow - 0.4 * back)))
+    return Motion(f"walk-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def gait(phase: Float[np.ndarray, " T"], stride: float, lift: float) -> dict[str, Float[np.ndarray, " T"]]:
+    """Angles (degrees about the left axis) of one leg; phase counts steps of that leg from heel strike.
+
+    The shapes are those of gait charts: the knee yields once under the weight and bends to `lift` in the swing, the
+    heel rises over the toes before the foot leaves the ground at 0.6.
+    """
+    hip = -stride * np.cos(2 * np.pi * phase) - 0.15 * stride
+    knee = 4.0 + 12.0 * _bump(phase, 0.14, 0.08) + (lift - 4.0) * _bump(phase, 0.74, 0.10)
+    ankle = 5.0 * _bump(phase, 0.08, 0.05) - 9.0 * _bump(phase, 0.42, 0.12) + 20.0 * _bump(phase, 0.63, 0.06)
+    return {"hip": hip, "knee": knee, "ankle": ankle - 4.0, "toes": -25.0 * _bump(phase, 0.58, 0.06)}
+
+
+def planted(body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:
+    """The root's path (metres, from x = z = 0) that keeps the sole on the ground where it is.
+
+    From frame to frame the root moves against the motion of the soles, weighted towards the lowest; then the lowest
+    vertex of the mean body is put at height 0 in every frame. There is no flight.
+    """
+    under = np.flatnonzero(body.vertices[:, 1] < SOLE)
+    soles = dataclasses.replace(
+        body, vertices=body.vertices[under], components=body.components[:, under], weights=body.weights[under]
+    ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
+    height = soles[:-1, :, 1] + soles[1:, :, 1]
+    weight = np.exp(-(height - height.min(axis=1, keepdims=True)) / (2 * SOFTNESS))
+    moved = np.einsum("tv,tvc->tc", weight / weight.sum(axis=1, keepdims=True), np.diff(soles, axis=0))
+    root = np.zeros((len(rotmat), 3))
+    root[1:, [0, 2]] = -np.cumsum(moved, axis=0)[:, [0, 2]]
+    root[:, 1] = -lowest(body, rotmat, np.zeros_like(root))
+    return root
+
+
+def _bump(phase: Float[np.ndarray, " T"], centre: float, width: float) -> Float[np.ndarray, " T"]:
+    """A smooth hump of height 1 at `centre` of every cycle."""
+    away = (phase - centre + 0.5) % 1.0 - 0.5
+    return np.exp(-0.5 * (away / width) ** 2)
+
+
+def _about(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
+    """Rotations by `angle` (radians) about coordinate axis 0, 1 or 2."""
+    return rotvec_to_rotmat(angle[:, None] * np.eye(3)[axis])
+
+
+def _pose(body: RiggedBody, degrees: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, "J 3"]:
+    """Rotation vectors (radians) from a table of joints in degrees."""
+    pose = np.zeros((len(body.joint_names), 3))
+    for name, turn in degrees.items():
+        pose[body.joint(name)] = np.radians(turn)
+    return pose
+
+
+def _frames(seconds: float, fps: float) -> int:
+    return max(round(seconds * fps), 1)
