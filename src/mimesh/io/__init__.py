@@ -162,8 +162,9 @@ def save_clip(clip: Clip, path: str | Path, suffix: str | None = None) -> None:
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
     with _writing(path):
-        write_sequence(clip, path, suffix, save_mesh, load_mesh)
-        _copy_companions(clip.mesh, path)
+        write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh)
+        if own == suffix:
+            _copy_companions(clip.mesh, path)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

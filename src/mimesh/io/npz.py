@@ -17,6 +17,8 @@ from .polygons import fan_corners
 
 _VERTICES = ("vertices", "v", "verts", "points")
 _FACES = ("faces", "f", "triangles")
+# What opening a damaged, encrypted or pickled archive raises, as NumPy and zipfile have it.
+_DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,9 @@ def write_npz_clip(clip: Clip, path: Path) -> None:
 def _read_arrays(data: bytes, path: Path) -> tuple[str, np.ndarray, Int[np.ndarray, "F 3"], float]:
     """Key and array of the points, triangles, and frame rate (30 if the archive has none)."""
     try:
-        zipfile.ZipFile(io.BytesIO(data)).close()  # np.load takes anything else for a pickle and says so
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # np.load takes anything else for a pickle and says so
+            if broken := archive.testzip():
+                raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
         with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
             key = _find(_VERTICES, arrays.files, path)
             points = arrays[key]
@@ -100,9 +104,9 @@ def _read_arrays(data: bytes, path: Path) -> tuple[str, np.ndarray, Int[np.ndarr
             fps = float(arrays["fps"]) if "fps" in arrays.files else 30.0
     except InputError:
         raise
-    except (ValueError, TypeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except _DAMAGE as error:
         raise InputError(
-            f"{path}: expected a NumPy archive of plain arrays, found an error ({error}); save it again"
+            f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
         ) from error
     if points.ndim not in (2, 3) or points.shape[-1] != 3 or points.dtype.kind not in "fiu":
         raise InputError(
@@ -117,12 +121,14 @@ def _find(names: tuple[str, ...], found: list[str], path: Path) -> str:
         if name in found:
             return name
     raise InputError(
-        f"{path}: expected an array called {', '.join(names)}, found {', '.join(found) or 'none'}; "
+        f"{path}: expected an array called {', '.join(names)}, found {', '.join(map(repr, found)) or 'none'}; "
         "save it under one of these names"
     )
 
 
 def _triangles(faces: np.ndarray, path: Path) -> Int[np.ndarray, "F 3"]:
+    if faces.size == 0:
+        return np.zeros((0, 3), np.int64)
     if faces.ndim != 2 or faces.shape[1] < 3 or faces.dtype.kind not in "iu":
         raise InputError(
             f"{path}: expected faces to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "

@@ -177,9 +177,10 @@ def _absolute(raw: Int[np.ndarray, " C"], definitions, corner_lines, lines, path
     index = np.where(raw < 0, relative, raw - 1)
     bad = np.flatnonzero((index >= len(definitions)) | ((raw < 0) & (index < 0)))
     if bad.size:
+        where = line_number(lines, int(corner_lines[bad[0]]))
         raise InputError(
-            f"{path}: expected indices in 1..{len(definitions)} in line {line_number(lines, corner_lines[bad[0]])}, "
-            f"found {raw[bad[0]]}; the file is damaged or cut short, export it again"
+            f"{path}: expected indices in 1..{len(definitions)}, found {raw[bad[0]]} in line {where}; "
+            "the file is damaged or cut short, export it again"
         )
     return index
 

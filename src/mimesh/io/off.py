@@ -106,7 +106,7 @@ def _read_faces(lines: list[bytes], index: list[int], vertex_count: int, path: P
         polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]
     except ValueError as error:
         raise InputError(
-            f"{path}: expected whole numbers in face lines, found an error ({error}); export it again"
+            f"{path}: expected whole numbers in face lines, found {error!r:.80}; export it again"
         ) from error
     for i, row, polygon in zip(index, rows, polygons, strict=True):
         if len(polygon) != int(row[0]) or (polygon and not 0 <= min(polygon) <= max(polygon) < vertex_count):

@@ -94,9 +94,7 @@ def read_units(data: bytes, header: Header, path: Path) -> np.ndarray:
     try:
         return np.array(list(map(float, words)), np.float64)
     except ValueError as error:
-        raise InputError(
-            f"{path}: expected numbers after the header, found an error ({error}); export it again"
-        ) from error
+        raise InputError(f"{path}: expected numbers after the header, found {error!r:.80}; export it again") from error
 
 
 def locate(header: Header, units: np.ndarray, path: Path) -> dict[str, dict[str, Column]]:

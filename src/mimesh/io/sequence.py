@@ -41,7 +41,8 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
     Raises:
         InputError: there are none, or two series are equally long.
     """
-    visible = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")]
+    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    visible = [path for path in files if not path.name.startswith(".")]
     series = Counter(_series(path) for path in visible if _NUMBER.search(path.stem))
     ranked = series.most_common(2)
     if not ranked:
@@ -60,31 +61,32 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 
 def write_sequence(
-    clip: Clip, folder: Path, suffix: str, save: Callable[[Mesh, Path], None], read: Callable[[Path], Mesh]
+    clip: Clip, folder: Path, suffix: str, write: Callable[[Mesh, Path], None], read: Callable[[Path], Mesh]
 ) -> None:
-    """Write each frame as a mesh 0000, 0001, ... of the given suffix: the identity's own file where it has one.
+    """Write each frame as a mesh 0000, 0001, ... of the given suffix: the mesh's own file where it has one.
 
-    Otherwise the first frame is written anew and the others are that file with its points moved, so that they share
-    its materials. Frames already in the folder are overwritten, other files are left alone.
+    Otherwise `write` makes a new file of the first frame, `read` reads it, and the others are that file with its points
+    moved, so that all share its materials. Frames of these names are overwritten, other files are left alone.
 
     Raises:
         InputError: the folder holds numbered meshes that would be mistaken for further frames.
     """
     names = [f"{t:0{max(4, len(str(len(clip) - 1)))}d}{suffix}" for t in range(len(clip))]
-    stale = [path.name for path in folder.glob(f"*{suffix}") if path.name not in names] if folder.is_dir() else []
+    numbered = [path.name for path in folder.glob(f"*{suffix}") if _NUMBER.search(path.stem)] if folder.is_dir() else []
+    stale = set(numbered) - set(names)
     if stale:
         raise InputError(
-            f"{folder}: expected a folder without other {suffix} files, found {min(stale)}; "
+            f"{folder}: expected a folder without other numbered {suffix} files, found {min(stale)}; "
             "choose a new folder or delete the old frames"
         )
     with whole_folder(folder) as temporary:
         mesh = clip.mesh
         if mesh.source is None or mesh.source.suffix != suffix:
-            save(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
-            written = read(temporary / names[0])
-            mesh = written if len(written.vertices) == len(mesh.vertices) else mesh
+            write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
+            mesh = read(temporary / names[0])
+        assert mesh.source is not None
         for name, vertices in zip(names, clip.vertices, strict=True):
-            save(mesh.with_vertices(vertices), temporary / name)
+            mesh.source.write(mesh.with_vertices(vertices), temporary / name)
 
 
 def _series(path: Path) -> str:
@@ -97,7 +99,7 @@ def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path]
         points = read_obj_points(path, first.source)
     elif isinstance(first.source, PlySource):
         points = read_ply_points(path, first.source)
-    if points is not None:
+    if points is not None and np.isfinite(points).all():
         return points
     mesh = read(path)
     if len(mesh.vertices) != len(first.vertices) or not np.array_equal(mesh.faces, first.faces):

@@ -115,6 +115,7 @@ def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple
             f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
             f"found {len(corners)} and {closed}; the file is cut short, export it again"
         )
+    read_numbers(lines, facets, 2, 3, path)  # normals follow from the triangles, but are to be replaced in these lines
     return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, facets)
 
 

@@ -1,0 +1,323 @@
+"""What a user can give wrongly: each mistake is one line that says what was expected, what was found and what to do."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+
+import numpy as np
+import pytest
+import zoo
+
+from mimesh.io import (
+    CLIP_WRITERS,
+    MESH_READERS,
+    MESH_WRITERS,
+    clip_suffixes,
+    load_clip,
+    load_mesh,
+    mesh_suffixes,
+    save_clip,
+    save_mesh,
+)
+from mimesh.mesh import Clip, InputError
+
+OURS = (".npz", ".obj", ".off", ".ply", ".stl")
+ASCII_PLY = (
+    "ply\nformat ascii 1.0\nelement vertex {v}\nproperty float x\nproperty float y\nproperty float z\n"
+    "element face {f}\nproperty list uchar int vertex_indices\nend_header\n"
+)
+
+
+def refuse(call, *arguments, **options) -> str:
+    """The message of the InputError that a call raises, checked for its form."""
+    with pytest.raises(InputError) as caught:
+        call(*arguments, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(arguments[-1])) or message.startswith(str(arguments[0])), message
+    before, _, remedy = message.rpartition("; ")
+    assert " expected " in before, message
+    assert " found " in before, message
+    assert remedy
+    return message
+
+
+@pytest.fixture(params=OURS)
+def suffix(request):
+    return request.param
+
+
+def good_file(folder, suffix: str):
+    save_mesh(zoo.cube(), folder / f"good{suffix}")
+    return folder / f"good{suffix}"
+
+
+@pytest.mark.parametrize("suffix", MESH_READERS)
+@pytest.mark.parametrize("load", [load_mesh, load_clip])
+def test_missing_file(load, suffix, tmp_path):
+    assert "found nothing of that name; check the path" in refuse(load, tmp_path / f"none{suffix}")
+
+
+@pytest.mark.parametrize("suffix", MESH_READERS)
+@pytest.mark.parametrize("load", [load_mesh, load_clip])
+def test_empty_file(load, suffix, tmp_path):
+    (tmp_path / f"a{suffix}").write_bytes(b"")
+    assert "found an empty file of 0 bytes" in refuse(load, tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.zip", "a.OBJ.txt"])
+@pytest.mark.parametrize("load", [load_mesh, load_clip])
+def test_unknown_suffix_lists_what_is_read(load, name, tmp_path):
+    (tmp_path / name).write_bytes(b"x")
+    message = refuse(load, tmp_path / name)
+    assert all(suffix in message for suffix in mesh_suffixes())
+
+
+def test_suffixes_may_be_upper_case(suffix, tmp_path):
+    good_file(tmp_path, suffix).rename(tmp_path / f"GOOD{suffix.upper()}")
+    mesh = load_mesh(tmp_path / f"GOOD{suffix.upper()}")
+    save_mesh(mesh, tmp_path / f"AGAIN{suffix.upper()}")
+    np.testing.assert_array_equal(load_mesh(tmp_path / f"AGAIN{suffix.upper()}").vertices, mesh.vertices)
+
+
+def test_a_folder_where_a_mesh_is_expected(tmp_path):
+    assert "found a folder; name one file in it" in refuse(load_mesh, tmp_path)
+
+
+def test_a_folder_without_meshes(tmp_path):
+    (tmp_path / "notes.txt").write_text("x")
+    assert "found 0 meshes without a number" in refuse(load_clip, tmp_path)
+    save_mesh(zoo.cube(), tmp_path / "hero.obj")
+    assert "found 1 meshes without a number" in refuse(load_clip, tmp_path)
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan")])
+def test_frame_rate_must_be_positive(fps, tmp_path):
+    assert "expected a positive frame rate" in refuse(load_clip, good_file(tmp_path, ".obj"), fps=fps)
+
+
+@pytest.mark.parametrize("fps", [0.0, -3.0])
+def test_a_file_with_a_frame_rate_that_is_none(fps, tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=np.eye(3)[None], fps=fps)
+    assert "expected a positive frame rate" in refuse(load_clip, tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8, 0.97])
+def test_cut_short(suffix, fraction, tmp_path):
+    if suffix == ".obj":
+        pytest.skip("an OBJ file does not say how long it is; see below")
+    data = good_file(tmp_path, suffix).read_bytes()
+    (tmp_path / f"cut{suffix}").write_bytes(data[: int(fraction * len(data))])
+    refuse(load_mesh, tmp_path / f"cut{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("v 0 0 0\nv 1 0\n", "expected 3 numbers in line 2, found 'v 1 0'"),
+        ("v 0 0 0\n\n# x\nv 1 0 zero\n", "expected 3 numbers in line 4, found 'v 1 0 zero'"),
+        ("v 0 0 \\\n 0\nv 1 0 1.0.0\n", "in line 3, found 'v 1 0 1.0.0'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nvn 0 1\n", "in line 5, found 'vn 0 1'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt a b\nf 1/1 2/1 3/1\n", "in line 4, found 'vt a b'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 x\n", "in line 4, found '1 2 x'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3/4/5/6\n", "in line 4, found '1 2 3/4/5/6'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 /3\n", "in line 4, found '1 2 /3'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 1.5\n", "in line 4, found '1 2 1.5'"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 4\n", "expected indices in 1..3, found 4 in line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\nf 1 2 -4\n", "expected indices in 1..3, found -4 in line 5"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 0 1 2\n", "found 0 in line 4"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/2\n", "expected indices in 1..1, found 2 in line 5"),
+        ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1//1 2//1 3//1\n", "found 1 in line 4"),
+        ("# nothing\n", "found no vertices"),
+        ("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n", "all 3 vertices at one point"),
+        ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n", "found only zero-area ones"),
+    ],
+)
+def test_obj_mistakes_name_their_line(text, found, tmp_path):
+    (tmp_path / "a.obj").write_text(text)
+    assert found in refuse(load_mesh, tmp_path / "a.obj")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_numbers_that_are_none(suffix, value, tmp_path):
+    mesh = zoo.cube()
+    mesh.vertices[3, 1] = value
+    with np.errstate(invalid="ignore"):  # the writers are not the ones to check
+        save_mesh(mesh, tmp_path / f"a{suffix}")
+    assert "found NaN or infinity in" in refuse(load_mesh, tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("index", [8, -9, 70000])
+def test_index_out_of_range(suffix, index, tmp_path):
+    if suffix == ".stl" or (suffix == ".obj" and index < 0):
+        pytest.skip("STL has no indices, and negative ones mean something in OBJ")
+    faces = zoo.cube().faces.copy()
+    faces[4, 2] = index
+    save_mesh(zoo.cube().__class__(zoo.cube().vertices, faces), tmp_path / f"a{suffix}")
+    refuse(load_mesh, tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_bytes_of_no_format(suffix, seed, tmp_path):
+    (tmp_path / f"a{suffix}").write_bytes(np.random.default_rng(seed).bytes(5 + 60 * seed**2))
+    refuse(load_mesh, tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_damaged_files_are_read_or_refused_but_never_break(suffix, seed, tmp_path):
+    """Flip a few bytes: whatever comes of it, it is a mesh or an InputError."""
+    rng = np.random.default_rng(seed)
+    data = bytearray(good_file(tmp_path, suffix).read_bytes())
+    for place in rng.integers(len(data), size=1 + seed % 4):
+        data[place] = rng.integers(256)
+    (tmp_path / f"a{suffix}").write_bytes(data)
+    with contextlib.suppress(InputError):
+        assert np.isfinite(load_mesh(tmp_path / f"a{suffix}").vertices).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("plyformat", "expected a PLY header"),
+        ("ply\nformat ascii 1.0\nelement vertex 3\n", "expected a PLY header"),
+        ("ply\nformat text 1.0\nend_header\n", "found 'text'"),
+        ("ply\nelement vertex 1\nend_header\n", "found no format"),
+        ("ply\nformat ascii 1.0\nelement vertex many\nend_header\n", "'many'"),
+        ("ply\nformat ascii 1.0\nelement vertex -3\nend_header\n", "an element of -3 rows"),
+        ("ply\nformat ascii 1.0\nproperty float x\nend_header\n", "known format, elements"),
+        ("ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n0", "found 'half'"),
+        (
+            "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0",
+            "expected an element 'vertex' with",
+        ),
+        (
+            "ply\nformat ascii 1.0\nelement face 0\nproperty list uchar int a\nend_header\n",
+            "expected an element 'vertex'",
+        ),
+        (ASCII_PLY.format(v=0, f=0), "found no vertices"),
+        (ASCII_PLY.format(v=10**9, f=1) + "0 0 0\n", "expected 1000000000 rows of element 'vertex'"),
+        (ASCII_PLY.format(v=3, f=10**9) + "0 0 0 1 0 0 0 1 0\n3 0 1 2\n", "rows of element 'face'"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 zero\n3 0 1 2\n", "expected numbers after the header"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n-3 0 1 2\n", "found the file cut short"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\nnan 0 1 2\n", "found the file cut short"),
+        (ASCII_PLY.format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 3\n", "expected face indices in 0..2, found 3"),
+        (
+            ASCII_PLY.replace("vertex_indices", "corners").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2",
+            "found corners",
+        ),
+        (
+            ASCII_PLY.replace("face", "tristrips").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2",
+            "found triangle strips",
+        ),
+    ],
+)
+def test_ply_mistakes(text, found, tmp_path):
+    (tmp_path / "a.ply").write_text(text)
+    assert found in refuse(load_mesh, tmp_path / "a.ply")
+
+
+def test_ply_with_integer_coordinates_is_read_but_not_moved(tmp_path):
+    text = ASCII_PLY.replace("float", "short").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2\n"
+    (tmp_path / "a.ply").write_text(text)
+    mesh = load_mesh(tmp_path / "a.ply")
+    save_mesh(mesh, tmp_path / "same.ply")
+    assert (tmp_path / "same.ply").read_text() == text
+    with pytest.raises(InputError, match="expected float coordinates to move, found 'x' of type int16"):
+        save_mesh(mesh.with_vertices(mesh.vertices + 0.5), tmp_path / "b.ply")
+    assert not (tmp_path / "b.ply").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("\n# only comments\n", "expected text that begins with OFF"),
+        ("OFF\n", "expected text that begins with OFF"),
+        ("OFF\nthree 1 0\n", "expected text that begins with OFF"),
+        ("OFF BINARY\n3 1 0\n", "found 'OFF BINARY'"),
+        ("4OFF\n3 1 0\n", "found '4OFF'"),
+        ("nOFF\n3\n3 1 0\n", "found 'nOFF'"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n", "expected 3 vertex and 1 face lines, found 2 in all"),
+        ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 4"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "found '3 0 1' in line 6"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "indices in 0..2, found '3 0 1 3' in line 6"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 b\n", "expected whole numbers in face lines"),
+        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n-3 0 1 2\n", "expected a corner count"),
+        ("NOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 3"),
+    ],
+)
+def test_off_mistakes(text, found, tmp_path):
+    (tmp_path / "a.off").write_text(text)
+    assert found in refuse(load_mesh, tmp_path / "a.off")
+
+
+@pytest.mark.parametrize(
+    ("data", "found"),
+    [
+        (b"solid x\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n vertex 1 0 0\n", "for each of 1 facets"),
+        (
+            b"solid x\nfacet normal 0 0 1\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 a 0\nendfacet\n",
+            "in line 5, found 'vertex 0 a",
+        ),
+        (b"solid x\nfacet normal 0 0\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendfacet\n", "in line 2, found 'facet"),
+        (b"solid nothing\nendsolid nothing\n", "found no vertices"),
+        (bytes(80) + struct.pack("<I", 2) + bytes(60), "expected an STL file of 184 bytes (2 triangles), found 144"),
+        (bytes(84), "found no vertices"),
+        (b"not an STL", "expected an STL file of 84 bytes"),
+    ],
+)
+def test_stl_mistakes(data, found, tmp_path):
+    (tmp_path / "a.stl").write_bytes(data)
+    assert found in refuse(load_mesh, tmp_path / "a.stl")
+
+
+def test_a_point_cloud_has_no_place_in_stl(tmp_path):
+    assert "found a point cloud; write .ply or .obj" in refuse(save_mesh, zoo.point_cloud(), tmp_path / "a.stl")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["a.fbx", "a"])
+def test_a_mesh_format_that_is_not_written(name, tmp_path):
+    message = refuse(save_mesh, zoo.cube(), tmp_path / name)
+    assert all(suffix in message for suffix in MESH_WRITERS)
+
+
+def test_a_clip_needs_a_clip_format_or_a_folder(tmp_path):
+    clip = Clip(zoo.cube(), zoo.cube().vertices[None])
+    assert all(suffix in refuse(save_clip, clip, tmp_path / "a.obj") for suffix in clip_suffixes())
+    assert "found '.stl'; choose one of them" in refuse(lambda path: save_clip(clip, path, ".stl"), tmp_path / "out")
+    (tmp_path / "file").write_text("x")
+    assert "found a file; choose another name" in refuse(save_clip, clip, tmp_path / "file")
+
+
+@pytest.mark.parametrize("suffix", MESH_WRITERS)
+def test_a_place_that_cannot_be_written_to(suffix, tmp_path):
+    (tmp_path / "file").write_text("x")
+    refuse(save_mesh, zoo.cube(), tmp_path / "file" / f"a{suffix}")
+    (tmp_path / f"folder{suffix}").mkdir()
+    refuse(save_mesh, zoo.cube(), tmp_path / f"folder{suffix}")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", f"folder{suffix}"]
+
+
+@pytest.mark.parametrize("suffix", CLIP_WRITERS)
+def test_a_clip_that_cannot_be_written(suffix, tmp_path):
+    (tmp_path / "file").write_text("x")
+    refuse(save_clip, Clip(zoo.cube(), zoo.cube().vertices[None]), tmp_path / "file" / f"a{suffix}")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_file_without_permission(suffix, tmp_path):
+    good_file(tmp_path, suffix).chmod(0)
+    assert "check its permissions" in refuse(load_mesh, tmp_path / f"good{suffix}")
+
+
+def test_a_failed_write_leaves_the_old_file(suffix, tmp_path):
+    path = good_file(tmp_path, suffix)
+    before = path.read_bytes()
+    mesh = load_mesh(path)
+    grown = mesh.__class__(np.zeros((9, 3)), mesh.faces, source=mesh.source)
+    with pytest.raises(ValueError, match="the file has"):
+        save_mesh(grown, path)
+    assert path.read_bytes() == before
+    assert [path] == list(tmp_path.iterdir())

@@ -1,0 +1,93 @@
+"""NumPy archives: meshes and clips, other names for the arrays, and no pickles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import zoo
+from nasty import bent
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.mesh import Clip, InputError
+
+
+@pytest.mark.parametrize("make", zoo.ZOO)
+def test_mesh_round_trip_is_exact(make, tmp_path):
+    save_mesh(make(), tmp_path / "a.npz")
+    back = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back.vertices, make().vertices)
+    np.testing.assert_array_equal(back.faces, make().faces)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_clip_round_trip_is_exact(dtype, tmp_path):
+    mesh = zoo.cube()
+    frames = np.stack([mesh.vertices, bent(mesh.vertices)]).astype(dtype)
+    save_clip(Clip(mesh, frames, 12.5), tmp_path / "a.npz")
+    back = load_clip(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back.vertices, frames)
+    np.testing.assert_array_equal(back.mesh.faces, mesh.faces)
+    assert (back.fps, back.vertices.dtype) == (12.5, dtype)
+    assert load_clip(tmp_path / "a.npz", fps=60.0).fps == 60
+
+
+@pytest.mark.parametrize("vertices", ["vertices", "v", "verts", "points"])
+@pytest.mark.parametrize("faces", ["faces", "f", "triangles"])
+def test_other_names_of_the_arrays(vertices, faces, tmp_path):
+    mesh = zoo.cube()
+    np.savez(tmp_path / "a.npz", **{vertices: mesh.vertices, faces: mesh.faces.astype(np.uint16)})
+    back = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(back.vertices, mesh.vertices)
+    np.testing.assert_array_equal(back.faces, mesh.faces)
+    assert load_clip(tmp_path / "a.npz").vertices.shape == (1, 8, 3)
+    assert load_clip(tmp_path / "a.npz").fps == 30
+
+
+def test_quads_become_triangles(tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=zoo.grid(2).vertices, faces=np.array([[0, 2, 3, 1]]))
+    np.testing.assert_array_equal(load_mesh(tmp_path / "a.npz").faces, [[0, 2, 3], [0, 3, 1]])
+
+
+def test_moving_keeps_every_other_array_the_shape_and_the_type(tmp_path):
+    mesh = zoo.cube()
+    secret = np.array([{"a": 1}], dtype=object)
+    np.savez(
+        tmp_path / "a.npz", points=mesh.vertices[None].astype(np.float32), f=mesh.faces, notes=secret, weights=np.eye(8)
+    )
+    loaded = load_mesh(tmp_path / "a.npz")
+    save_mesh(loaded.with_vertices(bent(loaded.vertices)), tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz", allow_pickle=True) as back:
+        assert back.files == ["points", "f", "notes", "weights"]
+        assert (back["points"].shape, back["points"].dtype) == ((1, 8, 3), np.float32)
+        np.testing.assert_array_equal(back["points"][0], bent(mesh.vertices).astype(np.float32))
+        np.testing.assert_array_equal(back["weights"], np.eye(8))
+        assert back["notes"][0] == {"a": 1}
+
+
+def test_a_pickle_is_never_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=np.array([[0, 0, None]], dtype=object))
+    with pytest.raises(InputError, match="expected a NumPy archive of plain arrays"):
+        load_mesh(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("arrays", "message"),
+    [
+        ({"positions": np.zeros((3, 3))}, "expected an array called vertices, v, verts, points, found 'positions'"),
+        ({"vertices": np.zeros((3, 4))}, r"found float64 \(3, 4\)"),
+        ({"vertices": np.zeros((3, 3), complex)}, r"found complex128 \(3, 3\)"),
+        ({"vertices": np.eye(3), "faces": np.eye(3)}, r"expected faces to be whole numbers .* found float64 \(3, 3\)"),
+        ({"vertices": np.eye(3), "faces": np.array([0, 1, 2])}, r"found int64 \(3,\)"),
+        ({"vertices": np.stack([np.eye(3)] * 2)}, "found a clip of 2 frames"),
+    ],
+)
+def test_wrong_arrays_are_named(arrays, message, tmp_path):
+    np.savez(tmp_path / "a.npz", **arrays)
+    with pytest.raises(InputError, match=message):
+        load_mesh(tmp_path / "a.npz")
+
+
+def test_a_clip_without_frames_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", vertices=np.zeros((0, 4, 3)))
+    with pytest.raises(InputError, match="expected at least one frame, found none"):
+        load_clip(tmp_path / "a.npz")

@@ -1,0 +1,178 @@
+"""A folder of numbered meshes is a clip, read and written."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+import zoo
+from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bent
+from PIL import Image
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io import obj as obj_module
+from mimesh.mesh import Clip, InputError, Material, Part, permute_vertices
+
+FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
+
+
+def frames_of(vertices: np.ndarray, count: int = 12) -> np.ndarray:
+    """Frames of a smooth motion, exact in float32."""
+    steps = [(1 - t) * vertices + t * bent(vertices) for t in np.linspace(0, 1, count)]
+    return np.stack(steps).astype(np.float32).astype(np.float64)
+
+
+def write_frames(folder, suffix: str, frames: np.ndarray, name: str = "{}", mesh=None) -> None:
+    for t, vertices in enumerate(frames):
+        save_mesh((mesh or zoo.cube()).with_vertices(vertices), folder / f"{name.format(t)}{suffix}")
+
+
+@pytest.mark.parametrize("suffix", FORMATS)
+@pytest.mark.parametrize("name", ["{}", "walk.{:04d}", "id3_{:02d}_mesh"])
+def test_frames_are_read_in_the_order_of_their_numbers(suffix, name, tmp_path):
+    frames = frames_of(zoo.cube().vertices)
+    write_frames(tmp_path / "clip", suffix, frames, name)
+    for other in ("notes.txt", "preview_0001.png", f".hidden_0001{suffix}", f"rest{suffix}"):
+        (tmp_path / "clip" / other).write_bytes(b"not a mesh")
+    clip = load_clip(tmp_path / "clip", fps=24.0)
+    assert (len(clip), clip.fps) == (12, 24)
+    np.testing.assert_array_equal(clip.vertices[:, clip.mesh.faces], frames[:, zoo.cube().faces])
+
+
+def test_frame_rate_is_30_unless_given(tmp_path):
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3))
+    assert load_clip(tmp_path).fps == 30
+
+
+def test_a_mesh_file_is_a_clip_of_one_frame(tmp_path):
+    save_mesh(zoo.cube(), tmp_path / "a.obj")
+    clip = load_clip(tmp_path / "a.obj")
+    assert (len(clip), clip.fps) == (1, 30)
+    np.testing.assert_array_equal(clip.vertices[0], zoo.cube().vertices)
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply"])
+def test_frames_written_to_a_folder_read_back(suffix, tmp_path):
+    frames = frames_of(zoo.cube().vertices)
+    save_clip(Clip(zoo.cube(), frames), tmp_path / "out", suffix)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{t:04d}{suffix}" for t in range(12)]
+    back = load_clip(tmp_path / "out")
+    np.testing.assert_array_equal(back.vertices, frames)
+    np.testing.assert_array_equal(
+        trimesh.load(tmp_path / "out" / f"0007{suffix}", process=False).faces, zoo.cube().faces
+    )
+
+
+@pytest.mark.parametrize("data", [NASTY_OBJ, CUBE_SHARED_NORMALS], ids=["nasty", "cube"])
+def test_each_frame_is_the_identitys_own_file(data, tmp_path):
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "looks.mtl").write_text("newmtl Brick\n")
+    (tmp_path / "in" / "hero.obj").write_bytes(data)
+    mesh = load_mesh(tmp_path / "in" / "hero.obj")
+    frames = frames_of(mesh.vertices, 3)
+    save_clip(Clip(mesh, frames), tmp_path / "out")
+    assert (tmp_path / "out" / "0000.obj").read_bytes() == data
+    for t in range(3):
+        save_mesh(mesh.with_vertices(frames[t]), tmp_path / "single.obj")
+        assert (tmp_path / "out" / f"{t:04d}.obj").read_bytes() == (tmp_path / "single.obj").read_bytes()
+    np.testing.assert_array_equal(load_clip(tmp_path / "out").vertices, frames)
+    assert (tmp_path / "out" / "looks.mtl").exists() == (data is NASTY_OBJ)
+
+
+def test_own_library_is_not_overwritten_in_a_folder_of_frames(tmp_path):
+    test_each_frame_is_the_identitys_own_file(NASTY_OBJ, tmp_path)
+    (tmp_path / "out" / "looks.mtl").write_text("mine")
+    mesh = load_mesh(tmp_path / "in" / "hero.obj")
+    save_clip(Clip(mesh, frames_of(mesh.vertices, 3)), tmp_path / "out")
+    assert (tmp_path / "out" / "looks.mtl").read_text() == "mine"
+
+
+def test_new_frames_share_one_library(tmp_path):
+    png = io.BytesIO()
+    Image.new("RGB", (1, 1)).save(png, "PNG")
+    cube = zoo.cube()
+    painted = dataclasses.replace(cube, parts=(Part("all", 0, 12, Material("skin", texture=png.getvalue())),))
+    save_clip(Clip(painted, frames_of(cube.vertices, 3)), tmp_path / "out")
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["0000.mtl", "0000.obj", "0000_skin.png", "0001.obj", "0002.obj"]
+    assert load_mesh(tmp_path / "out" / "0002.obj").parts == painted.parts
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply"])
+def test_later_frames_are_read_fast_and_as_exactly(suffix, tmp_path, monkeypatch):
+    save_clip(Clip(zoo.grid(), frames_of(zoo.grid().vertices)), tmp_path / "out", suffix)
+    slow = np.stack([load_mesh(path).vertices for path in sorted((tmp_path / "out").glob(f"*{suffix}"))])
+    calls = []
+    reader = "mimesh.io.obj._read_source" if suffix == ".obj" else "mimesh.io.ply.locate"
+    original = obj_module._read_source if suffix == ".obj" else __import__("mimesh.io.ply", fromlist=["locate"]).locate
+    monkeypatch.setattr(reader, lambda *arguments: (calls.append(arguments), original(*arguments))[1])
+    np.testing.assert_array_equal(load_clip(tmp_path / "out").vertices, slow)
+    assert len(calls) == 1
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".npz"])
+def test_a_frame_of_another_topology_is_named(suffix, tmp_path):
+    cube = zoo.cube()
+    write_frames(tmp_path, suffix, frames_of(cube.vertices, 5), "f_{:03d}")
+    save_mesh(dataclasses.replace(cube, faces=cube.faces[::-1]), tmp_path / f"f_003{suffix}")
+    save_mesh(zoo.grid(), tmp_path / f"f_004{suffix}")
+    with pytest.raises(InputError, match=rf"f_003{suffix}: expected the topology of f_000.*in another order; "):
+        load_clip(tmp_path)
+    shutil.copy(tmp_path / f"f_000{suffix}", tmp_path / f"f_003{suffix}")
+    with pytest.raises(InputError, match=rf"f_004{suffix}: .* found 25 vertices and 32 triangles; "):
+        load_clip(tmp_path)
+
+
+def test_permuted_faces_with_equal_vertices_are_noticed(tmp_path):
+    cube = zoo.cube()
+    save_mesh(cube, tmp_path / "0.obj")
+    save_mesh(permute_vertices(cube, np.arange(8)[::-1].copy()), tmp_path / "1.obj")
+    with pytest.raises(InputError, match="in another order"):
+        load_clip(tmp_path)
+
+
+def test_relative_indices_are_compared_by_what_they_mean(tmp_path):
+    lines = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    (tmp_path / "0.obj").write_text(lines + "f -3 -2 -1\nv 1 1 1\n")
+    (tmp_path / "1.obj").write_text(lines + "v 1 1 1\nf -3 -2 -1\n")
+    with pytest.raises(InputError, match="in another order"):
+        load_clip(tmp_path)
+    (tmp_path / "1.obj").write_text(lines + "f -3 -2 -1\nv 1 1 5\n")
+    assert load_clip(tmp_path).vertices[1, 3, 2] == 5
+
+
+def test_the_longest_series_is_read_and_a_tie_is_an_error(tmp_path):
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3), "a{}")
+    write_frames(tmp_path, ".ply", frames_of(zoo.cube().vertices, 2), "a{}")
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 2), "b{}")
+    assert len(load_clip(tmp_path)) == 3
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3), "b{}")
+    with pytest.raises(InputError, match=r"found a#.obj and b#.obj with 3 each; move one"):
+        load_clip(tmp_path)
+
+
+def test_old_frames_that_would_be_mistaken_for_new_ones_are_an_error(tmp_path):
+    cube = zoo.cube()
+    save_clip(Clip(cube, frames_of(cube.vertices, 5)), tmp_path / "out")
+    save_clip(Clip(cube, frames_of(cube.vertices, 6)), tmp_path / "out")
+    with pytest.raises(InputError, match=r"found 0004.obj; choose a new folder"):
+        save_clip(Clip(cube, frames_of(cube.vertices, 4)), tmp_path / "out")
+    assert len(load_clip(tmp_path / "out")) == 6
+
+
+def test_a_bad_frame_is_named_by_its_file(tmp_path):
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3))
+    (tmp_path / "1.obj").write_bytes(b"")
+    with pytest.raises(InputError, match=r"1\.obj: expected a mesh, found an empty file"):
+        load_clip(tmp_path)
+
+
+def test_nan_in_a_later_frame_is_named_by_its_file(tmp_path):
+    write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3))
+    (tmp_path / "2.obj").write_text((tmp_path / "0.obj").read_text().replace("v 0.0 0.0 1.0", "v 0.0 nan 1.0"))
+    with pytest.raises(InputError, match=r"2\.obj: .* found NaN or infinity in 1 of 8"):
+        load_clip(tmp_path)
