@@ -1,0 +1,65 @@
+"""Ship a trained checkpoint: export it into the zoo, measure it on `test` and fill its card.
+
+A shipped weight is replaced only by one whose validation figure is lower. The figures of all shipped models are written
+to docs/results/human-npt.json, where README and docs take theirs from.
+
+    python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--pairs 72]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+
+from mimesh.evaluate.run import evaluate_command, markdown
+from mimesh.io.atomic import whole_file
+from mimesh.learn import checkpoint
+from mimesh.learn.export import export_command
+
+ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
+RESULTS = Path(__file__).parents[1] / "docs" / "results" / "human-npt.json"
+
+
+def main() -> None:
+    """Export what improves, then measure everything that is shipped."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("weights", nargs="*", metavar="NAME=CHECKPOINT")
+    parser.add_argument("--pairs", type=int, default=0, help="pairs of each kind; 0 for all")
+    args = parser.parse_args()
+    for entry in args.weights:
+        name, _, path = entry.partition("=")
+        ship(name, Path(path))
+    names = sorted(path.stem for path in ZOO.glob("*.onnx"))
+    report = evaluate_command("human-npt", [*names, "copy"], RESULTS, pairs=args.pairs)
+    for name in names:
+        fill_card(ZOO / f"{name}.json", report)
+    print(markdown(report))
+
+
+def ship(name: str, path: Path) -> None:
+    """Export one checkpoint unless what is shipped under that name validates better."""
+    new, card = checkpoint.load(path).metrics["val"], ZOO / f"{name}.json"
+    old = json.loads(card.read_text())["metrics"]["val"]["val_pmd_e4"] if card.exists() else float("inf")
+    if new >= old:
+        print(f"{name}: kept, {old:.2f}e-4 on val against {new:.2f}e-4 of {path}")
+        return
+    print(f"{name}: {old:.2f}e-4 on val before, {new:.2f}e-4 now")
+    export_command(path, ZOO / f"{name}.onnx")
+
+
+def fill_card(card: Path, report: dict) -> None:
+    """Write the test figures of a model, and of `copy` in the same run, into its card."""
+    rows = {(row["method"], row["split"]): row["pmd_e4"] for row in report["results"]}
+    facts = json.loads(card.read_text())
+    facts["metrics"]["test"] = {
+        f"{prefix}{split}_pmd_e4": rows[method, split]
+        for prefix, method in (("", card.stem), ("copy_", "copy"))
+        for split in ("seen", "unseen")
+    }
+    with whole_file(card) as temporary:
+        temporary.write_text(json.dumps(facts, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
