@@ -140,3 +140,10 @@ def test_a_pushed_in_corner_flips_its_triangles():
     folded[12] += [0.6, 0, 0]
     assert flipped_share(mesh.faces, mesh.vertices, mesh.vertices) == 0
     assert flipped_share(mesh.faces, mesh.vertices, folded) > 0
+
+
+def test_a_clip_of_one_frame_says_so():
+    pose = person(1, 2)
+    result = animate(person(0), Clip(pose, pose.vertices[None].astype(np.float32)), "copy")
+    assert any("one frame" in note for note in result.notes)
+    assert not any("one frame" in note for note in animate(person(0), walk(1), "copy").notes)

@@ -133,6 +133,8 @@ def animate(
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     moved, report, notes = _move(identity, clip, model, axes, ensemble, seed, seconds, progress, np.float32)
+    if len(clip) == 1:
+        notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
     mesh = identity.with_vertices(moved[0].astype(np.float64))
     return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes)
 
