@@ -6,14 +6,13 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from test_train import TINY
 
 from mimesh.learn import checkpoint
 from mimesh.learn.export import export_command, infer_onnx, to_onnx, with_half_weights
 from mimesh.learn.npt import NPT, NPTConfig
 from mimesh.learn.train import Run
 from mimesh.mesh import InputError
-
-from test_train import TINY
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
