@@ -140,7 +140,7 @@ class PairSource:
         With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
         edges to measure.
         """
-        total, wanted = len(self.body.vertices), self.config.vertices
+        total, wanted = self.body.vertex_count, self.config.vertices
         if wanted == 0:
             order = torch.rand(2, size, total, generator=rng, device=self.device).argsort(-1)
             rank = order[0].argsort(-1)
@@ -170,7 +170,7 @@ class PairSource:
     def _mesh(self, shape, rotmat, index, radius=None):
         """Chosen vertices of the normalised mesh, and its radius; centre and radius are those of the whole mesh."""
         count = index.shape[1]
-        if count == len(self.body.vertices):
+        if count == self.body.vertex_count:
             points = self.body.posed(shape, rotmat)
             whole, points = points, points.gather(1, index[..., None].expand(-1, -1, 3))
         else:

@@ -212,7 +212,7 @@ class Log:
         self.losses: list[Tensor] = []
         self.time, self.mark = time.monotonic(), run.seconds
         # Forward plus backward: three times the forward arithmetic.
-        count = config.data.vertices or len(run.source.body.vertices)
+        count = config.data.vertices or run.source.body.vertex_count
         self.flops = 3 * run.model.estimate_flops(count, count)
 
     def add(self, loss: Tensor) -> None:
