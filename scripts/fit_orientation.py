@@ -17,7 +17,7 @@ from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_pose
 from mimesh.geometry import sample_surface
 
-HIDDEN = 32
+HIDDEN = 64
 POINTS = 1200
 UPRIGHT = next(r for r, names in enumerate(frame.ORIENTATIONS) if names == ("+y", "+z"))
 TURNS = [r for r, (up, _) in enumerate(frame.ORIENTATIONS) if up == "+y"]
@@ -201,7 +201,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("-o", "--output", type=Path, default=Path(frame.__file__).with_name("frame_orientation.npz"))
     parser.add_argument("--people", type=int, default=60000)
-    parser.add_argument("--steps", type=int, default=8000)
+    parser.add_argument("--steps", type=int, default=16000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--check", nargs="*", type=Path, help="fit nothing: print what is found in these files")
     arguments = parser.parse_args()
