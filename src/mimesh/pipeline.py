@@ -207,8 +207,8 @@ def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     vertices = clip.vertices[start:stop:step]
     if len(vertices) == 0:
         raise InputError(
-            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found start {start} and "
-            f"stop {stop}, which leave none; change them"
+            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
+            f"{'the end' if stop is None else stop}, which leaves none; change them"
         )
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
 

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from ..mesh import Mesh
     from ..pipeline import ClipResult, Result
 
+BARE = (".npz", ".off", ".ply", ".stl")
+"""Formats whose new files hold little more than the shape."""
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (NPT).")]
@@ -135,6 +137,7 @@ def _finish(
     frames: int,
     fps: float | None,
 ) -> None:
+    notes = [*result.notes, *_not_kept(result, output)]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,
@@ -142,12 +145,29 @@ def _finish(
         "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
-        "report": {**result.report, "notes": list(result.notes), "pictures": [str(path) for path in pictures]},
+        "report": {**result.report, "notes": notes, "pictures": [str(path) for path in pictures]},
     }
     if json:
         print_json(facts)
     elif not quiet:
         _print_summary(facts)
+
+
+def _not_kept(result: Result | ClipResult, output: Path) -> list[str]:
+    """What a format that holds less than the identity's file leaves behind, in words."""
+    from ..pipeline import ClipResult
+
+    mesh = result.clip.mesh if isinstance(result, ClipResult) else result.mesh
+    suffix = output.suffix.lower()
+    if suffix not in BARE or (mesh.source is not None and mesh.source.suffix == suffix):
+        return []
+    has = {
+        "materials": any(part.material for part in mesh.parts),
+        "texture coordinates": mesh.corner_uv is not None and suffix != ".ply",
+        "normals": mesh.corner_normals is not None,
+    }
+    lost = [name for name, present in has.items() if present]
+    return [f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {output.name}"] if lost else []
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
@@ -158,11 +178,11 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print(f"note: {note}")
     for picture in facts["report"]["pictures"]:
         print(f"picture: {picture}")
-    if facts["report"]["pictures"]:
+    # A picture of an animated file would show its first frame alone: glTF animations are written, not read.
+    if facts["report"]["pictures"] or facts["fps"] is not None:
         print_next("look", facts["output"])
     else:
-        picture = Path(facts["output"]).with_suffix(".png" if facts["fps"] is None else ".webp")
-        print_next("render", facts["output"], "-o", picture)
+        print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
 
 
 def _picture(result: Result, identity: Mesh, driving: Mesh, output: Path) -> list[Path]:

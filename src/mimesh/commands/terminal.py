@@ -21,7 +21,7 @@ Model = Annotated[
 Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to write; its suffix is the format.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
-Seed = Annotated[int, typer.Option(help="Seed of everything random.")]
+Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 
 
 class Stop(Exception):
@@ -58,7 +58,16 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
 
 
 def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
-    """`<identity>-<driving><suffix>` in the identity's folder."""
+    """`<identity>-<driving><suffix>` in the identity's folder.
+
+    Raises:
+        InputError: the identity is not a file.
+    """
+    from ..mesh import InputError
+
+    if not identity.is_file():
+        found = "a folder" if identity.is_dir() else "nothing of that name"
+        raise InputError(f"{identity}: expected the file of the mesh to move, found {found}; check the path")
     played = driving.resolve()
     return identity.with_name(f"{identity.stem}-{played.name if played.is_dir() else played.stem}{suffix}")
 

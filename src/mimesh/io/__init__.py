@@ -8,6 +8,7 @@ back, points moved, whenever the suffix is the one it came with.
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TypeVar
@@ -85,6 +86,7 @@ def load_mesh(path: str | Path) -> Mesh:
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
+    _must_exist(path)
     reader = _by_suffix(MESH_READERS, path)
     with _reading(path):
         mesh = reader(path)
@@ -102,9 +104,12 @@ def load_clip(path: str | Path, fps: float | None = None) -> Clip:
     path = Path(path)
     if fps is not None and not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    _must_exist(path)
     if path.is_dir():
         with _reading(path):
-            return check_clip(read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh), path)
+            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh)
+        # The clip is called as its folder is, not as its first frame.
+        return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
     if path.suffix.lower() in CLIP_READERS:
         with _reading(path):
             return check_clip(CLIP_READERS[path.suffix.lower()](path, fps), path)
@@ -177,6 +182,11 @@ def clip_suffixes() -> tuple[str, ...]:
     return tuple(CLIP_WRITERS)
 
 
+def _must_exist(path: Path) -> None:
+    if not path.exists():
+        raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
+
+
 def _by_suffix(table: dict[str, Function], path: Path) -> Function:
     suffix = path.suffix.lower()
     if suffix in table:
@@ -197,8 +207,6 @@ def _reading(path: Path) -> Iterator[None]:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")
         yield
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path") from error
     except OSError as error:
         raise InputError(
             f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"

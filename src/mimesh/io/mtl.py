@@ -10,6 +10,8 @@ from pathlib import Path
 from ..mesh import Material, Mesh
 from .atomic import whole_file
 
+_SIGNED = "# written by mimesh\n"
+"""First line of our own libraries: those may be written over."""
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
 
 
@@ -59,12 +61,19 @@ def copy_companions(names: Iterable[str], source: Path, target: Path) -> None:
                 shutil.copyfile(source / name, temporary)
 
 
-def write_library(mesh: Mesh, path: Path) -> None:
-    """Write the materials of a mesh's parts as a .mtl file, with its images beside it."""
+def write_library(mesh: Mesh, path: Path) -> Path:
+    """Write the materials of a mesh's parts as a .mtl file, with its images beside it; returns the name it took.
+
+    A library of that name that somebody else wrote is left alone: ours then takes the next free number.
+    """
+    wanted, number = path, 2
+    while path.exists() and not path.read_text("utf-8", "replace").startswith(_SIGNED):
+        path, number = wanted.with_stem(f"{wanted.stem}-{number}"), number + 1
     materials = {safe_name(part.material.name): part.material for part in mesh.parts if part.material}
-    text = "".join(_material_text(name, material, path) for name, material in materials.items())
+    text = _SIGNED + "".join(_material_text(name, material, path) for name, material in materials.items())
     with whole_file(path) as temporary:
         temporary.write_text(text, "utf-8")
+    return path
 
 
 def safe_name(name: str) -> str:

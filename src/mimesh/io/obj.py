@@ -61,8 +61,7 @@ def write_obj(mesh: Mesh, path: Path) -> None:
     """Write any mesh as a new OBJ file of triangles, with `<name>.mtl` and its images beside it if it has materials."""
     lines = [f"o {mtl.safe_name(mesh.name)}"]
     if any(part.material for part in mesh.parts):
-        library = path.with_suffix(".mtl")
-        mtl.write_library(mesh, library)
+        library = mtl.write_library(mesh, path.with_suffix(".mtl"))
         lines.insert(0, f"mtllib {library.name}")
     lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
     uv, uv_index = _distinct(mesh.corner_uv)

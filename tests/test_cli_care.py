@@ -1,0 +1,78 @@
+"""The `mimesh` command takes care of others' files, of what a format cannot hold, and of odd arguments."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+import zoo
+
+from mimesh.cli import run
+from mimesh.io import save_mesh
+from mimesh.mesh import Material, Part
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    """hero.glb, with a material, and pose.obj."""
+    cube = zoo.cube()
+    hero = dataclasses.replace(cube, parts=(Part("all", 0, 12, Material("red", (1.0, 0.0, 0.0, 1.0))),))
+    save_mesh(hero, tmp_path / "hero.glb")
+    save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.obj")
+    return tmp_path
+
+
+def transfer(files, *more):
+    arguments = ["transfer", str(files / "hero.glb"), str(files / "pose.obj"), "-m", "npt-maxpool", "--no-preview"]
+    return run([*arguments, *map(str, more)])
+
+
+def test_somebody_elses_material_library_is_left_alone(files):
+    (files / "out.mtl").write_text("newmtl mine\n")
+    assert transfer(files, "-o", files / "out.obj") == 0
+    assert (files / "out.mtl").read_text() == "newmtl mine\n"
+    assert "mtllib out-2.mtl" in (files / "out.obj").read_text()
+    assert transfer(files, "-o", files / "out.obj") == 0  # ours may be written over
+    assert sorted(path.name for path in files.glob("*.mtl")) == ["out-2.mtl", "out.mtl"]
+
+
+@pytest.mark.parametrize("suffix", [".off", ".npz", ".stl", ".ply"])
+def test_what_a_format_cannot_hold_is_said(files, suffix, capsys):
+    assert transfer(files, "-o", files / f"out{suffix}", "--json") == 0
+    notes = json.loads(capsys.readouterr().out)["report"]["notes"]
+    assert any("materials" in note and f"out{suffix}" in note for note in notes)
+
+
+def test_nothing_is_said_where_nothing_is_lost(files, capsys):
+    assert transfer(files, "-o", files / "out.glb", "--json") == 0
+    assert not any("left out" in note for note in json.loads(capsys.readouterr().out)["report"]["notes"])
+
+
+@pytest.mark.parametrize("identity", [".", "..", "nowhere"])
+@pytest.mark.parametrize("command", ["transfer", "animate"])
+def test_an_identity_must_be_a_file(files, command, identity, capsys, monkeypatch):
+    monkeypatch.chdir(files)
+    assert run([command, identity, "pose.obj"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "expected the file of the mesh to move" in error
+
+
+def test_a_missing_driving_is_missing_whatever_its_name(files, capsys):
+    assert run(["animate", str(files / "hero.glb"), str(files / "nope")]) == 2
+    assert "nothing of that name" in capsys.readouterr().err
+
+
+def test_a_range_outside_the_clip_names_the_clip(files, capsys):
+    (files / "walk").mkdir()
+    for t in range(2):
+        save_mesh(zoo.cube(), files / "walk" / f"{t}.obj")
+    assert run(["animate", str(files / "hero.glb"), str(files / "walk"), "--start", "20"]) == 2
+    assert "walk: expected --start and --stop within its 2 frames, found 20 to the end" in capsys.readouterr().err
+
+
+def test_a_negative_seed_is_refused(files, capsys):
+    assert transfer(files, "--seed", "-1") == 2
+    assert "Traceback" not in capsys.readouterr().err
