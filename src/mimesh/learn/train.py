@@ -189,15 +189,12 @@ class Validation:
         return figures
 
     def _pmd(self, model: NPT, trial) -> float:
-        tensors = [torch.from_numpy(m.vertices).float().to(self.device) for m in (trial.identity, trial.driving)]
-        spheres = [_unit_sphere(t) for t in tensors]
-        result = self._infer(model, spheres[0][None], spheres[1][None])[0]
-        # PMD divides by the truth's radius: give the result that scale, whichever one it was trained for.
-        radius = torch.from_numpy(trial.truth)
-        radius = (radius - (radius.amax(0) + radius.amin(0)) / 2).norm(dim=-1).max()
-        own = (tensors[0] - (tensors[0].amax(0) + tensors[0].amin(0)) / 2).norm(dim=-1).max()
+        meshes = (trial.identity.vertices, trial.driving.vertices, trial.truth)
+        (identity, own), (driving, _), (_, radius) = (_unit_sphere(torch.from_numpy(m).to(self.device)) for m in meshes)
+        result = self._infer(model, identity.float()[None], driving.float()[None])[0]
+        # In metres again, by the radius that the truths of the training were divided by.
         scale = own if self.config.data.target_scale == "identity" else radius
-        return pmd_of_pair((result.double().cpu() * float(scale)).numpy(), trial.truth)
+        return pmd_of_pair((result.double() * scale).cpu().numpy(), trial.truth)
 
     def _infer(self, model: NPT, identity: Tensor, driving: Tensor) -> Tensor:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
@@ -250,6 +247,8 @@ def schedule(config: TrainConfig, pairs: int) -> float:
     return rise * (min(1.0, left / config.decay) if config.decay else 1.0)
 
 
-def _unit_sphere(points: Tensor) -> Tensor:
+def _unit_sphere(points: Tensor) -> tuple[Tensor, Tensor]:
+    """Points centred on their bounding box in units of their radius, and that radius."""
     centred = points - (points.amax(0) + points.amin(0)) / 2
-    return centred / centred.norm(dim=-1).max()
+    radius = centred.norm(dim=-1).max()
+    return centred / radius, radius
