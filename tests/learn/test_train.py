@@ -31,13 +31,15 @@ def losses(run: Run, steps: int) -> list[float]:
     return [float(run.advance()) for _ in range(steps)]
 
 
-def test_resume_continues_exactly(tmp_path):
-    whole = Run.start(TINY, tmp_path / "none")
+@pytest.mark.parametrize("optimizer", ["adam", "muon"])
+def test_resume_continues_exactly(tmp_path, optimizer):
+    config = dataclasses.replace(TINY, optimizer=optimizer)
+    whole = Run.start(config, tmp_path / "none")
     expected = losses(whole, 6)
-    first = Run.start(TINY, tmp_path / "none")
+    first = Run.start(config, tmp_path / "none")
     start = losses(first, 3)
     first.save(tmp_path / "last.safetensors")
-    second = Run.start(TINY, tmp_path)
+    second = Run.start(config, tmp_path)
     assert second.step == 3
     assert start + losses(second, 3) == expected
     for a, b in zip(whole.ema.values(), second.ema.values(), strict=True):

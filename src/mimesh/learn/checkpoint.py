@@ -22,7 +22,7 @@ from .npt import NPT
 
 @dataclass(frozen=True)
 class State:
-    """Where a training stands; `tensors` holds `model.*`, `ema.*` and `optimizer.<parameter>.<field>`."""
+    """Where a training stands; `tensors` holds `model.*`, `ema.*` and `optimizer.<which>.<parameter>.<field>`."""
 
     config: TrainConfig
     step: int
@@ -72,28 +72,31 @@ def read_header(path: Path) -> dict[str, Any]:
     return {k: json.loads(v) if k in ("config", "state") else v for k, v in header.items()}
 
 
-def pack(model: nn.Module, ema: dict[str, Tensor], optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
+def pack(model: nn.Module, ema: dict[str, Tensor], optimizers: list[torch.optim.Optimizer]) -> dict[str, Tensor]:
     """All tensors of a training under flat names."""
     tensors = {f"model.{k}": v for k, v in model.state_dict().items()}
     tensors |= {f"ema.{k}": v for k, v in ema.items()}
-    for index, fields in optimizer.state_dict()["state"].items():
-        tensors |= {f"optimizer.{index}.{k}": torch.as_tensor(v) for k, v in fields.items()}
+    for which, optimizer in enumerate(optimizers):
+        for index, fields in optimizer.state_dict()["state"].items():
+            tensors |= {f"optimizer.{which}.{index}.{k}": torch.as_tensor(v) for k, v in fields.items()}
     return {k: v.clone() for k, v in tensors.items()}
 
 
-def unpack(state: State, model: nn.Module, ema: dict[str, Tensor], optimizer: torch.optim.Optimizer) -> None:
+def unpack(state: State, model: nn.Module, ema: dict[str, Tensor], optimizers: list[torch.optim.Optimizer]) -> None:
     """Put a checkpoint's tensors back where `pack` took them from."""
     with torch.no_grad():
         model.load_state_dict({k[6:]: v for k, v in state.tensors.items() if k.startswith("model.")})
         for name, value in ema.items():
             value.copy_(state.tensors[f"ema.{name}"])
-    fields: dict[int, dict[str, Tensor]] = {}
-    for key, value in state.tensors.items():
-        if key.startswith("optimizer."):
-            _, index, name = key.split(".")
-            fields.setdefault(int(index), {})[name] = value
-    groups = optimizer.state_dict()["param_groups"]
-    optimizer.load_state_dict({"state": fields, "param_groups": groups})
+    for which, optimizer in enumerate(optimizers):
+        fields: dict[int, dict[str, Tensor]] = {}
+        prefix = f"optimizer.{which}."
+        for key, value in state.tensors.items():
+            if key.startswith(prefix):
+                index, name = key.removeprefix(prefix).split(".")
+                fields.setdefault(int(index), {})[name] = value
+        groups = optimizer.state_dict()["param_groups"]
+        optimizer.load_state_dict({"state": fields, "param_groups": groups})
 
 
 def load_model(path: Path) -> tuple[NPT, State]:

@@ -27,6 +27,8 @@ class TrainConfig:
     """Pairs a step."""
     pairs: int = 800_000
     """Length of the training: 200 epochs of 4,000 pairs."""
+    optimizer: Literal["adam", "muon"] = "adam"
+    """`muon` for the matrices between features (Adam for the rest); the papers use Adam."""
     learning_rate: float = 5e-5
     warmup: int = 0
     """Pairs over which the learning rate rises from zero."""

@@ -21,6 +21,7 @@ from .batches import Batch, PairSource
 from .config import TrainConfig, load_config
 from .losses import npt_loss
 from .npt import NPT
+from .optimizers import make_optimizers
 
 LOG_SECONDS = 20.0
 SAVE_SECONDS = 120.0
@@ -79,7 +80,7 @@ class Run:
     step_model: nn.Module
     """The model, or its compiled form; both share weights."""
     ema: dict[str, Tensor]
-    optimizer: torch.optim.Optimizer
+    optimizers: list[torch.optim.Optimizer]
     source: PairSource
     device: torch.device
     step: int = 0
@@ -96,16 +97,14 @@ class Run:
         torch.manual_seed(config.seed)
         model = NPT(config.model).to(device)
         ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
-        optimizer = torch.optim.Adam(
-            model.parameters(), lr=config.learning_rate, betas=(0.9, config.beta2), fused=device.type == "cuda"
-        )
+        optimizers = make_optimizers(model, config, device)
         source = PairSource(config.data, load_body(), device, config.seed)
         compiled = torch.compile(model) if config.compile else model
-        run = cls(config, model, compiled, ema, optimizer, source, device, saved=time.monotonic())  # type: ignore[arg-type]
+        run = cls(config, model, compiled, ema, optimizers, source, device, saved=time.monotonic())  # type: ignore[arg-type]
         last = folder / "last.safetensors"
         if last.exists():
             state = checkpoint.load(last)
-            checkpoint.unpack(state, model, ema, optimizer)
+            checkpoint.unpack(state, model, ema, optimizers)
             run.step, run.seconds, run.best = state.step, state.seconds, state.best
         return run
 
@@ -113,15 +112,17 @@ class Run:
         """One optimizer step; the loss stays on the device."""
         started = time.perf_counter()
         config = self.config
-        for group in self.optimizer.param_groups:
-            group["lr"] = config.learning_rate * schedule(config, self.step * config.batch)
         batch = self.source.batch(config.batch, self.step)
-        self.optimizer.zero_grad(set_to_none=True)
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * schedule(config, self.step * config.batch)
+            optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
         loss.backward()
         if config.clip:
             nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
-        self.optimizer.step()
+        for optimizer in self.optimizers:
+            optimizer.step()
         if self.ema:
             current = self.model.state_dict()
             for name, average in self.ema.items():
@@ -160,7 +161,7 @@ class Run:
 
     def save(self, path: Path) -> None:
         """Write a checkpoint."""
-        tensors = checkpoint.pack(self.model, self.ema, self.optimizer)
+        tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         state = checkpoint.State(self.config, self.step, self.seconds, self.best, self.metrics or {}, tensors)
         checkpoint.save(path, state)
         self.saved = time.monotonic()
@@ -225,7 +226,7 @@ class Log:
         loss = torch.stack(self.losses).mean().item()
         rate = len(self.losses) * self.config.batch / (self.run.seconds - self.mark)
         figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
-        figures["learning_rate"] = self.run.optimizer.param_groups[0]["lr"]
+        figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
         self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
         self.write("training", figures)
 
