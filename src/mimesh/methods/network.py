@@ -8,7 +8,6 @@ own bounding box, in units of the identity's radius. The file's metadata say the
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,6 +20,7 @@ from ..geometry import edges
 from ..mesh import InputError, Mesh
 from . import Drive
 from .pairing import rank_vertices, surface_points
+from .travel import travelling
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -54,24 +54,14 @@ class Network:
         pairings = [_generator(self.seed, 1 + k).permutation(len(points))[:taken] for k in range(rounds)]
         welded_edges = edges(ranked.group[identity.faces])
 
-        def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            travel = None
-            for t, vertices in enumerate(frames):
-                centre, size = bbox_centre(vertices), radius(vertices - bbox_centre(vertices))
-                if size == 0.0:
-                    raise InputError(
-                        f"{driving.name}: expected some size in frame {t}, found all vertices at one point; "
-                        "cut that frame out with --start and --stop"
-                    )
-                result = self._run(still, points.at((vertices - centre) / size), pairings)
-                result = result - bbox_centre(result)
-                if self.target_scale == "truth":
-                    result = result * _edge_length(still, welded_edges) / _edge_length(result, welded_edges)
-                # The driving walks in its own size; the first frame tells how large the identity is beside it.
-                travel = radius(result) if travel is None else travel
-                yield result[ranked.group] + centre * travel
+        def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+            centred = vertices - bbox_centre(vertices)
+            result = self._run(still, points.at(centred / radius(centred)), pairings)
+            if self.target_scale == "truth":
+                result = result * _edge_length(still, welded_edges) / _edge_length(result, welded_edges)
+            return result[ranked.group]
 
-        return drive
+        return lambda frames: travelling(frames, pose, driving.name)
 
     def _run(
         self,
