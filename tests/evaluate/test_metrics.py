@@ -2,8 +2,19 @@
 
 import numpy as np
 import pytest
+import zoo
 
-from mimesh.evaluate.metrics import in_unit_sphere_of, mean_error_mm, pmd, pmd_of_pair
+from mimesh.evaluate.metrics import (
+    chamfer,
+    edge_score,
+    flipped,
+    in_unit_sphere_of,
+    largest_stretch,
+    mean_error_mm,
+    pmd,
+    pmd_of_pair,
+    pmd_public,
+)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
@@ -40,3 +51,68 @@ def test_millimetres_of_a_person():
     shift = np.tile([[0.01, 0, 0], [-0.01, 0, 0]], (20, 1))
     assert mean_error_mm(truth + shift, truth, height=1.7) == pytest.approx(10)
     assert mean_error_mm(truth + shift, truth, height=0.85) == pytest.approx(20)
+
+
+def test_the_public_metric_is_a_third_with_its_own_centring():
+    rng = np.random.default_rng(4)
+    result, truth = rng.normal(size=(2, 25, 3))
+    radius = max(np.linalg.norm(point - truth.mean(axis=0)) for point in truth)
+    total = 0.0
+    for axis in range(3):
+        a, b = result[:, axis] / radius, truth[:, axis] / radius
+        a, b = a - (a.min() + a.max()) / 2, b - (b.min() + b.max()) / 2
+        total += sum((x - y) ** 2 for x, y in zip(a, b, strict=True))
+    assert pmd_public(result, truth) == pytest.approx(total / (25 * 3))
+    symmetric = np.concatenate([truth, -truth])
+    assert pmd_public(1.1 * symmetric, symmetric) == pytest.approx(pmd_of_pair(1.1 * symmetric, symmetric) / 3)
+
+
+def naive_edges(faces):
+    return {tuple(sorted((int(a), int(b)))) for f in faces for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
+
+
+def test_edge_measures_against_naive_twins():
+    mesh = zoo.tetrahedron()
+    truth, faces = mesh.vertices, mesh.faces
+    result = truth + np.random.default_rng(5).normal(scale=0.2, size=truth.shape)
+    ratios = [
+        np.linalg.norm(result[a] - result[b]) / np.linalg.norm(truth[a] - truth[b]) for a, b in naive_edges(faces)
+    ]
+    assert edge_score(result, truth, faces) == pytest.approx(np.mean([abs(r - 1) for r in ratios]))
+    assert largest_stretch(result, truth, faces) == pytest.approx(max(1.0, *ratios))
+    turned = result @ np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]) + 7
+    assert edge_score(turned, truth, faces) == pytest.approx(edge_score(result, truth, faces))
+    assert edge_score(truth, truth, faces) == 0
+    assert largest_stretch(truth, truth, faces) == 1
+
+
+def test_edges_without_length_are_left_out():
+    truth = np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]])
+    faces = np.array([[0, 1, 2]])
+    result = np.array([[0.0, 0, 0], [0, 9, 0], [1, 0, 0]])
+    assert np.isfinite(edge_score(result, truth, faces))
+    assert edge_score(truth[:0], truth[:0], faces[:0]) == 0
+    assert largest_stretch(truth[:0], truth[:0], faces[:0]) == 1
+
+
+def test_flipped_triangles_are_those_seen_from_behind():
+    mesh = zoo.tetrahedron()
+    truth, faces = mesh.vertices, mesh.faces
+    assert flipped(truth, truth, faces) == 0
+    # Mirrored at x = y: the floor and the slanted face turn over, the walls turn by 90 degrees only.
+    assert flipped(truth[:, [1, 0, 2]], truth, faces) == 0.5
+    up = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 5, 5]])
+    two = np.array([[0, 1, 2], [0, 1, 3]])
+    down = up.copy()
+    down[2] = [0, -1, 0]
+    assert flipped(down, up, two) == 0.5
+    assert flipped(up, up, two[:0]) == 0
+
+
+def test_chamfer_against_a_naive_twin_and_any_order():
+    rng = np.random.default_rng(6)
+    result, truth = rng.normal(size=(12, 3)), rng.normal(size=(20, 3))
+    there = np.mean([min(((p - q) ** 2).sum() for q in truth) for p in result])
+    back = np.mean([min(((p - q) ** 2).sum() for q in result) for p in truth])
+    assert chamfer(result, truth) == pytest.approx(there + back)
+    assert chamfer(truth[rng.permutation(20)], truth) == 0

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from ..frame import bbox_centre
+from ..geometry import edges, face_vectors
 
 
 def pmd(
@@ -41,6 +44,15 @@ def pmd_of_pair(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"
     return float(pmd(*in_unit_sphere_of(truth, result, truth)))
 
 
+def pmd_public(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
+    """What the papers' public evaluators print: mean over V and xyz, each mesh centred on its own bounding box.
+
+    A third of Eq. 7 and of another centring. In the truth's unit sphere (those evaluators leave the metres in).
+    """
+    result, truth = in_unit_sphere_of(truth, result, truth)
+    return float(np.square((result - bbox_centre(result)) - (truth - bbox_centre(truth))).mean())
+
+
 def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], height: float) -> float:
     """Mean distance in millimetres, scaled to a 1.7 m person; `height` is this person's at rest, in the meshes' unit.
 
@@ -48,3 +60,44 @@ def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 
     """
     difference = (result - result.mean(axis=0)) - (truth - truth.mean(axis=0))
     return float(np.linalg.norm(difference, axis=-1).mean() * 1.7 / height * 1e3)
+
+
+def edge_score(
+    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> float:
+    """Mean over edges of |length / true length - 1|: how rough or stretched the surface is. 0 is perfect.
+
+    Edges without a true length are left out; a point cloud scores 0.
+    """
+    pairs = edges(faces)
+    new, old = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (result, truth))
+    real = old > 0
+    return float(np.abs(new[real] / old[real] - 1.0).mean()) if real.any() else 0.0
+
+
+def largest_stretch(
+    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> float:
+    """How many times too long the worst edge is, among edges of at least a tenth of the mean length; 1 is perfect."""
+    pairs = edges(faces)
+    new, old = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (result, truth))
+    real = old >= 0.1 * old.mean() if len(old) else np.zeros(0, bool)
+    return float((new[real] / old[real]).max(initial=1.0))
+
+
+def flipped(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
+    """Share of triangles that face away from where the truth's do (more than 90 degrees)."""
+    if len(faces) == 0:
+        return 0.0
+    return float(((face_vectors(result, faces) * face_vectors(truth, faces)).sum(axis=1) < 0).mean())
+
+
+def chamfer(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -> float:
+    """Mean squared distance to the nearest vertex of the other set, both ways added; any vertex counts.
+
+    In the square of the inputs' unit. Vertices, not surfaces: two meshings of one surface do not score 0.
+    """
+    from scipy.spatial import KDTree
+
+    there, back = KDTree(truth).query(result)[0], KDTree(result).query(truth)[0]
+    return float(np.square(there).mean() + np.square(back).mean())
