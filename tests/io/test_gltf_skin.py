@@ -1,0 +1,133 @@
+"""Skeletons of glTF files: joints, influences and their places against a naive second reader."""
+
+from __future__ import annotations
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+import zoo
+from gltf_twin import Twin
+
+from mimesh.io import load_mesh, save_mesh
+from mimesh.io.gltf_skin import read_skin
+from mimesh.mesh import InputError
+
+
+def body_of(sample: samples.Sample) -> dict:
+    return sample.gltf["meshes"][0]["primitives"]
+
+
+def test_joints_are_where_a_naive_reader_finds_them(tmp_path):
+    path = samples.hero().glb(tmp_path / "a.glb")
+    skin, twin = read_skin(path), Twin(path)
+    assert (skin.joint_names, skin.parents) == (("hip", "chest"), (-1, 0))
+    for j, node in enumerate((1, 2)):
+        np.testing.assert_allclose(skin.T_world_joint[j], twin.world(node), atol=1e-12)
+
+
+def test_vertices_are_the_weighted_mean_of_their_places(tmp_path):
+    path = samples.hero().glb(tmp_path / "a.glb")
+    skin, mesh = read_skin(path), load_mesh(path)
+    np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), mesh.vertices, atol=1e-12)
+    np.testing.assert_allclose(skin.weights.sum(axis=1), 1, atol=1e-12)
+    np.testing.assert_array_equal(skin.mesh.faces, mesh.faces)
+
+
+def test_each_place_is_where_its_joint_takes_the_vertex(tmp_path):
+    """Weights are normalised bytes here, and the scale of the armature is 100."""
+    path = samples.hero().glb(tmp_path / "a.glb")
+    skin, twin = read_skin(path), Twin(path)
+    bind = [row.reshape(4, 4, order="F") for row in twin.values(twin.file.skins[0].inverseBindMatrices)]
+    positions, weights = twin.attribute(3, 0, "POSITION"), twin.attribute(3, 0, "WEIGHTS_0")
+    for v in range(24):
+        np.testing.assert_allclose(skin.weights[12 + v], weights[v], atol=1e-12)
+        assert skin.joint_of[12 + v, weights[v] > 0].tolist() == np.array([0, 1, 0, 0])[weights[v] > 0].tolist()
+        for k in np.flatnonzero(weights[v]):
+            expected = twin.world(1 + k) @ bind[k] @ [*positions[v], 1]
+            np.testing.assert_allclose(skin.points[12 + v, k], expected[:3], atol=1e-12)
+
+
+def test_an_unskinned_mesh_follows_the_bone_above_it(tmp_path):
+    """The face hangs on the chest, with its morph targets at their default."""
+    path = samples.hero().glb(tmp_path / "a.glb")
+    skin = read_skin(path)
+    assert (skin.joint_of[:12, 0] == 1).all()
+    assert (skin.weights[:12] == [1, 0, 0, 0]).all()
+    np.testing.assert_allclose(skin.points[:12, 0], Twin(path).points(4, 0), atol=1e-12)
+
+
+def test_an_unskinned_mesh_of_nobody_follows_the_world(tmp_path):
+    sample = samples.hero()
+    sample.gltf["nodes"].append({"name": "floor", "mesh": 1})
+    sample.gltf["scenes"][0]["nodes"].append(7)
+    skin = read_skin(sample.glb(tmp_path / "a.glb"))
+    assert (skin.joint_of[36:, 0] == 2).all()
+    assert (skin.weights[36:, 0] == 1).all()
+
+
+def test_skins_of_a_character_in_pieces_become_one(tmp_path):
+    """A second piece has its own skin with the same joints in another order: the same joints hold it."""
+    sample = samples.hero()
+    bind = [np.linalg.inv(matrix).T.ravel() for matrix in samples._bind_matrices()]
+    sample.gltf["skins"].append({"joints": [2, 1], "inverseBindMatrices": sample.accessor(bind[::-1])})
+    attributes = dict(body_of(sample)[0]["attributes"])
+    attributes["JOINTS_0"] = sample.accessor(np.tile([1, 0, 0, 0], (24, 1)), "u1")
+    sample.gltf["meshes"].append({"primitives": [{**body_of(sample)[0], "attributes": attributes}]})
+    sample.gltf["nodes"].append({"name": "coat", "mesh": 2, "skin": 1})
+    sample.gltf["scenes"][0]["nodes"].append(7)
+    skin = read_skin(sample.glb(tmp_path / "a.glb"))
+    assert skin.joint_names == ("hip", "chest")
+    body, coat = slice(12, 36), slice(36, 60)
+    held = skin.weights > 0
+    np.testing.assert_array_equal(np.where(held, skin.joint_of, 9)[body], np.where(held, skin.joint_of, 9)[coat])
+    np.testing.assert_allclose(skin.points[body][held[body]], skin.points[coat][held[coat]], atol=1e-12)
+
+
+def test_several_sets_of_influences(tmp_path):
+    sample = samples.hero()
+    for primitive in body_of(sample)[:3]:
+        for number, joints in enumerate(([0, 0, 0, 0], [1, 0, 0, 0])):
+            primitive["attributes"][f"JOINTS_{number}"] = sample.accessor(np.tile(joints, (24, 1)), "u2")
+            weights = np.tile([0.25 + 0.5 * number, 0, 0, 0], (24, 1))
+            primitive["attributes"][f"WEIGHTS_{number}"] = sample.accessor(weights)
+    skin = read_skin(sample.glb(tmp_path / "a.glb"))
+    assert skin.weights.shape == (36, 8)
+    assert skin.joint_of[12:, 4].tolist() == [1] * 24
+    np.testing.assert_allclose(skin.weights[12:, [0, 4]], np.tile([0.25, 0.75], (24, 1)))
+    np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), skin.mesh.vertices, atol=1e-12)
+
+
+def test_nodes_between_joints_are_passed_over(tmp_path):
+    sample = samples.hero()
+    sample.gltf["skins"][0]["joints"] = [2, 0]
+    del sample.gltf["nodes"][2]["name"]
+    skin = read_skin(sample.glb(tmp_path / "a.glb"))
+    assert (skin.joint_names, skin.parents) == (("armature", "node2"), (-1, 0))
+
+
+def test_skins_that_nobody_wears_are_not_read(tmp_path):
+    sample = samples.hero()
+    sample.gltf["skins"].append({"joints": [5, 6]})
+    assert read_skin(sample.glb(tmp_path / "a.glb")).joint_names == ("hip", "chest")
+
+
+def test_a_scene_without_a_skin_is_refused(tmp_path):
+    path = samples.props().glb(tmp_path / "a.glb")
+    with pytest.raises(InputError, match=r"a\.glb: expected a mesh with a skin, found none; "):
+        read_skin(path)
+
+
+def test_a_skin_without_influences_is_none(tmp_path):
+    sample = samples.hero()
+    for primitive in body_of(sample):
+        primitive["attributes"] = {
+            k: v for k, v in primitive["attributes"].items() if k[:6] not in ("JOINTS", "WEIGHT")
+        }
+    with pytest.raises(InputError, match="expected a mesh with a skin"):
+        read_skin(sample.glb(tmp_path / "a.glb"))
+
+
+def test_another_format_is_refused(tmp_path):
+    save_mesh(zoo.cube(), tmp_path / "a.obj")
+    with pytest.raises(InputError, match=r"a\.obj: expected a rigged \.glb, \.gltf or \.vrm, found \.obj; "):
+        read_skin(tmp_path / "a.obj")
