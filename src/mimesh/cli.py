@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import about, learn, move, show
+from .commands import about, learn, measure, move, show
 from .commands.terminal import Stop
 
 app = typer.Typer(
@@ -34,7 +34,9 @@ COMMANDS = (
     about.demo,
     about.models,
     about.doctor,
-    learn.evaluate,
+    measure.evaluate,
+    measure.table,
+    measure.generate,
     learn.train,
     learn.export,
 )

@@ -10,15 +10,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
-from .methods import find_method
+from .methods import Method, find_method
 from .report import facing, facing_note, quality
 
 Progress = Callable[[int, int], None]
 """Called after each frame with (frames done, frames in all)."""
+Choice = Callable[[Frame], Method]
+"""A method with its options, but for the driving's frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +82,18 @@ def transfer(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    reference: Mesh | str | Path | None = None,
+    markers: Int[np.ndarray, "M 2"] | str | Path | None = None,
 ) -> Result:
     """Give the identity the pose of the driving mesh: animate() with one frame, in double precision.
 
     Takes meshes or paths. Axes ("+y", "-z") that are not given are found from the shapes. The result stands where the
     identity stood and heads where the driving does.
+
+    Args:
+        ensemble: average over this many random pairings (index-paired networks only).
+        reference: the driving mesh in the identity's pose (deformation transfer only).
+        markers: identity and driving vertices that correspond, as an array or a file (deformation transfer only).
 
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
@@ -94,7 +103,8 @@ def transfer(
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     still = Clip(driving, driving.vertices[None])
-    moved, report, notes = _move(identity, still, model, axes, ensemble, seed, seconds, None, np.float64)
+    method = _choice(model, ensemble, seed, reference, markers)
+    moved, report, notes = _move(identity, still, method, axes, seconds, None, np.float64)
     return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
 
 
@@ -109,6 +119,8 @@ def animate(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    reference: Mesh | str | Path | None = None,
+    markers: Int[np.ndarray, "M 2"] | str | Path | None = None,
     fps: float | None = None,
     start: int = 0,
     stop: int | None = None,
@@ -132,20 +144,34 @@ def animate(
         identity = _read_mesh(identity)
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
-    moved, report, notes = _move(identity, clip, model, axes, ensemble, seed, seconds, progress, np.float32)
+    method = _choice(model, ensemble, seed, reference, markers)
+    moved, report, notes = _move(identity, clip, method, axes, seconds, progress, np.float32)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
     mesh = identity.with_vertices(moved[0].astype(np.float64))
     return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes)
 
 
+def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
+    """The method of a name with its options, once the driving's frame is known."""
+    mesh = None if reference is None else _read_mesh(reference)
+    if markers is not None and not isinstance(markers, np.ndarray):
+        from .io.markers import load_markers
+
+        markers = load_markers(Path(markers))
+
+    def choose(frame: Frame) -> Method:
+        third = None if mesh is None else dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
+        return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
+
+    return choose
+
+
 def _move(
     identity: Mesh,
     clip: Clip,
-    model: str,
+    choice: Choice,
     axes: tuple[str | None, str | None, str | None, str | None],
-    ensemble: int,
-    seed: int,
     seconds: dict[str, float],
     progress: Progress | None,
     dtype: type[np.floating],
@@ -155,8 +181,7 @@ def _move(
         first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
         own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
         still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
-        method = find_method(model, ensemble=ensemble, seed=seed)
-        drive = method.prepare(still, dataclasses.replace(first, vertices=theirs.apply(first.vertices)))
+        drive = choice(theirs).prepare(still, dataclasses.replace(first, vertices=theirs.apply(first.vertices)))
     with _timed(seconds, "drive"):
         frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
         moved = np.empty((len(clip), *identity.vertices.shape), dtype)

@@ -98,6 +98,13 @@ def sample_pose(
     return _generator(seed, index, 1).uniform(low, high)
 
 
+def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
+    """Rotation vectors that lower the arms of the T-pose by 75 degrees; a part of them gives an A-pose."""
+    pose = np.zeros((len(body.joint_names), 3))
+    pose[body.joint("LeftArm"), 2], pose[body.joint("RightArm"), 2] = -np.radians(75), np.radians(75)
+    return pose
+
+
 def rotvec_to_rotmat(rotvec: Float[np.ndarray, "*B 3"]) -> Float[np.ndarray, "*B 3 3"]:
     """Rotation matrices of rotation vectors in radians."""
     from scipy.spatial.transform import Rotation

@@ -42,11 +42,15 @@ def models(json: Json = False) -> None:
         print_json({"models": [shipped.get(name, {"name": name}) for name in MODELS]})
         return
     for name in MODELS:
-        print(f"{name:<14}{_describe(shipped[name]) if name in shipped else PLAIN.get(name, MISSING)}")
-    print_next("evaluate", "human-npt", "-m", ",".join(MODELS))
+        print(f"{name:<22}{_describe(shipped[name]) if name in shipped else PLAIN.get(name, MISSING)}")
+    print_next("evaluate", "human-npt", "-m", "npt,npt-maxpool,copy")
 
 
-PLAIN = {"copy": "the driving vertices themselves, as they are: what every method must beat"}
+PLAIN = {
+    "copy": "the driving vertices themselves, as they are: what every method must beat",
+    "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
+    "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
+}
 MISSING = "its weights are missing here; install mimesh again"
 
 

@@ -1,4 +1,4 @@
-"""`mimesh train`, `mimesh evaluate` and `mimesh export`."""
+"""`mimesh train` and `mimesh export`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .terminal import Json, Output, Quiet, print_json, print_next, progress, require
+from .terminal import Json, print_json, print_next, require
 
 
 def train(
@@ -52,27 +52,3 @@ def export(
     else:
         print(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
         print_next("evaluate", "human-npt", "-m", f"{output},copy")
-
-
-def evaluate(
-    protocol: Annotated[str, typer.Argument(metavar="PROTOCOL", help="The test set: human-npt.")],
-    model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "npt,copy",
-    output: Output = None,
-    pairs: Annotated[int, typer.Option(help="Pairs of each kind; 0 for all the protocol has.", min=0)] = 0,
-    json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Measure models on a named test set.
-
-    -o keeps the figures as JSON.
-    """
-    from ..evaluate.run import evaluate_command, markdown
-
-    methods = [name.strip() for name in model.split(",") if name.strip()]
-    with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(protocol, methods, output, pairs=pairs, progress=advance)
-    if json:
-        print_json(figures)
-    elif not quiet:
-        print(markdown(figures))
-        print_next("models")

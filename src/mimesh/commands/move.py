@@ -29,6 +29,13 @@ BARE = (".npz", ".off", ".ply", ".stl")
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (NPT).")]
+Reference = Annotated[
+    Path | None, typer.Option(help="The driving mesh in IDENTITY's pose (deformation-transfer).", metavar="MESH")
+]
+Markers = Annotated[
+    Path | None,
+    typer.Option(help="Lines 'identity driving' of corresponding vertices (deformation-transfer).", metavar="FILE"),
+]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write pictures beside the output.")]
 
 
@@ -42,6 +49,8 @@ def transfer(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    reference: Reference = None,
+    markers: Markers = None,
     preview: Preview = True,
     seed: Seed = 0,
     json: Json = False,
@@ -67,6 +76,8 @@ def transfer(
         driving_front=driving_front,
         ensemble=ensemble,
         seed=seed,
+        reference=reference,
+        markers=markers,
     )
     result.seconds["load"] += seconds
     result.save(output)
@@ -88,6 +99,8 @@ def animate(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    reference: Reference = None,
+    markers: Markers = None,
     preview: Preview = True,
     seed: Seed = 0,
     json: Json = False,
@@ -115,6 +128,8 @@ def animate(
             driving_front=driving_front,
             ensemble=ensemble,
             seed=seed,
+            reference=reference,
+            markers=markers,
             start=start,
             stop=stop,
             step=step,

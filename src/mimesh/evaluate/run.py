@@ -1,27 +1,21 @@
-"""Run methods over a protocol and say how far they are from the truth, with provenance."""
+"""Run methods over a protocol: resumable, with provenance, and with pictures of the worst if wanted."""
 
 from __future__ import annotations
 
 import datetime
 import json
-import time
+import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any
 
-import numpy as np
-
-from ..bodies import load_body
 from ..io.atomic import whole_file
 from ..mesh import InputError
-from ..pipeline import transfer
+from ..methods import MODELS, SHIPPED_NETWORKS, shipped_path
 from ..provenance import commit, machine
-from .metrics import in_unit_sphere_of, mean_error_mm, pmd, pmd_of_pair, resized
-from .protocols import HUMAN_NPT, Pair, Split
+from .measure import GIVEN, measure, summary
+from .protocols import PROTOCOLS, SPLITS, Protocol
 
-PROTOCOLS = {"human-npt": HUMAN_NPT}
-PAPER_E4 = {"npt": (1.1, 9.3), "npt-maxpool": (2.1, 12.7)}
-"""PMD x1e4 on seen and unseen poses in NPT's Tables 1 and 7 (SMPL bodies)."""
 Progress = Callable[[int, int], None]
 
 
@@ -33,69 +27,101 @@ def evaluate_command(
     pairs: int = 0,
     ensemble: int = 1,
     progress: Progress | None = None,
+    dump: Path | None = None,
+    data: Path | None = None,
 ) -> dict[str, Any]:
-    """What `mimesh evaluate` does: one result row a method and kind of pose; written to `out` as JSON if given."""
-    if protocol not in PROTOCOLS:
-        raise InputError(f"{protocol}: expected a protocol ({', '.join(PROTOCOLS)}), found another; check the name")
-    if split not in get_args(Split):
-        raise InputError(f"{split}: expected a split ({', '.join(get_args(Split))}), found another; check the name")
-    chosen, part = PROTOCOLS[protocol], cast(Split, split)
-    total, done, rows = 2 * (pairs or chosen.pairs) * len(methods), 0, []
+    """What `mimesh evaluate` does: one result row a method and kind of pair; written to `out` as JSON if given.
+
+    With `out`, figures of finished pairs are kept beside it (`<out>.partial`) until all are there, and a run that was
+    stopped goes on from them.
+    """
+    chosen = find_protocol(protocol, data)
+    if split not in SPLITS:
+        raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
-        for poses in ("seen", "unseen"):
+        _check_method(method)
+    config = {"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}
+    ledger = Ledger(out and out.with_name(out.name + ".partial"), {**config, "protocol": [protocol, chosen.version]})
+    total, rows = len(chosen.kinds) * config["pairs"] * len(methods), []
+    for method in methods:
+        weights = fingerprint(method)
+        for kind in chosen.kinds:
             figures = []
-            for pair in chosen.trials(load_body(), part, poses, pairs):
-                figures.append(measure(pair, method, ensemble))
-                done += 1
+            for i in range(config["pairs"]):
+                key = [method, weights, kind, i]
+                known = ledger.get(key)
+                figures.append(known or ledger.put(key, measure(chosen.pair(split, kind, i), method, ensemble)))
                 if progress is not None:
-                    progress(done, total)
-            rows.append(summary(method, poses, figures))
+                    progress(len(rows) * config["pairs"] + len(figures), total)
+            rows.append(summary(method, kind, figures))
+            if dump is not None:
+                from .dump import dump_worst
+
+                dump_worst(chosen, split, kind, method, ensemble, figures, dump)
     report = {
         "protocol": chosen.name,
         "version": chosen.version,
-        "provenance": provenance({"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}),
+        "provenance": provenance(config),
         "results": rows,
     }
     if out is not None:
         with whole_file(out) as temporary:
             temporary.write_text(json.dumps(report, indent=2) + "\n")
+        ledger.close()
     return report
 
 
-def measure(pair: Pair, method: str, ensemble: int) -> dict[str, float]:
-    """Figures of one pair. `copy` alone is given the true correspondence and the truth's radius."""
-    started = time.perf_counter()
-    if method == "copy":
-        result = resized(pair.aligned, pair.truth)
-    else:
-        moved = transfer(pair.identity, pair.driving, method, up="+y", front="+z", driving_up="+y", driving_front="+z",
-                         ensemble=ensemble)  # fmt: skip
-        result = moved.vertices
-    seconds = time.perf_counter() - started
-    sphere = in_unit_sphere_of(pair.truth, result, pair.truth)
-    return {
-        "pmd_e4": 1e4 * pmd_of_pair(result, pair.truth),
-        "pmd_mse_e4": 1e4 * float(pmd(*sphere)) / 3,
-        "mm": mean_error_mm(result, pair.truth, pair.height),
-        "seconds": seconds,
-    }
+class Ledger:
+    """Figures of finished pairs as JSON lines; the first line says what question they answer."""
+
+    def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
+        self.path, self.known = path, {}
+        if path is None:
+            return
+        lines = path.read_text().splitlines() if path.exists() else []
+        if lines and json.loads(lines[0]) == json.loads(json.dumps(question)):
+            for line in lines[1:]:
+                if line.endswith("}]"):  # the last line of a killed run may be cut short
+                    key, figures = json.loads(line)
+                    self.known[json.dumps(key)] = figures
+        else:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(question) + "\n")
+
+    def get(self, key: list) -> dict[str, Any] | None:
+        """Figures of a pair, if it was finished before."""
+        return self.known.get(json.dumps(key))
+
+    def put(self, key: list, figures: dict[str, Any]) -> dict[str, Any]:
+        """Keep the figures of a pair."""
+        if self.path is not None:
+            with self.path.open("a") as file:
+                file.write(json.dumps([key, figures]) + "\n")
+        return figures
+
+    def close(self) -> None:
+        """All is in the report now."""
+        if self.path is not None:
+            self.path.unlink(missing_ok=True)
 
 
-def summary(method: str, poses: Literal["seen", "unseen"], figures: list[dict[str, float]]) -> dict[str, Any]:
-    """Means, and the tail of the errors, where users live."""
-    errors = np.array([f["pmd_e4"] for f in figures])
-    return {
-        "method": method,
-        "split": poses,
-        "pairs": len(figures),
-        "pmd_e4": round(float(errors.mean()), 4),
-        "pmd_e4_median": round(float(np.median(errors)), 4),
-        "pmd_e4_p90": round(float(np.quantile(errors, 0.9)), 4),
-        "pmd_e4_max": round(float(errors.max()), 4),
-        "pmd_mse_e4": round(float(np.mean([f["pmd_mse_e4"] for f in figures])), 4),
-        "mm": round(float(np.mean([f["mm"] for f in figures])), 2),
-        "seconds_per_frame": round(float(np.median([f["seconds"] for f in figures])), 4),
-    }
+def find_protocol(name: str, data: Path | None = None) -> Protocol:
+    """A protocol by name, `data` being the folder that `cross-body` reads; InputError lists the ones there are."""
+    if name not in PROTOCOLS:
+        raise InputError(f"{name}: expected a protocol ({', '.join(PROTOCOLS)}), found another; check the name")
+    return PROTOCOLS[name]
+
+
+def fingerprint(method: str) -> int:
+    """Of a network's weights, so that figures of others are never taken for its own; 0 for methods without."""
+    path = shipped_path(method) if method in SHIPPED_NETWORKS else Path(method)
+    return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
+
+
+def _check_method(method: str) -> None:
+    names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
+    if method not in names and not (method.endswith(".onnx") and Path(method).is_file()):
+        raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:
@@ -107,26 +133,3 @@ def provenance(config: dict[str, Any]) -> dict[str, Any]:
         "machine": machine(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
-
-
-def markdown(report: dict[str, Any]) -> str:
-    """The report as a table, the paper's figures beside ours."""
-    lines = [
-        f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere, "
-        f"{report['results'][0]['pairs']} pairs a column",
-        "",
-        "| method | seen poses | unseen poses | mm seen / unseen | s a pair | paper (SMPL) seen / unseen |",
-        "|---|---|---|---|---|---|",
-    ]
-    rows = report["results"]
-    for seen, unseen in zip(rows[::2], rows[1::2], strict=True):
-        paper = PAPER_E4.get(seen["method"])
-        cells = [
-            seen["method"],
-            f"{seen['pmd_e4']:.2f}",
-            f"{unseen['pmd_e4']:.2f}",
-            f"{seen['mm']:.0f} / {unseen['mm']:.0f}",
-        ]
-        cells += [f"{unseen['seconds_per_frame']:.2f}", f"{paper[0]} / {paper[1]}" if paper else "-"]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from .. import geometry
 from ..bodies import RiggedBody
-from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, sample_pose
+from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ..evaluate.protocols import HUMAN_NPT
 from ..motions import pose_bank
@@ -199,10 +199,3 @@ def vertex_areas(body: RiggedBody) -> Float[np.ndarray, " V"]:
     """Area of the mean shape that belongs to each vertex: a third of its triangles'."""
     areas = geometry.face_areas(body.vertices, body.faces)
     return np.bincount(body.faces.ravel(), np.repeat(areas / 3, 3), minlength=len(body.vertices))
-
-
-def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
-    """Rotation vectors that lower the arms of the T-pose by 75 degrees; a part of them gives an A-pose."""
-    pose = np.zeros((len(body.joint_names), 3))
-    pose[body.joint("LeftArm"), 2], pose[body.joint("RightArm"), 2] = -np.radians(75), np.radians(75)
-    return pose

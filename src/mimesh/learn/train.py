@@ -172,7 +172,7 @@ class Validation:
 
     def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
         self.config, self.device = config, device
-        self.trials = {k: list(HUMAN_NPT.trials(body, "val", k, config.validation_pairs)) for k in ("seen", "unseen")}
+        self.trials = {k: list(HUMAN_NPT.trials("val", k, config.validation_pairs)) for k in HUMAN_NPT.kinds}
         self.fresh = PairSource(config.data, body, device, config.seed + 1_000_003)
 
     @torch.no_grad()

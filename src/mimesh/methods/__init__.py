@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..mesh import InputError, Mesh
 
@@ -19,7 +19,12 @@ Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray
 """Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
 
 SHIPPED_NETWORKS = {"npt": "npt.onnx", "npt-maxpool": "npt-maxpool.onnx"}
-MODELS = ("copy", *SHIPPED_NETWORKS)
+MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
+
+
+def shipped_path(model: str) -> Path:
+    """Where the weights of a shipped network lie."""
+    return Path(str(resources.files("mimesh") / "zoo" / SHIPPED_NETWORKS[model]))
 
 
 @runtime_checkable
@@ -34,12 +39,22 @@ class Method(Protocol):
         ...
 
 
-def find_method(model: str, *, ensemble: int = 1, seed: int = 0) -> Method:
+def find_method(
+    model: str,
+    *,
+    ensemble: int = 1,
+    seed: int = 0,
+    reference: Mesh | None = None,
+    markers: Int[np.ndarray, "M 2"] | None = None,
+) -> Method:
     """The method of a name in MODELS, or of the path of an `.onnx` file written by `mimesh export`.
 
     Args:
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
-        seed: of those pairings.
+        seed: of those pairings, and of sampled points.
+        reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
+            faces it shares (deformation transfer only).
+        markers: identity and driving vertex of points that correspond (deformation transfer only).
 
     Raises:
         InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
@@ -51,9 +66,16 @@ def find_method(model: str, *, ensemble: int = 1, seed: int = 0) -> Method:
         raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
     if model == "copy":
         return Copy()
+    if model == "deformation-transfer":
+        from .deformation_transfer import DeformationTransfer
+
+        return DeformationTransfer(reference, markers)
+    if model == "skeleton":
+        from .skeleton import Skeleton
+
+        return Skeleton(seed=seed)
     if model in SHIPPED_NETWORKS:
-        path = Path(str(resources.files("mimesh") / "zoo" / SHIPPED_NETWORKS[model]))
-        return load_network(path, name=model, ensemble=ensemble, seed=seed)
+        return load_network(shipped_path(model), name=model, ensemble=ensemble, seed=seed)
     if model.endswith(".onnx"):
         return load_network(Path(model), name=Path(model).stem, ensemble=ensemble, seed=seed)
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -1,0 +1,96 @@
+"""`mimesh evaluate`, `mimesh table` and `mimesh generate`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .terminal import Json, Quiet, print_json, print_next, progress
+
+Protocol = Annotated[
+    str, typer.Argument(metavar="PROTOCOL", help="human-npt, human-wide, cross-topology, noise, dressed or cross-body.")
+]
+Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
+Pairs = Annotated[int, typer.Option(help="Pairs of each kind; 0 for all the protocol has.", min=0)]
+Kept = Annotated[
+    Path | None,
+    typer.Option("--output", "-o", help="Keep the figures as JSON; stopped, the same command goes on where it was."),
+]
+Data = Annotated[Path | None, typer.Option(help="Folder of rigged characters, for cross-body.", metavar="DIR")]
+
+
+def evaluate(
+    protocol: Protocol,
+    model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "npt,copy",
+    output: Kept = None,
+    split: Split = "test",
+    pairs: Pairs = 0,
+    ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
+    dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
+    data: Data = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Measure models on a named test set.
+
+    PMD is Eq. 7 of the papers, x1e-4, in the truth's unit sphere.
+    """
+    from ..evaluate.run import evaluate_command
+    from ..evaluate.tables import markdown
+
+    methods = [name.strip() for name in model.split(",") if name.strip()]
+    with progress("pairs", quiet or json) as advance:
+        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data)
+    if json:
+        print_json(figures)
+    elif not quiet:
+        print(markdown(figures))
+        print_next("table", "npt-1")
+
+
+def table(
+    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2 or npt-7.")],
+    output: Kept = None,
+    pairs: Pairs = 0,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Print a table of a paper with its figures beside ours.
+
+    Measures every row first: give -o to be able to stop and go on.
+    """
+    from ..evaluate.tables import table_command
+
+    with progress("pairs", quiet or json) as advance:
+        figures, text = table_command(name, output, pairs, advance)
+    if json:
+        print_json(figures)
+    elif not quiet:
+        print(text)
+        print_next("evaluate", "human-wide", "-m", "npt,copy")
+
+
+def generate(
+    protocol: Protocol,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
+    split: Annotated[str, typer.Option(help="test, val, or train (human-npt: 6,400 files).")] = "test",
+    pairs: Pairs = 0,
+    data: Data = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a test set as mesh files.
+
+    Files are named id<person>_<pose>.obj; lists of "identity pose truth" stand beside them.
+    """
+    from ..evaluate.generate import generate_command
+
+    with progress("meshes", quiet or json) as advance:
+        written = generate_command(protocol, output, split, pairs, advance, data)
+    if json:
+        print_json({"output": str(output), "protocol": protocol, "split": split, **written})
+    elif not quiet:
+        print(f"{output}: {written['files']} files")
+        print_next("look", output)

@@ -1,0 +1,47 @@
+"""Pictures of the worst pairs of a method: what the means hide."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .measure import moved
+from .metrics import in_unit_sphere_of
+from .pairs import Pair
+from .protocols import Protocol
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+WORST = 3
+"""Pairs of each method and kind that are drawn."""
+
+
+def dump_worst(
+    protocol: Protocol, split: str, kind: str, method: str, ensemble: int, figures: list[dict[str, Any]], folder: Path
+) -> list[Path]:
+    """Draw the pairs with the largest errors as `<folder>/<method>-<kind>-<rank>.png`; gives the paths."""
+    errors = {i: f["pmd_e4"] for i, f in enumerate(figures) if "why" not in f}
+    worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for rank, i in enumerate(worst, 1):
+        pair = protocol.pair(split, kind, i)
+        path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
+        trial_picture(pair, moved(pair, method, ensemble)).save(path)
+        paths.append(path)
+    return paths
+
+
+def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
+    """Identity, driving, result and truth in a row; below it the result's heat map in mm of a 1.7 m person."""
+    from ..view.sheet import heat_map, stack, transfer_sheet
+
+    sized, truth = in_unit_sphere_of(pair.truth, result, pair.truth)
+    metres = np.linalg.norm(pair.truth - pair.truth.mean(axis=0), axis=1).max() * 1.7 / pair.height
+    shown, target = (dataclasses.replace(pair.identity, vertices=points * metres) for points in (sized, truth))
+    return stack([transfer_sheet(pair.identity, pair.driving, shown, target), heat_map(shown, target)])

@@ -1,0 +1,76 @@
+"""Write a protocol's meshes as files, named as the public NPT data are: id<person>_<pose>.obj."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..io import save_mesh
+from ..io.atomic import whole_file
+from ..mesh import InputError, Mesh
+from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
+from .run import Progress, find_protocol
+
+
+def generate_command(
+    protocol: str,
+    out: Path,
+    split: str = "test",
+    pairs: int = 0,
+    progress: Progress | None = None,
+    data: Path | None = None,
+) -> dict[str, int]:
+    """What `mimesh generate` does; gives how many files were written.
+
+    Every kind of pair gets a list `<split>-<kind>.txt` with a line "identity pose truth" for each pair, and a folder
+    with those meshes. Vertices stand in the body's order in all of them, as in the public data: shuffle before use.
+    The split `train` of human-npt is the 16 x 400 table.
+    """
+    chosen = find_protocol(protocol, data)
+    if split not in SPLITS:
+        raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+    if split == "train":
+        return {"files": _write_table(chosen, out, progress)}
+    count, files = pairs or chosen.pairs, 0
+    for number, kind in enumerate(chosen.kinds):
+        lines = []
+        for i in range(count):
+            names = _write_pair(chosen, split, kind, i, out)
+            lines.append(" ".join(names))
+            files += len(names)
+            if progress is not None:
+                progress(number * count + i + 1, len(chosen.kinds) * count)
+        with whole_file(out / f"{split}-{kind}.txt") as temporary:
+            temporary.write_text("\n".join(lines) + "\n")
+    return {"files": files + len(chosen.kinds)}
+
+
+def _write_pair(protocol: Protocol, split: str, kind: str, i: int, out: Path) -> list[str]:
+    pair = protocol.whole(split, kind, i, protocol.rng(split, kind, i))
+    truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
+    folder = out / f"{split}-{kind}"
+    folder.mkdir(parents=True, exist_ok=True)
+    names = []
+    for mesh in (pair.identity, pair.driving, truth):
+        # A point cloud cannot be an OBJ of faces; PLY holds both.
+        path = folder / f"{mesh.name}{'.obj' if len(mesh.faces) else '.ply'}"
+        save_mesh(mesh, path)
+        names.append(f"{folder.name}/{path.name}")
+    return names
+
+
+def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> int:
+    if not isinstance(protocol, HumanNpt) or protocol.name != HUMAN_NPT.name:
+        raise InputError(
+            f"{protocol.name}: expected {HUMAN_NPT.name} for the split train, found a test set without training data; "
+            "choose val or test"
+        )
+    out.mkdir(parents=True, exist_ok=True)
+    people = [protocol.person("train", i) for i in range(protocol.people)]
+    poses = [protocol.pose("train", i) for i in range(protocol.poses)]
+    total = len(people) * len(poses)
+    for k in range(total):
+        mesh = people[k // len(poses)].mesh(poses[k % len(poses)].rotmat, poses[k % len(poses)].label)
+        save_mesh(mesh, out / f"{mesh.name}.obj")
+        if progress is not None:
+            progress(k + 1, total)
+    return total

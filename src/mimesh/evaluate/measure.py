@@ -1,0 +1,110 @@
+"""One method on one pair: what the method is given, and how far its result is from the truth."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError, Mesh
+from ..pipeline import transfer
+from .metrics import (
+    chamfer,
+    edge_score,
+    flipped,
+    in_unit_sphere_of,
+    largest_stretch,
+    mean_error_mm,
+    pmd_of_pair,
+    pmd_public,
+    resized,
+)
+from .pairs import Pair
+
+GIVEN = {
+    "copy": "true dense correspondence, true size",
+    "deformation-transfer-dense": "third mesh, true dense correspondence",
+    "deformation-transfer-13": "third mesh, 13 control points",
+    "deformation-transfer-5": "third mesh, 5 control points",
+    "skeleton": "our body model",
+}
+"""What a method is given besides the two meshes; those that are not here get nothing."""
+
+
+def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"]:
+    """The identity's vertices as a method of GIVEN, of `methods.MODELS` or in an `.onnx` file moves them, in metres.
+
+    Axes are given to all alike: finding them is not what is measured here.
+
+    Raises:
+        InputError: the method cannot work on this pair, such as deformation transfer of a point cloud.
+    """
+    run = partial(transfer, up="+y", front="+z", driving_up="+y", driving_front="+z", ensemble=ensemble)
+    if method == "copy":
+        return resized(_needed(pair.aligned, method), pair.truth)
+    if not method.startswith("deformation-transfer"):
+        return run(pair.identity, pair.driving, method).vertices
+    if method == "deformation-transfer-dense":
+        driving, third = (
+            Mesh(_needed(points, method), pair.identity.faces)
+            for points in (pair.aligned, pair.aligned_reference)
+        )  # fmt: skip
+        return run(pair.identity, driving, "deformation-transfer", reference=third).vertices
+    reference = dataclasses.replace(pair.driving, vertices=_needed(pair.reference, method))
+    markers = _needed(pair.markers, method)[: 5 if method.endswith("-5") else 13]
+    return run(pair.identity, pair.driving, "deformation-transfer", reference=reference, markers=markers).vertices
+
+
+def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
+    """Figures of one pair, or {"why": ...} where the method cannot work on it."""
+    started = time.perf_counter()
+    try:
+        result = moved(pair, method, ensemble)
+    except InputError as error:
+        return {"why": str(error)}
+    seconds = time.perf_counter() - started
+    faces = pair.identity.faces
+    sized, truth = in_unit_sphere_of(pair.truth, result, pair.truth)
+    return {
+        "pmd_e4": 1e4 * pmd_of_pair(result, pair.truth),
+        "pmd_mse_e4": 1e4 * pmd_public(result, pair.truth),
+        "chamfer_e4": 1e4 * chamfer(sized, truth),
+        "mm": mean_error_mm(result, pair.truth, pair.height),
+        "edge_score": edge_score(result, pair.truth, faces),
+        "stretch": largest_stretch(result, pair.truth, faces),
+        "flipped": flipped(result, pair.truth, faces),
+        "seconds": seconds,
+    }
+
+
+def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
+    """One row: means, and the tail of the errors, where users live."""
+    done = [f for f in figures if "why" not in f]
+    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(done), "given": GIVEN.get(method, "")}
+    if len(done) < len(figures):
+        row["not_applicable"] = len(figures) - len(done)
+        row["why"] = next(f["why"] for f in figures if "why" in f)
+    if not done:
+        return row
+    errors = np.array([f["pmd_e4"] for f in done])
+    row |= {
+        "pmd_e4": round(float(errors.mean()), 4),
+        "pmd_e4_median": round(float(np.median(errors)), 4),
+        "pmd_e4_p90": round(float(np.quantile(errors, 0.9)), 4),
+        "pmd_e4_max": round(float(errors.max()), 4),
+    }
+    for name, digits in (("pmd_mse_e4", 4), ("chamfer_e4", 4), ("mm", 2), ("edge_score", 4), ("flipped", 5)):
+        row[name] = round(float(np.mean([f[name] for f in done])), digits)
+    row["stretch_max"] = round(max(f["stretch"] for f in done), 2)
+    row["seconds_per_frame"] = round(float(np.median([f["seconds"] for f in done])), 4)
+    return row
+
+
+def _needed(array: Any, method: str) -> Any:
+    if array is None:
+        raise InputError(f"{method}: expected a correspondence, found none in this test set; choose another method")
+    return array

@@ -1,0 +1,119 @@
+"""One trial of a test set, how it is staged from people, and how its vertices are shuffled."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies import RiggedBody
+from ..bodies.landmarks import landmarks
+from ..mesh import Mesh, permute_vertices
+from .remesh import Remesh
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One trial in metres. Methods get `identity` and `driving`; the rest is truth, or help that a method may ask for.
+
+    Arrays with V rows are in the identity's vertex order, those with U rows in the driving's.
+    """
+
+    identity: Mesh
+    driving: Mesh
+    truth: Float[np.ndarray, "V 3"]
+    height: float
+    """The identity person's height at rest in metres."""
+    aligned: Float[np.ndarray, "V 3"] | None = None
+    """The driving person, undamaged, with true correspondence: what the row `copy` is made of."""
+    aligned_reference: Float[np.ndarray, "V 3"] | None = None
+    """The driving person in the identity's pose, with true correspondence."""
+    reference: Float[np.ndarray, "U 3"] | None = None
+    """The same on the driving's own vertices: the third mesh that deformation transfer is given."""
+    markers: Int[np.ndarray, "M 2"] | None = None
+    """Identity and driving vertex of each of `bodies.landmarks.LANDMARKS`."""
+    truth_name: str = "truth"
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """Somebody in a pose."""
+
+    body: RiggedBody
+    """Whose vertices; may be dressed."""
+    shape: Float[np.ndarray, " K"]
+    label: str
+
+    def posed(self, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "V 3"]:
+        """Vertices in metres."""
+        return self.body.posed(self.shape, rotmat)
+
+    def mesh(self, rotmat: Float[np.ndarray, "J 3 3"], pose: str) -> Mesh:
+        """The same as a mesh, called id<person>_<pose> as the papers' released data are."""
+        return Mesh(self.posed(rotmat), self.body.faces, name=f"id{self.label}_{pose}")
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Joint rotations and what they are called."""
+
+    rotmat: Float[np.ndarray, "J 3 3"]
+    label: str
+
+
+def stage(mover: Person, actor: Person, stand: Pose, played: Pose) -> Pair:
+    """The mover stands, the actor plays; truth is the mover playing. No vertex is shuffled yet."""
+    twin = dataclasses.replace(mover, shape=actor.shape)
+    points = list(landmarks(mover.body).values())
+    return Pair(
+        identity=mover.mesh(stand.rotmat, stand.label),
+        driving=actor.mesh(played.rotmat, played.label),
+        truth=mover.posed(played.rotmat),
+        height=float(np.ptp(mover.body.shaped(mover.shape)[0][:, 1])),
+        aligned=twin.posed(played.rotmat),
+        aligned_reference=twin.posed(stand.rotmat),
+        reference=actor.posed(stand.rotmat),
+        markers=np.stack([points, points], axis=1),
+        truth_name=f"id{mover.label}_{played.label}",
+    )
+
+
+def remeshed(pair: Pair, remesh: Remesh, noise: Callable[[Float[np.ndarray, "U 3"]], np.ndarray] | None = None) -> Pair:
+    """The driving mesh (and its reference alike) on other vertices; `noise` then moves those of the driving alone."""
+    assert pair.reference is not None
+    assert pair.markers is not None
+    vertices = remesh.at(pair.driving.vertices)
+    nearest = remesh.nearest(pair.driving.vertices, pair.markers[:, 1])
+    return dataclasses.replace(
+        pair,
+        driving=Mesh(vertices if noise is None else noise(vertices), remesh.faces, name=pair.driving.name),
+        reference=remesh.at(pair.reference),
+        markers=np.stack([pair.markers[:, 0], nearest], axis=1),
+    )
+
+
+def shuffled(pair: Pair, rng: np.random.Generator) -> Pair:
+    """Both meshes with their vertices in random orders, independent of each other; truth and markers follow."""
+    order = rng.permutation(len(pair.identity.vertices))
+    driving_order = rng.permutation(len(pair.driving.vertices))
+    ranks = np.argsort(order), np.argsort(driving_order)
+    markers = None
+    if pair.markers is not None:
+        markers = np.stack([rank[column] for rank, column in zip(ranks, pair.markers.T, strict=True)], axis=1)
+    return dataclasses.replace(
+        pair,
+        identity=permute_vertices(pair.identity, order),
+        driving=permute_vertices(pair.driving, driving_order),
+        truth=pair.truth[order],
+        aligned=_reordered(pair.aligned, order),
+        aligned_reference=_reordered(pair.aligned_reference, order),
+        reference=_reordered(pair.reference, driving_order),
+        markers=markers,
+    )
+
+
+def _reordered(array: Float[np.ndarray, "N 3"] | None, order: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"] | None:
+    return None if array is None else array[order]

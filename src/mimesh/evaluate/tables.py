@@ -1,0 +1,130 @@
+"""Reports as Markdown: any protocol's rows, and the papers' own tables with their figures beside ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..mesh import InputError
+from .run import Progress, evaluate_command
+
+
+class Row(NamedTuple):
+    """A line of a paper's table: what the paper calls it, our method, and its PMD x1e4 (None: not in the paper)."""
+
+    label: str
+    method: str
+    seen: float | None
+    unseen: float | None
+
+
+class Table(NamedTuple):
+    """A table of a paper: what it is, the protocol it is measured on, its rows."""
+
+    title: str
+    protocol: str
+    rows: tuple[Row, ...]
+
+
+LAST = {
+    "pmd_e4_median": "median",
+    "pmd_e4_p90": "90 %",
+    "pmd_e4_max": "largest",
+    "mm": "mm",
+    "edge_score": "edge score",
+    "seconds_per_frame": "s a pair",
+}
+"""Further columns of a report, for its last kind of pair alone."""
+COPY = Row("the driving vertices themselves, true correspondence", "copy", None, None)
+TABLES = {
+    "npt-1": Table(
+        "NPT Table 1: against deformation transfer",
+        "human-npt",
+        (
+            Row("DT, 5 control points", "deformation-transfer-5", 7.3, 7.2),
+            Row("DT, 13 control points", "deformation-transfer-13", 7.7, 6.7),
+            Row("DT, true dense correspondence", "deformation-transfer-dense", None, None),
+            Row("NPT", "npt", 1.1, 9.3),
+            COPY,
+        ),
+    ),
+    "npt-2": Table(
+        "NPT Table 2: ablations",
+        "human-npt",
+        (
+            Row("concat1 (1x1 convolutions alone)", "npt-concat1", 12.1, 16.9),
+            Row("without SPAdaIN", "npt-no-spadain", 8.3, 13.7),
+            Row("without edge loss", "npt-no-edge", 1.2, 10.1),
+            Row("NPT, as long as the rows above", "npt-equal", 1.1, 9.3),
+            Row("NPT, longest training", "npt", 1.1, 9.3),
+            COPY,
+        ),
+    ),
+    "npt-7": Table(
+        "NPT Table 7: against other baselines",
+        "human-npt",
+        (
+            Row("skeleton", "skeleton", 27.4, 31.1),
+            Row("max-pool, as long as NPT below it", "npt-maxpool-equal", 2.1, 12.7),
+            Row("NPT, equal time", "npt-equal", 1.1, 9.3),
+            Row("max-pool, longest training", "npt-maxpool", 2.1, 12.7),
+            Row("NPT, longest training", "npt", 1.1, 9.3),
+            COPY,
+        ),
+    ),
+}
+
+
+def table_command(name: str, out: Path | None = None, pairs: int = 0, progress: Progress | None = None):
+    """What `mimesh table` does: measure the rows of a paper's table (resumable with `out`); report and text."""
+    if name not in TABLES:
+        raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
+    methods = list(dict.fromkeys(row.method for row in TABLES[name].rows))
+    report = evaluate_command(TABLES[name].protocol, methods, out, pairs=pairs, progress=progress)
+    return report, paper_table(name, report)
+
+
+def paper_table(name: str, *reports: dict[str, Any]) -> str:
+    """A paper's table from reports that hold its rows; what was not measured is said so."""
+    table = TABLES[name]
+    ours = {(row["method"], row["split"]): row for report in reports for row in report["results"]}
+    lines = []
+    for row in table.rows:
+        cells = [_figure(ours.get((row.method, kind)), "pmd_e4") for kind in ("seen", "unseen")]
+        seconds = _figure(ours.get((row.method, "unseen")), "seconds_per_frame")
+        paper = [f"{value:.1f}" if value is not None else "-" for value in (row.seen, row.unseen)]
+        lines.append([row.label, f"`{row.method}`", *paper, *cells, seconds])
+    head = ["row", "ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "s a pair"]
+    return f"{table.title}. PMD (Eq. 7) x1e-4; the paper on SMPL, ours on our body.\n\n" + grid(head, lines)
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """One report: a line a method, a column a kind of pair, and figures over all kinds at the end."""
+    rows = report["results"]
+    kinds = list(dict.fromkeys(row["split"] for row in rows))
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    found = {(row["method"], row["split"]): row for row in rows}
+    lines = []
+    for method in methods:
+        mine = [found[method, kind] for kind in kinds]
+        cells = [_figure(row, "pmd_e4") for row in mine]
+        tail = [_figure(mine[-1], name) for name in LAST]
+        lines.append([f"`{method}`", *cells, *tail, mine[-1].get("given") or "nothing"])
+    head = ["method", *kinds, *(f"{kinds[-1]}: {label}" for label in LAST.values()), "given besides the meshes"]
+    title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
+    return f"{title}, {report['provenance']['config']['pairs']} pairs a column.\n\n" + grid(head, lines)
+
+
+def grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """A Markdown table."""
+    rule = ["---"] * len(head)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *lines))
+
+
+def _figure(row: dict[str, Any] | None, name: str) -> str:
+    if row is None:
+        return "not measured"
+    if name not in row:
+        return "not applicable"
+    return f"{row[name]:.3g}" if abs(row[name]) < 100 else f"{row[name]:.0f}"

@@ -1,0 +1,34 @@
+"""Marker files: pairs of vertices that correspond, one pair a line, for methods that need such help."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from ..mesh import InputError
+
+
+def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:
+    """Vertex of the identity and vertex of the driving mesh in each row, counted from 0; `#` starts a comment.
+
+    Raises:
+        InputError: no such file, no pairs in it, or a line that is not two whole numbers.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: expected a file of markers, found none; check the path")
+    rows = []
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        if len(words) != 2 or not all(word.isascii() and word.isdigit() for word in words):
+            raise InputError(
+                f"{path}, line {number}: expected the numbers of an identity's and a driving vertex, "
+                f"found {line.strip()[:40]!r}; correct that line"
+            )
+        rows.append([int(word) for word in words])
+    if not rows:
+        raise InputError(f"{path}: expected one pair of vertices a line, found no line; write 5 or more")
+    return np.array(rows)

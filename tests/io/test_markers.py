@@ -1,0 +1,36 @@
+"""Marker files: pairs of whole numbers, comments, and every mistake told by its line."""
+
+import numpy as np
+import pytest
+
+from mimesh.io.markers import load_markers
+from mimesh.mesh import InputError
+
+
+def test_pairs_and_comments(tmp_path):
+    path = tmp_path / "five.txt"
+    path.write_text("# identity driving\n3 5  # nose\n\n 10\t0\r\n")
+    assert np.array_equal(load_markers(path), [[3, 5], [10, 0]])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1 2\n3\n", "line 2: .* found '3'"),
+        ("1 2 3\n", "line 1"),
+        ("-1 2\n", "line 1: .* found '-1 2'"),
+        ("a b\n", "line 1"),
+        ("# nothing\n", "found no line"),
+        ("", "found no line"),
+    ],
+)
+def test_mistakes_are_told(tmp_path, text, message):
+    path = tmp_path / "bad.txt"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_markers(path)
+
+
+def test_a_missing_file_is_told(tmp_path):
+    with pytest.raises(InputError, match="found none"):
+        load_markers(tmp_path / "none.txt")
