@@ -16,9 +16,14 @@ ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 
 """The world from a z-up armature in hundredths of a unit."""
 
 
+def kept(faces: int = 300) -> np.ndarray:
+    """The vertices of the body that a character of so many faces has, in its order."""
+    return _thin(faces)[0]
+
+
 def character(
     path: Path,
-    shape: int = 0,
+    shape: int | None = 0,
     rest: np.ndarray | None = None,
     faces: int = 300,
     name: Callable[[str], str] = str,
@@ -27,7 +32,7 @@ def character(
     moved: np.ndarray | None = None,
     turn: np.ndarray | None = None,
 ) -> Path:
-    """Write person `shape` with a skin of two sets of influences; returns `path`.
+    """Write person `shape` (None: the mean) with a skin of two sets of influences; returns `path`.
 
     Args:
         rest: rotation matrices of the joints in the pose in which the character is made.
@@ -39,10 +44,11 @@ def character(
     """
     body = load_body()
     count, turn = len(body.parents), np.eye(3) if turn is None else turn
-    kept, triangles = _thin(faces)
+    left, triangles = _thin(faces)
     rotmat = np.tile(np.eye(3), (count, 1, 1)) if rest is None else rest
-    vertices = body.posed(sample_shape(body, 7, shape), rotmat)[kept] @ turn.T
-    joints = body.shaped(sample_shape(body, 7, shape))[1]
+    coefficients = np.zeros(1) if shape is None else sample_shape(body, 7, shape)
+    vertices = body.posed(coefficients, rotmat)[left] @ turn.T
+    joints = body.shaped(coefficients)[1]
     rotation, translation = body.skinning_transforms(joints, rotmat)
     T_world_joint = np.tile(np.eye(4), (count, 1, 1))
     T_world_joint[:, :3, :3] = 100 * np.linalg.qr(np.random.default_rng(frames).normal(size=(count, 3, 3)))[0]
@@ -54,15 +60,15 @@ def character(
         if holder:
             parents[body.joint(joint)] = body.joint(holder)
 
-    strongest = np.argsort(-body.weights[kept], axis=1)[:, :8]
-    weights = np.take_along_axis(body.weights[kept], strongest, axis=1)
+    strongest = np.argsort(-body.weights[left], axis=1)[:, :8]
+    weights = np.take_along_axis(body.weights[left], strongest, axis=1)
     draft = Draft({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]})
-    small = np.concatenate([vertices, np.ones((len(kept), 1))], axis=1) @ np.linalg.inv(ARMATURE).T
+    small = np.concatenate([vertices, np.ones((len(left), 1))], axis=1) @ np.linalg.inv(ARMATURE).T
     attributes = {"POSITION": draft.add_floats(small[:, :3], bounds=True)}
     for k in range(2):
         four = slice(4 * k, 4 * k + 4)
         view = draft.add_view((strongest[:, four] + 0).astype("<u1"))
-        kind = {"componentType": 5121, "count": len(kept), "type": "VEC4"}
+        kind = {"componentType": 5121, "count": len(left), "type": "VEC4"}
         attributes[f"JOINTS_{k}"] = draft.add_accessor({"bufferView": view, **kind})
         attributes[f"WEIGHTS_{k}"] = draft.add_floats(weights[:, four])
     nodes = [{"name": "armature", "matrix": ARMATURE.T.ravel().tolist(), "children": [1]}]

@@ -1,0 +1,263 @@
+"""`cross-body`: characters that others made and rigged. Driving and truth are two of them in one pose.
+
+The characters are a folder of .glb, .gltf or .vrm files (y up, facing +z). A pose of our own body becomes rotations of
+their bones by joint names, after each limb has been turned from where it rests to where ours rests. So a pose means the
+same directions in the world for everybody, and characters of one skeleton that rest alike get the same bone rotations.
+
+Who is in which split: of each skeleton that three or more characters share, the first by file name belongs to `val`,
+and all others to `test`. No character is in both. A pair of `test` stays within one skeleton, a pair of `val` goes
+across two. The poses are drawn as those of `human-wide`, with seeds of their own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody
+from ..bodies.gltf_rig import GltfRig
+from ..io.gltf_skin import read_skin
+from ..mesh import InputError, Mesh
+from ..motions.retarget import BONES, NEEDED, alignments, to_local
+from .pairs import Pair
+from .protocols import Wide, human
+
+SUFFIXES = (".glb", ".gltf", ".vrm")
+OURS = (
+    "Hips LowerBack Spine Spine1 Neck Neck1 Head",
+    "Shoulder Arm ForeArm Hand FingerBase UpLeg Leg Foot ToeBase",
+)
+"""Our joints of the centre, and those of a side without their Left or Right."""
+SCHEMES = {
+    "cmu": (
+        "left{} right{}",
+        "hips lowerback spine spine1 neck neck1 head",
+        "shoulder arm forearm hand fingerbase upleg leg foot toebase",
+    ),
+    "mixamo": (
+        "left{} right{}",
+        "hips spine spine1 spine2 neck - head",
+        "shoulder arm forearm hand - upleg leg foot toebase",
+    ),
+    "quaternius": (
+        "{}l {}r",
+        "hips abdomen torso chest neck - head",
+        "shoulder upperarm lowerarm hand - upperleg lowerleg foot -",
+    ),
+    "kaykit": (
+        "{}l {}r",
+        "hips - spine chest - - head",
+        "- upperarm lowerarm wrist - upperleg lowerleg foot toes",
+    ),
+    "unreal": (
+        "{}l {}r",
+        "pelvis spine01 spine02 spine03 neck01 - head",
+        "clavicle upperarm lowerarm hand - thigh calf foot ball",
+    ),
+    "vroid": (
+        "l{} r{}",
+        "chips cspine cchest cupperchest cneck - chead",
+        "shoulder upperarm lowerarm hand - upperleg lowerleg foot toebase",
+    ),
+}
+"""How others name our joints: left and right, then, in the order of `OURS`, the centre and a side (- for none).
+
+Names are compared in lower case without . _ - and spaces, namespaces ("mixamorig:") and VRoid's "J_Bip_".
+"""
+
+
+@dataclass(frozen=True)
+class CrossBody(Wide):
+    """Pairs of the characters in a folder; `pairs` of each kind in `test`, a third of them in `val`."""
+
+    data: Path = Path()
+
+    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        casts = self.casts(split)
+        mover, actor = casts[(i + self.kinds.index(kind)) % len(casts)]
+        as_made = rng.random() < 2 / 3
+        stand = pose_at_rest(mover, human()) if as_made else self.rest(split, kind, i, rng).rotmat
+        played = self.played(split, kind, i, rng)
+        return _stage(mover, actor, stand, played.rotmat, "rest" if as_made else "stand", played.label)
+
+    def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
+        """The pairs of a split and kind, the first `count` of them if given; a third as many for `val`."""
+        return super().trials(split, kind, count or (self.pairs if split == "test" else self.pairs // 3))
+
+    def casts(self, split: str) -> list[tuple[GltfRig, GltfRig]]:
+        """Who is moved and who drives, in all ordered pairs of the split.
+
+        Raises:
+            InputError: the folder has no pairs for this split, or a character that cannot take our poses.
+        """
+        if split not in ("val", "test"):
+            raise InputError(f"{split}: expected val or test of {self.name}, found no such split; nobody trains on it")
+        return _casts(self.data, split)
+
+
+def cross_body(data: str | Path) -> CrossBody:
+    """The protocol over the characters of a folder.
+
+    Raises:
+        InputError: no folder, or one without two characters of one skeleton.
+    """
+    protocol = CrossBody("cross-body", 1, ("table6", "limits", "clips"), pairs=12, spread=0.0, data=Path(data))
+    protocol.casts("test")
+    return protocol
+
+
+def named_joints(joint_names: tuple[str, ...]) -> dict[str, int]:
+    """Index of the joint that stands for each of ours, by the scheme of names that finds the most of ours."""
+    found = {_plain(name): j for j, name in reversed(list(enumerate(joint_names)))}
+    guesses = [
+        {ours: found[theirs] for ours, theirs in synonyms(scheme) if theirs in found} for scheme in SCHEMES.values()
+    ]
+    return max(guesses, key=len)
+
+
+def pose_on_rig(rig: GltfRig, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "R 3 3"]:
+    """Local joint rotations that give the rig the pose of our body.
+
+    Limb bones point exactly where ours point. Joints that we have no name for follow their parent, and a root above
+    the hips moves as the hips do (some rigs hang their legs on it).
+    """
+    index = named_joints(rig.joint_names)
+    aligned = alignments(rig.joints, index, body)
+    turned, _ = body.skinning_transforms(body.joints, rotmat)
+    own = {j: turned[body.joint(joint)] @ aligned.get(joint, np.eye(3)).T for joint, j in index.items()}
+    world = np.empty((len(rig.parents), 3, 3))
+    for j, parent in enumerate(rig.parents):
+        world[j] = own[j] if j in own else world[parent] if parent >= 0 else own[index["Hips"]]
+    return to_local(world[None], rig.parents)[0]
+
+
+def pose_at_rest(rig: GltfRig, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
+    """Our body's local rotations in the pose in which the rig rests: an A-pose, a T-pose with bent elbows."""
+    aligned = alignments(rig.joints, named_joints(rig.joint_names), body)
+    world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
+    return to_local(world[None], body.parents)[0]
+
+
+def load_rig(path: str | Path) -> GltfRig:
+    """Read a rigged character.
+
+    Raises:
+        InputError: as `read_skin`.
+    """
+    return GltfRig(**vars(read_skin(path)))
+
+
+def check_person(rig: GltfRig, path: str | Path) -> GltfRig:
+    """Return the rig if it can take the poses of our body.
+
+    Raises:
+        InputError: limb joints of unknown names, limbs that are no chains (feet on a root of their own), or a person
+            who does not stand y up and face +z.
+    """
+    index = named_joints(rig.joint_names)
+    missing = [joint for joint in dict.fromkeys(NEEDED) if joint not in index]
+    if missing:
+        raise InputError(
+            f"{path}: expected joints named as in {', '.join(SCHEMES)}, found none for {', '.join(missing[:4])}"
+            f"{' ...' if len(missing) > 4 else ''}; rename the joints"
+        )
+    for joint, tail in BONES.items():
+        if not _hangs_on(rig, index[tail], index[joint]):
+            raise InputError(
+                f"{path}: expected {rig.joint_names[index[tail]]} below {rig.joint_names[index[joint]]}, found it "
+                "elsewhere in the skeleton; export the deforming bones as chains"
+            )
+    left, right, foot = (rig.joints[index[joint]] for joint in ("LeftUpLeg", "RightUpLeg", "LeftFoot"))
+    if not (left[0] > right[0] and left[1] > foot[1]):
+        raise InputError(
+            f"{path}: expected a person who stands y up and faces +z, found the left hip at {left.round(3).tolist()}, "
+            f"the right at {right.round(3).tolist()}, the left foot at {foot.round(3).tolist()}; turn it, export again"
+        )
+    return rig
+
+
+@cache
+def _casts(data: Path, split: str) -> list[tuple[GltfRig, GltfRig]]:
+    skeletons = _skeletons(data)
+    if split == "test":
+        groups = [group[1:] if len(group) > 2 else group for group in skeletons]
+        casts = [pair for group in groups for pair in permutations(group, 2)]
+        needed = "two characters of one skeleton"
+    else:
+        casts = list(permutations([group[0] for group in skeletons if len(group) > 2], 2))
+        needed = "two skeletons of three characters each"
+    if not casts:
+        raise InputError(
+            f"{data}: expected {needed} among its .glb, .gltf and .vrm files for the split {split}, found skeletons of "
+            f"{', '.join(str(len(group)) for group in skeletons) or 'no'} characters; add some"
+        )
+    return casts
+
+
+@cache
+def _skeletons(data: Path) -> list[list[GltfRig]]:
+    """The characters of a folder by skeleton (equal joint names and parents), by file name."""
+    if not data.is_dir():
+        raise InputError(f"{data}: expected a folder of rigged characters, found none; give it with --data")
+    groups: dict[frozenset[tuple[str, str]], dict[Path, GltfRig]] = {}
+    for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
+        rig = load_rig(path)
+        groups.setdefault(rig.bones(), {})[path] = rig
+    return [[check_person(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
+
+
+def _stage(
+    mover: GltfRig,
+    actor: GltfRig,
+    stand: Float[np.ndarray, "J 3 3"],
+    played: Float[np.ndarray, "J 3 3"],
+    stands: str,
+    plays: str,
+) -> Pair:
+    """The mover stands, the actor plays; truth is the mover playing. `copy` needs both to have the same triangles."""
+    rest, reference = (rig.posed(pose_on_rig(rig, human(), stand)) for rig in (mover, actor))
+    truth, driving = (rig.posed(pose_on_rig(rig, human(), played)) for rig in (mover, actor))
+    twins = np.array_equal(mover.mesh.faces, actor.mesh.faces)
+    return Pair(
+        identity=_mesh(mover, rest, stands),
+        driving=_mesh(actor, driving, plays),
+        truth=truth,
+        height=float(np.ptp(mover.mesh.vertices[:, 1])),
+        aligned=driving if twins else None,
+        aligned_reference=reference if twins else None,
+        reference=reference,
+        truth_name=f"{mover.mesh.name}_{plays}",
+    )
+
+
+def _mesh(rig: GltfRig, vertices: Float[np.ndarray, "V 3"], pose: str) -> Mesh:
+    name = f"{rig.mesh.name}_{pose}"
+    return dataclasses.replace(rig.mesh, vertices=vertices, corner_normals=None, source=None, name=name)
+
+
+def synonyms(scheme: tuple[str, str, str]) -> list[tuple[str, str]]:
+    """Our joints and their plain names in a scheme; "-" is the name of nobody."""
+    sides, centre, limb = scheme
+    pairs: list[tuple[str, str]] = list(zip(OURS[0].split(), centre.split(), strict=True))
+    for ours, theirs in zip(("Left{}", "Right{}"), sides.split(), strict=True):
+        names = zip(OURS[1].split(), limb.split(), strict=True)
+        pairs += [(ours.format(joint), theirs.format(name)) for joint, name in names if name != "-"]
+    return pairs
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"^(mixamorig\d*|jbip)", "", re.sub(r"[._\s-]", "", name.split(":")[-1].lower()))
+
+
+def _hangs_on(rig: GltfRig, joint: int, holder: int) -> bool:
+    while joint >= 0 and joint != holder:
+        joint = rig.parents[joint]
+    return joint == holder
