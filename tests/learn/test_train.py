@@ -80,10 +80,39 @@ def test_an_existing_training_is_not_overwritten(tmp_path):
 
 def test_schedule():
     config = dataclasses.replace(TINY, pairs=1000, warmup=100, decay=0.5)
-    assert schedule(config, 0) < 0.05
-    assert schedule(config, 300) == 1.0
-    assert schedule(config, 750) == pytest.approx(0.5)
-    assert schedule(TrainConfig(), 799_999) == 1.0
+    assert schedule(config, 0, 0.0) < 0.05
+    assert schedule(config, 300, 0.3) == 1.0
+    assert schedule(config, 750, 0.75) == pytest.approx(0.5)
+    assert schedule(config, 1100, 1.1) == 0.0
+    assert schedule(TrainConfig(), 799_999, 0.999) == 1.0
+
+
+def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
+    config = dataclasses.replace(TINY, minutes=0.05, pairs=1, validate_every=10**9)
+    state = checkpoint.load(train(config, tmp_path / "run") / "last.safetensors")
+    assert state.step > 1
+    assert 3.0 <= state.seconds < 10
+    again = Run.start(config, tmp_path / "run")
+    assert again.share() >= 1.0
+
+
+def test_configurations_take_changes():
+    config = load_config("table", changes=["model.blocks=conv", "edge=off", "seed=3", "learning_rate=1e-3"])
+    assert (config.model.blocks, config.edge, config.seed, config.learning_rate) == ("conv", "off", 3, 1e-3)
+    assert config.model.encoder == load_config("table").model.encoder
+    for wrong, message in (
+        ("edge", "KEY=VALUE"),
+        ("batch.size=3", "batch to hold keys"),
+        ("bacth=3", "bacth"),
+    ):
+        with pytest.raises(InputError, match=message):
+            load_config("table", changes=[wrong])
+
+
+def test_resuming_takes_no_changes(tmp_path):
+    folder = train(TINY, tmp_path / "run")
+    with pytest.raises(InputError, match="--resume"):
+        train_command("npt", "small", None, folder, None, ["seed=1"])
 
 
 def test_paper_configuration_is_the_papers():
@@ -94,7 +123,7 @@ def test_paper_configuration_is_the_papers():
     assert (config.edge, config.edge_weight) == ("paper", 5e-4)
 
 
-@pytest.mark.parametrize("name", ["paper", "small", "maxpool-small"])
+@pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table"])
 def test_shipped_configurations_load(name):
     assert load_config(name).pairs > 0
 

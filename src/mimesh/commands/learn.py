@@ -16,7 +16,10 @@ def train(
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
     max_minutes: Annotated[float | None, typer.Option(help="Stop after so long, ready to be resumed.", min=0)] = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the configuration's.")] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change the configuration: seed=1, model.blocks=conv."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """Train a network on data made as it goes.
@@ -26,7 +29,7 @@ def train(
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     from ..learn.train import train_command
 
-    folder = train_command(model, config, output, resume, max_minutes, seed)
+    folder = train_command(model, config, output, resume, max_minutes, change or [])
     if json:
         print_json({"output": str(folder), "best": str(folder / "best.safetensors")})
     else:

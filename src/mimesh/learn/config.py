@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import types
 import typing
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
@@ -27,6 +29,9 @@ class TrainConfig:
     """Pairs a step."""
     pairs: int = 800_000
     """Length of the training: 200 epochs of 4,000 pairs."""
+    minutes: float = 0.0
+    """Length in minutes of steps instead (0: `pairs` counts), for trainings that are compared at equal time. Resuming
+    continues the schedule by the time already spent; how many pairs fit into it is the machine's."""
     optimizer: Literal["adam", "muon"] = "adam"
     """`muon` for the matrices between features (Adam for the rest); the papers use Adam."""
     learning_rate: float = 5e-5
@@ -51,8 +56,8 @@ class TrainConfig:
     seed: int = 0
 
 
-def load_config(name_or_path: str, model: str = "npt") -> TrainConfig:
-    """A shipped configuration by name (`paper`, `small`, ...) or a YAML file by path.
+def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = ()) -> TrainConfig:
+    """A shipped configuration by name (`paper`, `small`, ...) or a YAML file by path, with "key=value" changes.
 
     Raises:
         InputError: no such configuration, or a key or value that does not belong.
@@ -66,7 +71,25 @@ def load_config(name_or_path: str, model: str = "npt") -> TrainConfig:
             f"{name_or_path}: expected a configuration ({', '.join(shipped)}) or a YAML file, found neither"
         )
     values = yaml.safe_load(path.read_text()) or {}
+    for change in changes:
+        _change(values, change)
     return config_from(values, str(path))
+
+
+def _change(values: dict[str, Any], change: str) -> None:
+    """Put "model.blocks=conv" into nested dictionaries; numbers, lists, true and false as in JSON, else a word."""
+    key, equals, value = change.partition("=")
+    if not (key and equals and value):
+        raise InputError(f"--set {change}: expected KEY=VALUE, found something else; for example model.blocks=conv")
+    *groups, last = key.split(".")
+    for group in groups:
+        values = values.setdefault(group, {})
+        if not isinstance(values, dict):
+            raise InputError(f"--set {change}: expected {group} to hold keys, found a value; check the key")
+    try:
+        values[last] = json.loads(value)
+    except json.JSONDecodeError:
+        values[last] = value
 
 
 def config_from(values: dict[str, Any], where: str) -> TrainConfig:

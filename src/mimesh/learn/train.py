@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,20 +29,28 @@ SAVE_SECONDS = 120.0
 
 
 def train_command(
-    model: str, config: str, out: Path | None, resume: Path | None, max_minutes: float | None, seed: int | None = None
+    model: str,
+    config: str,
+    out: Path | None,
+    resume: Path | None,
+    max_minutes: float | None,
+    changes: Sequence[str] = (),
 ) -> Path:
-    """What `mimesh train` does; returns the folder with `last.safetensors`, `best.safetensors` and the logs."""
+    """What `mimesh train` does; returns the folder with `last.safetensors`, `best.safetensors` and the logs.
+
+    `changes` are "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
+    """
     if model != "npt":
         raise InputError(f"{model}: expected a model that can be trained (npt), found another")
     if resume is not None:
         last = resume / "last.safetensors"
         if not last.exists():
             raise InputError(f"{resume}: expected last.safetensors of an earlier training in it, found none")
+        if changes:
+            raise InputError(f"--set {changes[0]}: expected no changes with --resume, found some; leave them out")
         return train(checkpoint.load(last).config, resume, max_minutes)
-    settings = load_config(config, model)
-    if seed is not None:
-        settings = type(settings)(**{**vars(settings), "seed": seed})
-    folder = out or Path("runs") / f"{model}-{Path(config).stem}-{settings.seed}"
+    settings = load_config(config, model, changes)
+    folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
     if (folder / "last.safetensors").exists():
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
@@ -50,17 +59,16 @@ def train_command(
 
 
 def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -> Path:
-    """Train until `config.pairs` or the time limit; continue if the folder holds a checkpoint."""
+    """Train to the end of the schedule or the time limit; continue if the folder holds a checkpoint."""
     folder.mkdir(parents=True, exist_ok=True)
     run = Run.start(config, folder)
     validation = Validation(config, load_body(), run.device)
     deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
     with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
         log = Log(lines, board, config, run)
-        while run.step * config.batch < config.pairs and time.monotonic() < deadline:
+        while run.share() < 1.0 and time.monotonic() < deadline:
             log.add(run.advance())
-            pairs = run.step * config.batch
-            if pairs % config.validate_every < config.batch or pairs >= config.pairs:
+            if run.step * config.batch % config.validate_every < config.batch or run.share() >= 1.0:
                 log.write("validation", run.validate(validation, folder))
             elif time.monotonic() - run.saved > SAVE_SECONDS:
                 run.save(folder / "last.safetensors")
@@ -108,6 +116,12 @@ class Run:
             run.step, run.seconds, run.best = state.step, state.seconds, state.best
         return run
 
+    def share(self) -> float:
+        """How much of the training is done: 0 at the start, 1 at its end."""
+        if self.config.minutes:
+            return self.seconds / (60.0 * self.config.minutes)
+        return self.step * self.config.batch / self.config.pairs
+
     def advance(self) -> Tensor:
         """One optimizer step; the loss stays on the device."""
         started = time.perf_counter()
@@ -115,7 +129,7 @@ class Run:
         batch = self.source.batch(config.batch, self.step)
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
-                group["lr"] = config.learning_rate * schedule(config, self.step * config.batch)
+                group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
             optimizer.zero_grad(set_to_none=True)
         loss = self.loss(batch)
         loss.backward()
@@ -241,11 +255,10 @@ class Log:
         print(f"{kind} {pairs:,} pairs: " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), file=sys.stderr)
 
 
-def schedule(config: TrainConfig, pairs: int) -> float:
-    """Share of the learning rate after so many pairs: linear rise, constant, linear fall over the last `decay`."""
+def schedule(config: TrainConfig, pairs: int, share: float) -> float:
+    """Share of the learning rate after so many pairs, a `share` of the training: rise, constant, fall over `decay`."""
     rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
-    left = 1.0 - pairs / config.pairs
-    return rise * (min(1.0, left / config.decay) if config.decay else 1.0)
+    return rise * (min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0)
 
 
 def _unit_sphere(points: Tensor) -> tuple[Tensor, Tensor]:
