@@ -13,59 +13,59 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.gltf_rig import GltfRig
+from ..bodies.landmarks import landmarks
 from ..io.gltf_skin import read_skin
 from ..mesh import InputError, Mesh
 from ..motions.retarget import BONES, NEEDED, alignments, to_local
-from .pairs import Pair
-from .protocols import Wide, human
+from .pairs import Pair, human
+from .protocols import Wide
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
 OURS = (
     "Hips LowerBack Spine Spine1 Neck Neck1 Head",
-    "Shoulder Arm ForeArm Hand FingerBase UpLeg Leg Foot ToeBase",
+    "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase",
 )
-"""Our joints of the centre, and those of a side without their Left or Right."""
+"""Our joints of the centre, and those of a side without their Left or Right; fingers follow their hand."""
 SCHEMES = {
     "cmu": (
         "left{} right{}",
         "hips lowerback spine spine1 neck neck1 head",
-        "shoulder arm forearm hand fingerbase upleg leg foot toebase",
+        "shoulder arm forearm hand upleg leg foot toebase",
     ),
     "mixamo": (
         "left{} right{}",
         "hips spine spine1 spine2 neck - head",
-        "shoulder arm forearm hand - upleg leg foot toebase",
+        "shoulder arm forearm hand upleg leg foot toebase",
     ),
     "quaternius": (
         "{}l {}r",
         "hips abdomen torso chest neck - head",
-        "shoulder upperarm lowerarm hand - upperleg lowerleg foot -",
+        "shoulder upperarm lowerarm hand upperleg lowerleg foot -",
     ),
     "kaykit": (
         "{}l {}r",
         "hips - spine chest - - head",
-        "- upperarm lowerarm wrist - upperleg lowerleg foot toes",
+        "- upperarm lowerarm wrist upperleg lowerleg foot toes",
     ),
     "unreal": (
         "{}l {}r",
         "pelvis spine01 spine02 spine03 neck01 - head",
-        "clavicle upperarm lowerarm hand - thigh calf foot ball",
+        "clavicle upperarm lowerarm hand thigh calf foot ball",
     ),
     "vroid": (
         "l{} r{}",
         "chips cspine cchest cupperchest cneck - chead",
-        "shoulder upperarm lowerarm hand - upperleg lowerleg foot toebase",
+        "shoulder upperarm lowerarm hand upperleg lowerleg foot toebase",
     ),
 }
 """How others name our joints: left and right, then, in the order of `OURS`, the centre and a side (- for none).
@@ -76,7 +76,7 @@ Names are compared in lower case without . _ - and spaces, namespaces ("mixamori
 
 @dataclass(frozen=True)
 class CrossBody(Wide):
-    """Pairs of the characters in a folder; `pairs` of each kind in `test`, a third of them in `val`."""
+    """Pairs of the characters in a folder, who stand as their files have them (two of three) or as in `human-wide`."""
 
     data: Path = Path()
 
@@ -87,10 +87,6 @@ class CrossBody(Wide):
         stand = pose_at_rest(mover, human()) if as_made else self.rest(split, kind, i, rng).rotmat
         played = self.played(split, kind, i, rng)
         return _stage(mover, actor, stand, played.rotmat, "rest" if as_made else "stand", played.label)
-
-    def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
-        """The pairs of a split and kind, the first `count` of them if given; a third as many for `val`."""
-        return super().trials(split, kind, count or (self.pairs if split == "test" else self.pairs // 3))
 
     def casts(self, split: str) -> list[tuple[GltfRig, GltfRig]]:
         """Who is moved and who drives, in all ordered pairs of the split.
@@ -144,6 +140,27 @@ def pose_at_rest(rig: GltfRig, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
     aligned = alignments(rig.joints, named_joints(rig.joint_names), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
     return to_local(world[None], body.parents)[0]
+
+
+def landmarks_on(rig: GltfRig) -> Int[np.ndarray, "M"]:
+    """Vertices of the rig at `bodies.landmarks.LANDMARKS`: found as on our body, in its T-pose and at its height."""
+    body, index = human(), named_joints(rig.joint_names)
+    tee = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
+    transforms = rig.skinning_transforms(tee)
+    size = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
+    joints, role = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
+    stand_in = {joint: index[joint.replace("ToeBase", "Foot")] for joint in ("LeftToeBase", "RightToeBase")}
+    for joint, j in {**stand_in, **index}.items():  # a foot without toes begins where the toes would
+        joints[body.joint(joint)] = size * (transforms[j] @ [*rig.joints[j], 1.0])[:3]
+    for j, parent in enumerate(rig.parents):
+        role.setdefault(j, role.get(parent, 0))
+    weights = np.zeros((len(rig.weights), len(body.parents)))
+    held_by = np.array([role[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
+    np.add.at(weights, (np.arange(len(weights))[:, None], held_by), rig.weights)
+    none, no_joint = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
+    twin = RiggedBody("", size * rig.posed(tee), rig.mesh.faces, none, joints, no_joint, weights,
+                      body.joint_names, body.parents)  # fmt: skip
+    return np.array(list(landmarks(twin).values()))
 
 
 def load_rig(path: str | Path) -> GltfRig:
@@ -234,6 +251,7 @@ def _stage(
         aligned=driving if twins else None,
         aligned_reference=reference if twins else None,
         reference=reference,
+        markers=np.stack([landmarks_on(mover), landmarks_on(actor)], axis=1),
         truth_name=f"{mover.mesh.name}_{plays}",
     )
 
