@@ -6,7 +6,7 @@ from scipy.spatial import KDTree
 
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate import remesh
-from mimesh.evaluate.protocols import human
+from mimesh.evaluate.pairs import human
 from mimesh.geometry import edges, face_areas
 
 BODY = human()

@@ -5,11 +5,12 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies import RiggedBody
+from ..bodies import RiggedBody, load_body
 from ..bodies.landmarks import landmarks
 from ..mesh import Mesh, permute_vertices
 from .remesh import Remesh
@@ -64,10 +65,17 @@ class Pose:
     label: str
 
 
+@cache
+def human() -> RiggedBody:
+    """The shipped body, read once."""
+    return load_body()
+
+
 def stage(mover: Person, actor: Person, stand: Pose, played: Pose) -> Pair:
     """The mover stands, the actor plays; truth is the mover playing. No vertex is shuffled yet."""
     twin = dataclasses.replace(mover, shape=actor.shape)
-    points = list(landmarks(mover.body).values())
+    # Garments come after the body's own vertices, so its landmarks keep their numbers.
+    points = list(landmarks(human()).values())
     return Pair(
         identity=mover.mesh(stand.rotmat, stand.label),
         driving=actor.mesh(played.rotmat, played.label),

@@ -18,7 +18,8 @@ from typing import Literal, get_args
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies import RiggedBody, load_body
+from ..bodies import RiggedBody
+from ..bodies.dress import GARMENTS, dressed_body
 from ..bodies.sampling import (
     JOINT_LIMITS,
     lowered_arms,
@@ -28,7 +29,7 @@ from ..bodies.sampling import (
 )
 from ..motions import pose_bank
 from . import remesh
-from .pairs import Pair, Person, Pose, remeshed, shuffled, stage
+from .pairs import Pair, Person, Pose, human, remeshed, shuffled, stage
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)
@@ -148,6 +149,18 @@ class Wide(Protocol):
 
 
 @dataclass(frozen=True)
+class Dressed(Wide):
+    """People in the base mesh's own skirt, tights and hair, in Table 6 poses: who is dressed is the kind."""
+
+    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        worn = [wearing(tuple(name for name in GARMENTS if rng.random() < 0.6) or GARMENTS[-1:]) for _ in range(2)]
+        mover = human() if kind == "driving" else worn[0]
+        actor = human() if kind == "identity" else worn[1]
+        pose = self.played(split, "table6", i, rng)
+        return stage(*self.people(mover, actor, split, kind, i), self.rest(split, kind, i, rng), pose)
+
+
+@dataclass(frozen=True)
 class CrossTopology(HumanNpt):
     """Table 6 poses; the driving mesh has other vertices and triangles than the identity."""
 
@@ -194,13 +207,14 @@ CROSS_TOPOLOGY = CrossTopology("cross-topology", 1, (*MESHINGS, "points"), pairs
 NOISE = Noise(
     "noise", 1, (*(f"noise-{percent}" for percent in range(6)), "holes", "cropped", "half"), pairs=18, spread=1.1
 )
-PROTOCOLS: dict[str, Protocol] = {p.name: p for p in (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE)}
+DRESSED = Dressed("dressed", 1, ("identity", "driving", "both"), pairs=18, spread=1.3)
+PROTOCOLS: dict[str, Protocol] = {p.name: p for p in (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED)}
 
 
 @cache
-def human() -> RiggedBody:
-    """The shipped body, read once."""
-    return load_body()
+def wearing(garments: tuple[str, ...]) -> RiggedBody:
+    """The shipped body in some garments."""
+    return dressed_body(human(), garments)
 
 
 @cache

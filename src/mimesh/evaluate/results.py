@@ -6,8 +6,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from .measure import GIVEN
 from .tables import TABLES, grid, markdown, paper_table
 
@@ -21,7 +19,7 @@ COLUMNS = {
     "noise 2 %": ("noise", ("noise-2",)),
     "damaged": ("noise", ("holes", "cropped", "half")),
     "dressed": ("dressed", ("identity", "driving", "both")),
-    "others' rigs": ("cross-body", ("test",)),
+    "others' rigs": ("cross-body", ("table6", "limits", "clips")),
 }
 """Columns of the one-page table: the mean over some kinds of a protocol."""
 HEAD = """# Results

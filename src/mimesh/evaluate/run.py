@@ -13,6 +13,7 @@ from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..methods import MODELS, SHIPPED_NETWORKS, shipped_path
 from ..provenance import commit, machine
+from .cross_body import cross_body
 from .measure import GIVEN, measure, summary
 from .protocols import PROTOCOLS, SPLITS, Protocol
 
@@ -107,8 +108,13 @@ class Ledger:
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
     """A protocol by name, `data` being the folder that `cross-body` reads; InputError lists the ones there are."""
+    if name == "cross-body":
+        if data is None:
+            raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
+        return cross_body(data)
     if name not in PROTOCOLS:
-        raise InputError(f"{name}: expected a protocol ({', '.join(PROTOCOLS)}), found another; check the name")
+        known = ", ".join((*PROTOCOLS, "cross-body"))
+        raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")
     return PROTOCOLS[name]
 
 
