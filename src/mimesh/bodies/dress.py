@@ -1,0 +1,91 @@
+"""What the shipped human can wear: garments that follow the person's shape and skeleton, so their truth is exact too.
+
+Built by `scripts/build_dress.py` from MakeHuman's helper meshes. Each garment is one open surface
+with the body's shape coefficients and joints; nothing is simulated, so a skirt stretches between spread legs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib import resources
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..mesh import InputError
+from .rigged import RiggedBody
+
+GARMENTS = ("skirt", "tights", "hair")
+"""A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair leave room for tights."""
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Garment:
+    """A surface worn by the human, at rest on the mean person in the body's own frame (metres)."""
+
+    name: str
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    components: Float[np.ndarray, "K V 3"]
+    """Displacement for one standard deviation of each of the *body's* shape coefficients."""
+    weights: Float[np.ndarray, "V J"]
+    """Skinning weights on the body's joints, rows sum to 1."""
+
+
+def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
+    """The human in the named garments as one rigged body: its own vertices come first, then each garment's in order.
+
+    Skin under a garment stays, and garments may touch it in far poses.
+
+    Raises:
+        InputError: an unknown or repeated garment, or a body that is not the shipped human (its first components do).
+    """
+    worn = [load_garment(name) for name in garments]
+    if len(set(garments)) < len(garments):
+        raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
+    _check_fits(body)
+    count = len(body.components)
+    first = np.cumsum([len(part.vertices) for part in (body, *worn)])
+    return dataclasses.replace(
+        body,
+        name="+".join((body.name, *garments)),
+        vertices=np.concatenate([body.vertices, *(g.vertices for g in worn)]),
+        faces=np.concatenate([body.faces, *(g.faces + start for g, start in zip(worn, first, strict=False))]),
+        components=np.concatenate([body.components, *(g.components[:count] for g in worn)], axis=1),
+        weights=np.concatenate([body.weights, *(g.weights for g in worn)]),
+    )
+
+
+def load_garment(name: str) -> Garment:
+    """A shipped garment by name.
+
+    Raises:
+        InputError: no such garment.
+    """
+    if name not in GARMENTS:
+        raise InputError(f"{name}: expected a garment ({', '.join(GARMENTS)}), found another name; name one of them")
+    with _open() as data:
+        vertices = data[f"{name}_vertices"].astype(np.float64)
+        weights = np.zeros((len(vertices), len(data["joints"])))
+        joints = data[f"{name}_weight_joints"].astype(int)
+        np.put_along_axis(weights, joints, data[f"{name}_weights"].astype(np.float64), axis=1)
+        return Garment(
+            name=name,
+            vertices=vertices,
+            faces=data[f"{name}_faces"].astype(np.int64),
+            components=data[f"{name}_components"].astype(np.float64),
+            weights=weights / weights.sum(axis=1, keepdims=True),
+        )
+
+
+def _check_fits(body: RiggedBody) -> None:
+    """Refuse a body whose joints do not stand where those of the garments' wearer do (to a millimetre)."""
+    with _open() as data:
+        joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
+    same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3
+    if not same or len(body.components) > count:
+        raise InputError(f"{body.name}: expected the shipped human, found another body; dress load_body('human')")
+
+
+def _open():
+    return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

@@ -1,0 +1,191 @@
+"""The garments of the shipped human: skinned with it, shaped with it, outside it."""
+
+import dataclasses
+from importlib import resources
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+
+from mimesh.bodies import load_body
+from mimesh.bodies.dress import GARMENTS, dressed_body, load_garment
+from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, vertex_normals
+from mimesh.mesh import InputError, check_mesh
+
+WEARERS = 6
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+@pytest.fixture(scope="module")
+def dressed(body):
+    return dressed_body(body, GARMENTS)
+
+
+def components(faces: np.ndarray, count: int) -> np.ndarray:
+    pairs = edges(faces)
+    return connected_components(coo_matrix((np.ones(len(pairs)), pairs.T), (count, count)), directed=False)[1]
+
+
+def heights(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Signed distance over the skin: the naive way, on the plane of the closest point's interpolated normal."""
+    face, barycentric, _ = closest_on_mesh(points, vertices, faces)
+    normal = at_barycentric(vertex_normals(vertices, faces), faces, face, barycentric)
+    away = points - at_barycentric(vertices, faces, face, barycentric)
+    return (away * normal).sum(axis=1) / np.linalg.norm(normal, axis=1)
+
+
+@pytest.mark.parametrize("garments", [(), ("skirt",), ("hair", "tights"), GARMENTS], ids="+".join)
+def test_the_person_underneath_is_the_same(body, garments):
+    whole = dressed_body(body, garments)
+    shape, pose = sample_shape(body, 0, 1), rotvec_to_rotmat(sample_pose(body, 0, 1))
+    count = len(body.vertices)
+    np.testing.assert_array_equal(whole.posed(shape, pose)[:count], body.posed(shape, pose))
+    np.testing.assert_array_equal(whole.faces[: len(body.faces)], body.faces)
+    np.testing.assert_array_equal(whole.joints, body.joints)
+    assert whole.name == "+".join(("human", *garments))
+
+
+def test_garments_follow_in_the_order_given(body):
+    whole = dressed_body(body, ("hair", "skirt"))
+    hair, skirt = load_garment("hair"), load_garment("skirt")
+    first = np.cumsum([len(body.vertices), len(hair.vertices), len(skirt.vertices)])
+    assert len(whole.vertices) == first[2]
+    np.testing.assert_array_equal(whole.vertices[first[0] : first[1]], hair.vertices)
+    np.testing.assert_array_equal(whole.faces[-len(skirt.faces) :] - first[1], skirt.faces)
+    np.testing.assert_array_equal(whole.components[:, first[1] :], skirt.components)
+
+
+def test_turning_and_moving_the_root_takes_the_clothes_along(dressed):
+    shape, pose = sample_shape(dressed, 0, 2), rotvec_to_rotmat(sample_pose(dressed, 0, 2))
+    turn, root = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2])), np.array([0.5, 0.1, -2.0])
+    turned = pose.copy()
+    turned[0] = turn @ pose[0]
+    hips = dressed.shaped(shape)[1][0]
+    expected = (dressed.posed(shape, pose) - hips) @ turn.T + hips + root
+    np.testing.assert_allclose(dressed.posed(shape, turned, root), expected, atol=1e-12)
+
+
+def test_posing_agrees_with_a_vertex_by_vertex_loop(dressed):
+    shape, pose = sample_shape(dressed, 3, 0), rotvec_to_rotmat(sample_pose(dressed, 3, 0))
+    rotation, translation = dressed.skinning_transforms(dressed.shaped(shape)[1], pose)
+    posed = dressed.posed(shape, pose)
+    for v in range(6890, len(dressed.vertices), 401):
+        rest = dressed.vertices[v] + sum(
+            c * component[v] for c, component in zip(shape, dressed.components, strict=True)
+        )
+        point = sum(w * (r @ rest + t) for w, r, t in zip(dressed.weights[v], rotation, translation, strict=True))
+        np.testing.assert_allclose(posed[v], point, atol=1e-12)
+
+
+def test_fewer_components_are_the_first_ones(body, dressed):
+    half = dataclasses.replace(body, components=body.components[:8], joint_components=body.joint_components[:8])
+    np.testing.assert_array_equal(dressed_body(half, GARMENTS).components, dressed.components[:8])
+
+
+@pytest.mark.parametrize("name", GARMENTS)
+def test_weights_are_a_partition_of_unity(name):
+    weights = load_garment(name).weights
+    np.testing.assert_allclose(weights.sum(axis=1), 1, atol=1e-12)
+    assert weights.min() >= 0
+    assert (weights > 0).sum(axis=1).max() <= 6
+
+
+@pytest.mark.parametrize("name", GARMENTS)
+def test_a_garment_is_one_sound_surface(name):
+    garment = load_garment(name)
+    assert not components(garment.faces, len(garment.vertices)).any()  # all in component 0, none left over
+    directed = garment.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    assert len(np.unique(directed, axis=0)) == len(directed)  # manifold, consistently wound
+    assert np.isfinite(garment.components).all()
+
+
+def test_a_dressed_person_is_a_valid_mesh_of_four_parts(dressed):
+    mesh = dressed.mesh(dressed.posed(sample_shape(dressed, 5, 0), rotvec_to_rotmat(sample_pose(dressed, 5, 0))))
+    check_mesh(mesh, "dressed")
+    assert components(dressed.faces, len(dressed.vertices)).max() + 1 == 1 + len(GARMENTS)
+
+
+@pytest.mark.parametrize("name", GARMENTS)
+def test_faces_look_away_from_the_skin(body, name):
+    garment = load_garment(name)
+    middle = garment.vertices[garment.faces].mean(axis=1)
+    face, barycentric, _ = closest_on_mesh(middle, body.vertices, body.faces)
+    skin = at_barycentric(vertex_normals(body.vertices, body.faces), body.faces, face, barycentric)
+    assert ((face_vectors(garment.vertices, garment.faces) * skin).sum(axis=1) > 0).mean() > 0.95
+
+
+@pytest.mark.parametrize(("name", "most"), [("skirt", 0.30), ("tights", 0.03), ("hair", 0.12)])
+def test_at_rest_clothes_lie_outside_the_skin_and_near_it(body, name, most):
+    garment = load_garment(name)
+    for i in range(WEARERS):  # other people than the garments were lifted for
+        shape = sample_shape(body, 1000, i)
+        worn = garment.vertices + np.tensordot(shape, garment.components, axes=1)
+        height = heights(worn, body.shaped(shape)[0], body.faces)
+        assert (height > 0).mean() > 0.999
+        assert height.max() < most
+
+
+@pytest.mark.parametrize(("name", "share"), [("skirt", 0.98), ("tights", 0.99), ("hair", 0.99)])
+def test_posed_clothes_stay_outside_the_skin(body, name, share):
+    garment = load_garment(name)
+    wearer = dressed_body(body, (name,))
+    outside = []
+    for i in range(WEARERS):
+        posed = wearer.posed(sample_shape(body, 1000, i), rotvec_to_rotmat(sample_pose(body, 1000, i)))
+        skin, cloth = posed[: len(body.vertices)], posed[-len(garment.vertices) :]
+        outside.append((heights(cloth, skin, body.faces) > -0.001).mean())
+    assert np.mean(outside) > share
+
+
+def test_tights_follow_the_leg(body, dressed):
+    """The suit moves with the skin it lies on: bending a knee moves both by the same field to a few millimetres."""
+    pose = np.zeros((len(body.parents), 3))
+    pose[body.joint("LeftLeg"), 0] = np.radians(90)
+    tights = load_garment("tights")
+    whole = dressed_body(body, ("tights",))
+    bent = whole.posed(np.zeros(16), rotvec_to_rotmat(pose)) - whole.vertices
+    face, barycentric, _ = closest_on_mesh(tights.vertices, body.vertices, body.faces)
+    skin = at_barycentric(bent[: len(body.vertices)], body.faces, face, barycentric)
+    apart = np.linalg.norm(bent[len(body.vertices) :] - skin, axis=1)
+    assert np.linalg.norm(skin, axis=1).max() > 0.4
+    assert apart.max() < 0.05  # at the toes' height over the knee the layer itself turns with the shin
+    assert apart.mean() < 0.005
+
+
+def test_the_face_is_free(body):
+    hair = load_garment("hair")
+    face = body.vertices[body.weights[:, body.joint("Head")] > 0.9]
+    crown, front = face[:, 1].max(), face[:, 2].max()
+    x, y, z = hair.vertices.T
+    before = (np.abs(x) < 0.06) & (z > front - 0.06) & (y > crown - 0.25)
+    assert before.any()  # the fringe
+    assert y[before].min() > crown - 0.12
+
+
+def test_the_file_is_small():
+    assert (resources.files("mimesh.bodies") / "dress.npz").stat().st_size < 700_000
+
+
+def test_mistakes_are_told(body):
+    with pytest.raises(InputError, match="toga: expected a garment"):
+        dressed_body(body, ("toga",))
+    with pytest.raises(InputError, match="each at most once, found hair, hair"):
+        dressed_body(body, ("hair", "hair"))
+    moved = dataclasses.replace(body, name="giant", joints=2 * body.joints)
+    with pytest.raises(InputError, match="giant: expected the shipped human"):
+        dressed_body(moved, ("hair",))
+    fewer = dataclasses.replace(
+        body,
+        name="stump",
+        joints=body.joints[:5],
+        joint_components=body.joint_components[:, :5],
+        weights=body.weights[:, :5],
+    )
+    with pytest.raises(InputError, match="stump: expected the shipped human"):
+        dressed_body(fewer, ("hair",))
