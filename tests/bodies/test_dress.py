@@ -127,7 +127,8 @@ def test_at_rest_clothes_lie_outside_the_skin_and_near_it(body, name, most):
         shape = sample_shape(body, 1000, i)
         worn = garment.vertices + np.tensordot(shape, garment.components, axes=1)
         height = heights(worn, body.shaped(shape)[0], body.faces)
-        assert (height > 0).mean() > 0.999
+        assert (height > 0).mean() > 0.995  # the lift leaves out one person in twenty at every vertex
+        assert height.min() > -0.005
         assert height.max() < most
 
 
@@ -143,8 +144,8 @@ def test_posed_clothes_stay_outside_the_skin(body, name, share):
     assert np.mean(outside) > share
 
 
-def test_tights_follow_the_leg(body, dressed):
-    """The suit moves with the skin it lies on: bending a knee moves both by the same field to a few millimetres."""
+def test_tights_follow_the_leg(body):
+    """The suit moves with the skin it lies on: bending a knee leaves hardly any slip between them."""
     pose = np.zeros((len(body.parents), 3))
     pose[body.joint("LeftLeg"), 0] = np.radians(90)
     tights = load_garment("tights")
@@ -154,7 +155,8 @@ def test_tights_follow_the_leg(body, dressed):
     skin = at_barycentric(bent[: len(body.vertices)], body.faces, face, barycentric)
     apart = np.linalg.norm(bent[len(body.vertices) :] - skin, axis=1)
     assert np.linalg.norm(skin, axis=1).max() > 0.4
-    assert apart.max() < 0.05  # at the toes' height over the knee the layer itself turns with the shin
+    # A layer at height h that turns by 90 degrees leaves its skin by h times the square root of 2.
+    assert apart.max() < 0.05
     assert apart.mean() < 0.005
 
 
