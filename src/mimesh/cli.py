@@ -36,6 +36,7 @@ COMMANDS = (
     about.doctor,
     measure.evaluate,
     measure.table,
+    measure.figure,
     measure.generate,
     learn.train,
     learn.export,

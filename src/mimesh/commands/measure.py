@@ -1,4 +1,4 @@
-"""`mimesh evaluate`, `mimesh table` and `mimesh generate`."""
+"""`mimesh evaluate`, `mimesh table`, `mimesh figure` and `mimesh generate`."""
 
 from __future__ import annotations
 
@@ -70,6 +70,30 @@ def table(
     elif not quiet:
         print(text)
         print_next("evaluate", "human-wide", "-m", "npt,copy")
+
+
+def figure(
+    name: Annotated[str, typer.Argument(metavar="FIGURE", help="npt-6 to npt-20, as the paper numbers them.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],
+    model: Annotated[str, typer.Option("--model", "-m", help="Other models than the figure's own.")] = "",
+    rows: Annotated[int, typer.Option(help="Rows to draw; 0 for the figure's own number.", min=0)] = 0,
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of other people's meshes, for npt-10, 11, 17.", metavar="DIR")
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Draw a figure of the paper with our people and models."""
+    from ..evaluate.figures import figure_command
+
+    models = tuple(word.strip() for word in model.split(",") if word.strip())
+    with progress("rows", quiet or json) as advance:
+        drawn = figure_command(name, output, models, rows, data, advance)
+    if json:
+        print_json({"output": str(output), "figure": name, "rows": drawn})
+    elif not quiet:
+        print(f"{output}: {drawn} rows")
+        print_next("table", "npt-1")
 
 
 def generate(

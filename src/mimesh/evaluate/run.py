@@ -40,7 +40,7 @@ def evaluate_command(
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
-        _check_method(method)
+        check_method(method)
     config = {"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}
     ledger = Ledger(out and out.with_name(out.name + ".partial"), {**config, "protocol": [protocol, chosen.version]})
     total, rows = len(chosen.kinds) * config["pairs"] * len(methods), []
@@ -124,7 +124,8 @@ def fingerprint(method: str) -> int:
     return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
 
 
-def _check_method(method: str) -> None:
+def check_method(method: str) -> None:
+    """Raise InputError, with the names there are, for a method that cannot be measured."""
     names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
     if method not in names and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")

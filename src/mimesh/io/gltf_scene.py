@@ -30,8 +30,8 @@ def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "N 4 4"]
         InputError: the node tree has a loop, or a node with two parents.
     """
     T_world_node = T_parent_node.copy()
-    parent = _parents(document)
-    for node in _parents_first(document, parent):
+    parent = parents_of(document)
+    for node in parents_first(document, parent):
         if parent[node] >= 0:
             T_world_node[node] = T_world_node[parent[node]] @ T_parent_node[node]
     return T_world_node
@@ -41,7 +41,7 @@ def shown_nodes(document: Document) -> list[int]:
     """The nodes of the default scene (else of scene 0, else all), depth first: the scene order."""
     gltf = document.gltf
     scenes = gltf.get("scenes")
-    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(_parents(document))
+    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(parents_of(document))
     order: dict[int, None] = {}
     stack = list(reversed(roots))
     while stack:
@@ -114,7 +114,7 @@ def vertex_matrices(
     skin = document.gltf["nodes"][node].get("skin")
     if skin is None or "JOINTS_0" not in primitive["attributes"]:
         return T_world_node[node][None, :3]
-    joints, weights = _influences(document, primitive)
+    joints, weights = influences(document, primitive)
     T_world_bind = joint_matrices(document, skin, T_world_node)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(T_world_bind):
         raise InputError(
@@ -188,7 +188,7 @@ def _rotation(quat_xyzw: Float[np.ndarray, 4]) -> Float[np.ndarray, "3 3"]:
     )
 
 
-def _parents(document: Document) -> list[int]:
+def parents_of(document: Document) -> list[int]:
     """The parent of each node, -1 for roots."""
     nodes = document.gltf.get("nodes", [])
     parent = [-1] * len(nodes)
@@ -204,7 +204,7 @@ def _roots(parent: list[int]) -> list[int]:
     return [node for node, above in enumerate(parent) if above < 0]
 
 
-def _parents_first(document: Document, parent: list[int]) -> list[int]:
+def parents_first(document: Document, parent: list[int]) -> list[int]:
     """All nodes, each after its parent."""
     order = _roots(parent)
     for node in order:  # grows while it is walked
@@ -215,7 +215,7 @@ def _parents_first(document: Document, parent: list[int]) -> list[int]:
     return order
 
 
-def _influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
+def influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
     """Joint numbers and weights of each vertex from all sets; joints of no weight are 0, whatever the file says."""
     joints, weights, number = [], [], 0
     while f"JOINTS_{number}" in primitive["attributes"]:

@@ -19,7 +19,7 @@ from . import load_mesh
 from .gltf_document import Document
 from .gltf_edit import GltfSource
 from .gltf_read import Rest, Run, primitive_of
-from .gltf_scene import _influences, _parents, _parents_first, joint_matrices, morph_weights, morphed, transform
+from .gltf_scene import influences, joint_matrices, morph_weights, morphed, parents_first, parents_of, transform
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,8 +88,8 @@ def _find_joints(document: Document, rest: Rest) -> _Tree:
     gltf = document.gltf
     skins = {skin for run in rest.runs if (skin := _skin_of(document, run)) is not None}
     wanted = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
-    above = _parents(document)
-    nodes = [node for node in _parents_first(document, above) if node in wanted]
+    above = parents_of(document)
+    nodes = [node for node in parents_first(document, above) if node in wanted]
     return _Tree(nodes, above, {node: j for j, node in enumerate(nodes)})
 
 
@@ -110,7 +110,7 @@ def _run_influences(
     if skin is None:
         one = np.full((len(positions), 1), tree.holder(run.node) % (len(tree.nodes) + 1))  # -1: the world, the last
         return one, np.ones(one.shape), transform(rest.T_world_node[run.node, None, :3], positions)[:, None]
-    number, weights = _influences(document, primitive)
+    number, weights = influences(document, primitive)
     T_world_bind = joint_matrices(document, skin, rest.T_world_node)
     points = [transform(T_world_bind[column, :3], positions) for column in number.T]
     joint = np.array([tree.joint[node] for node in document.gltf["skins"][skin]["joints"]])

@@ -1,0 +1,182 @@
+"""The figures of NPT with our people and methods: one page each, a row a trial."""
+
+from __future__ import annotations
+
+import colorsys
+import dataclasses
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError, Mesh
+from ..pipeline import transfer
+from .cross_body import SUFFIXES
+from .measure import moved
+from .pairs import Pair, shuffled
+from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE
+from .run import Progress, check_method
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+TILE = (300, 360)
+ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt")
+
+
+class Tile(NamedTuple):
+    """One mesh of a page; `colors` a vertex instead of its materials."""
+
+    label: str
+    mesh: Mesh
+    colors: Float[np.ndarray, "V 3"] | None = None
+
+
+class Figure(NamedTuple):
+    """What a figure shows and how its rows are made from the models, a number of rows and a folder of meshes."""
+
+    title: str
+    rows: Callable[[tuple[str, ...], int, Path | None], Iterator[list[Tile]]]
+    models: tuple[str, ...]
+    count: int
+
+
+def figure_command(
+    name: str,
+    out: Path,
+    models: tuple[str, ...] = (),
+    rows: int = 0,
+    data: Path | None = None,
+    progress: Progress | None = None,
+) -> int:
+    """What `mimesh figure` does: draw a figure of the paper into a picture; gives how many rows it has."""
+    from ..preview import save_picture
+    from ..view.sheet import stack
+
+    if name not in FIGURES:
+        raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another; check the name")
+    figure = FIGURES[name]
+    for model in models or figure.models:
+        check_method(model)
+    count, pages = rows or figure.count, []
+    for tiles in figure.rows(models or figure.models, count, data):
+        pages.append(_row(tiles))
+        if progress is not None:
+            progress(len(pages), max(count, len(pages)))
+    save_picture(stack(pages), out)
+    return len(pages)
+
+
+def compared(
+    models: tuple[str, ...], count: int, data: Path | None, *, protocol=HUMAN_NPT, kind: str
+) -> Iterator[list[Tile]]:
+    """Identity, driving, a result for each model, truth."""
+    for i in range(count):
+        yield _trial(protocol.pair("test", kind, i), models)
+
+
+def vertex_orders(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """One pair again and again, its vertices shuffled anew in each row and coloured by their number (Fig. 8, 15)."""
+    pair = HUMAN_NPT.whole("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
+    for i in range(count):
+        again = shuffled(pair, np.random.default_rng(i)) if i else pair
+        results = [(model, dataclasses.replace(again.identity, vertices=moved(again, model))) for model in models]
+        shown = [("identity", again.identity), ("driving", again.driving), *results]
+        yield [Tile(label, mesh, by_number(len(mesh.vertices))) for label, mesh in shown]
+
+
+def noisy(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """More noise on the driving vertices in each row (Fig. 12, 16)."""
+    for percent in range(min(count, 6)):
+        kind = f"noise-{percent}"
+        rng = NOISE.rng("test", "noise-0", 0)
+        pair = NOISE.whole("test", "noise-0", 0, rng)
+        identity, driving, *others = _trial(NOISE.noisy(pair, percent / 100, rng), models)
+        yield [identity, driving._replace(label=f"driving, {kind.replace('-', ' ')} %"), *others]
+
+
+def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Identities from other makers in poses of our people (Fig. 10, 17, 18)."""
+    for i, path in enumerate(_others(data)[:count]):
+        driving = HUMAN_WIDE.pair("test", "clips", i).driving
+        tiles = [Tile("driving", driving)]
+        for model in models:
+            result = transfer(path, driving, model, driving_up="+y", driving_front="+z")
+            yield [Tile(path.stem, _read(path)), *tiles, Tile(model, result.mesh)]
+
+
+def others_driving(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Poses from other makers on our people (Fig. 11)."""
+    for i, path in enumerate(_others(data)[:count]):
+        identity = HUMAN_WIDE.pair("test", "clips", i).identity
+        results = [Tile(m, transfer(identity, path, m, up="+y", front="+z").mesh) for m in models]
+        yield [Tile("identity", identity), Tile(path.stem, _read(path)), *results]
+
+
+def by_number(count: int) -> Float[np.ndarray, "V 3"]:
+    """A rainbow over vertex numbers, linear RGB in 0..1."""
+    return np.array([colorsys.hsv_to_rgb(0.8 * k / count, 0.65, 0.85) for k in range(count)])
+
+
+DT = ("deformation-transfer-5", "deformation-transfer-13")
+FIGURES = {
+    "npt-6": Figure("seen poses, beside deformation transfer", partial(compared, kind="seen"), (*DT, "npt"), 4),
+    "npt-7": Figure("unseen poses, beside deformation transfer", partial(compared, kind="unseen"), (*DT, "npt"), 4),
+    "npt-8": Figure("vertex order as colour", vertex_orders, ("npt",), 2),
+    "npt-9": Figure("ablations", partial(compared, kind="unseen"), ABLATIONS, 3),
+    "npt-10": Figure("identities from other makers (--data)", others_moved, ("npt",), 3),
+    "npt-11": Figure("poses from other makers (--data)", others_driving, ("npt",), 3),
+    "npt-12": Figure("noise, beside deformation transfer", noisy, ("deformation-transfer-13", "npt"), 4),
+    "npt-13": Figure("other baselines", partial(compared, kind="unseen"), ("skeleton", "npt-maxpool", "npt"), 4),
+    "npt-15": Figure("more vertex orders", vertex_orders, ("npt",), 5),
+    "npt-16": Figure("more noise", noisy, ("npt",), 6),
+    "npt-17": Figure("more identities from other makers (--data)", others_moved, ("npt",), 12),
+    "npt-19": Figure("more seen poses", partial(compared, kind="seen"), ("npt",), 8),
+    "npt-20": Figure("more unseen poses", partial(compared, kind="unseen"), ("npt",), 8),
+}
+"""Figures 14 (animals) and 18 (a registered data set) wait for their data; 17 takes any folder of people."""
+
+
+def _trial(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
+    identity, faces = pair.identity, pair.identity.faces
+    results = [Tile(model, Mesh(moved(pair, model), faces)) for model in models]
+    return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
+
+
+def _row(tiles: list[Tile]) -> Image.Image:
+    from ..view.camera import fit
+    from ..view.raster import render, render_mesh
+    from ..view.sheet import captioned, page
+
+    pictures = []
+    for tile in tiles:
+        camera = fit(tile.mesh.vertices, TILE, "three-quarter")
+        if tile.colors is None:
+            picture = render_mesh(tile.mesh, TILE, camera)
+        else:
+            picture = render(tile.mesh.vertices, tile.mesh.faces, camera, TILE, tile.colors)
+        pictures.append(captioned(picture, tile.label))
+    return page(pictures, len(pictures))
+
+
+def _others(data: Path | None) -> list[Path]:
+    """Mesh files of a folder.
+
+    Raises:
+        InputError: no folder given, or none with meshes.
+    """
+    if data is None or not data.is_dir():
+        raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
+    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in (*SUFFIXES, ".obj", ".ply"))
+    if not paths:
+        raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
+    return paths
+
+
+def _read(path: Path) -> Mesh:
+    from ..io import load_mesh
+
+    return load_mesh(path)

@@ -1,0 +1,52 @@
+"""Figures: every kind of row can be drawn; colours follow numbers; missing data are told."""
+
+import numpy as np
+import pytest
+from networks import write_network
+from PIL import Image
+
+from mimesh.bodies import load_body
+from mimesh.evaluate.figures import FIGURES, by_number, figure_command, vertex_orders
+from mimesh.io import save_mesh
+from mimesh.mesh import InputError
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    return str(write_network(tmp_path_factory.mktemp("networks") / "tiny.onnx"))
+
+
+@pytest.fixture(scope="module")
+def people(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("people")
+    save_mesh(load_body().mesh(), folder / "somebody.obj")
+    return folder
+
+
+@pytest.mark.parametrize("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12"])
+def test_a_figure_is_a_page_of_rows(name, network, people, tmp_path):
+    out = tmp_path / "figure.png"
+    assert figure_command(name, out, (network,), 1, people) == 1
+    picture = np.asarray(Image.open(out))
+    assert picture.shape[1] >= 3 * 300
+    assert picture.std() > 5
+
+
+def test_colours_follow_the_vertices_through_a_shuffle(network):
+    first, second = vertex_orders((network,), 2, None)
+    for tile in first + second:
+        assert np.array_equal(tile.colors, by_number(len(tile.mesh.vertices)))
+    assert not np.array_equal(first[0].mesh.vertices, second[0].mesh.vertices)
+    assert np.allclose(*(np.sort(row[0].mesh.vertices, axis=0) for row in (first, second)))
+
+
+def test_what_is_missing_is_told(tmp_path, network):
+    with pytest.raises(InputError, match="npt-6, npt-7"):
+        figure_command("npt-5", tmp_path / "a.png")
+    with pytest.raises(InputError, match="give one"):
+        figure_command("npt-10", tmp_path / "a.png", (network,))
+    with pytest.raises(InputError, match="found none"):
+        figure_command("npt-10", tmp_path / "a.png", (network,), 1, tmp_path)
+    with pytest.raises(InputError, match="found neither"):
+        figure_command("npt-9", tmp_path / "a.png", ("nobody",))
+    assert all(figure.count > 0 for figure in FIGURES.values())
