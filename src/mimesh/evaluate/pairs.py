@@ -27,7 +27,7 @@ class Pair:
     driving: Mesh
     truth: Float[np.ndarray, "V 3"]
     height: float
-    """The identity person's height at rest in metres."""
+    """The identity person's height at rest in metres, without hair or shoes."""
     aligned: Float[np.ndarray, "V 3"] | None = None
     """The driving person, undamaged, with true correspondence: what the row `copy` is made of."""
     aligned_reference: Float[np.ndarray, "V 3"] | None = None
@@ -80,7 +80,7 @@ def stage(mover: Person, actor: Person, stand: Pose, played: Pose) -> Pair:
         identity=mover.mesh(stand.rotmat, stand.label),
         driving=actor.mesh(played.rotmat, played.label),
         truth=mover.posed(played.rotmat),
-        height=float(np.ptp(mover.body.shaped(mover.shape)[0][:, 1])),
+        height=float(np.ptp(human().shaped(mover.shape)[0][:, 1])),
         aligned=twin.posed(played.rotmat),
         aligned_reference=twin.posed(stand.rotmat),
         reference=actor.posed(stand.rotmat),
