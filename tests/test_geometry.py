@@ -122,3 +122,23 @@ def test_smooth_normals_follow_a_bend():
     np.testing.assert_allclose(np.linalg.norm(moved, axis=-1), 1, atol=1e-9)
     expected = geometry.vertex_normals(bent, body.faces)[body.faces]
     assert np.quantile((moved * expected).sum(-1), 0.01) > 0.999
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_the_gradient_of_a_linear_function_is_its_tangential_part(make):
+    mesh, direction = make(), np.array([0.3, -2.0, 0.7])
+    gradient = (geometry.gradient_operator(mesh.vertices, mesh.faces) @ (mesh.vertices @ direction)).reshape(-1, 3)
+    normals = geometry.face_normals(mesh.vertices, mesh.faces)
+    np.testing.assert_allclose(gradient, direction - normals * (normals @ direction)[:, None], atol=1e-12)
+
+
+def test_normals_of_a_face_without_area_point_up():
+    normals = geometry.face_normals(np.eye(3), np.array([[0, 1, 2], [0, 0, 1]]))
+    np.testing.assert_allclose(normals, [np.full(3, 3**-0.5), [0, 1, 0]])
+
+
+def test_closest_points_of_faces_that_look_away_do_not_count():
+    sheet = zoo.grid(3)
+    up = np.tile([0.0, 0, 1], (9, 1))
+    assert (geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=up)[2] == 0).all()
+    assert np.isinf(geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=-up)[2]).all()

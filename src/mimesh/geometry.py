@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
@@ -19,10 +23,33 @@ def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 
     return 0.5 * np.linalg.norm(face_vectors(vertices, faces), axis=-1)
 
 
+def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
+    """Unit normals of triangles; those without area get +y."""
+    return _unit(face_vectors(vertices, faces))
+
+
 def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
     """Area-weighted unit normals; vertices without a face, or with cancelling faces, get +y."""
     vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
     return _unit(_sum_by(faces.ravel(), vectors, len(vertices)))
+
+
+def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> csr_array:
+    """Sparse (3 F, V): row 3 f + k times a function on the vertices is its derivative along axis k in triangle f.
+
+    The derivative along a triangle's normal is zero. Weighed by area, its square is the cotangent Laplacian. Every
+    triangle must have an area.
+    """
+    from scipy.sparse import csr_array
+
+    normals = face_vectors(vertices, faces)
+    square = np.square(normals).sum(-1, keepdims=True)
+    opposite = [vertices[faces[:, k - 1]] - vertices[faces[:, k - 2]] for k in range(3)]
+    # The gradient of corner k's hat function: the opposite edge turned by 90 degrees, over twice the area.
+    hats = np.stack([np.cross(normals, edge) / square for edge in opposite], axis=-1)
+    rows = np.repeat(np.arange(3 * len(faces)), 3)
+    columns = np.repeat(faces, 3, axis=0).ravel()
+    return csr_array((hats.ravel(), (rows, columns)), shape=(3 * len(faces), len(vertices)))
 
 
 def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
@@ -175,11 +202,13 @@ def closest_on_mesh(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     candidates: int = 12,
+    normals: Float[np.ndarray, "N 3"] | None = None,
 ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """Closest surface point of each query point: face index, barycentric weights, distance.
 
     Looks at the `candidates` faces whose centroids are nearest, which is exact when the query lies close to a mesh of
-    fairly even triangles; raise `candidates` for long thin ones.
+    fairly even triangles; raise `candidates` for long thin ones. With `normals`, faces that look away from the query's
+    normal by 90 degrees or more do not count; the distance is infinite where none of the candidates is left.
     """
     from scipy.spatial import KDTree
 
@@ -192,6 +221,8 @@ def closest_on_mesh(
         weights = closest_barycentric(points, vertices[faces[column]])
         distance = np.linalg.norm(np.einsum("nk,nkc->nc", weights, vertices[faces[column]]) - points, axis=1)
         closer = distance < best_distance
+        if normals is not None:
+            closer &= (face_vectors(vertices, faces[column]) * normals).sum(-1) > 0
         best_distance[closer], best_face[closer], best_weights[closer] = (
             distance[closer],
             column[closer],

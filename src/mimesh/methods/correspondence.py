@@ -1,0 +1,237 @@
+"""Which triangles of two meshes belong together: by vertex index, or from a few marked vertices.
+
+From marks: the non-rigid registration of Sumner and Popović (SIGGRAPH 2004). The identity is deformed onto the
+reference by three energies. Of the affine map T of each triangle (3 x 3): maps of neighbours agree (smoothness), and
+stay near the identity matrix. Of each vertex: it comes near the closest valid point of the reference. T is the gradient
+in the triangle's plane plus one free vector for the image of its normal, which is what the paper's fourth vertex stands
+for. Both meshes must stand alike (one pose, one heading).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..geometry import closest_on_mesh, face_normals, face_vectors, gradient_operator, vertex_normals
+from ..mesh import InputError, Mesh
+from .pairing import rank_vertices
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+    from scipy.sparse.linalg import SuperLU
+
+Corners = Int[np.ndarray, "P 3"]
+
+THIN = 1e-4
+"""Triangles lower than this share of their longest edge have no reliable gradient and are left out."""
+STAY = 1e-3
+"""Weight of the maps' distance to the identity matrix, where that of the agreement of neighbours is 1 (the paper's)."""
+PULLS = (1, 1, 10, 10, 100, 100, 1000, 1000, 5000, 5000)
+"""Weights of the closest points, one solve each (the paper's range, 1 to 5000; squared unit-sphere lengths)."""
+HOLD = 1e6
+"""Weight of a marked vertex."""
+REST = 1e-4
+"""Weight of a vertex's distance from its start: decides only where parts stand that nothing holds yet."""
+NEAREST = 30
+"""Triangles looked at for one that faces the same way."""
+
+
+def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corners, Corners]:
+    """Corners of matching triangles in the identity and in the reference, where both share one topology.
+
+    In an order that does not depend on that of vertices and faces. A thin triangle of the reference is replaced by the
+    nearest one that is not.
+
+    Raises:
+        InputError: vertex counts or faces differ, or no triangle is left.
+    """
+    if len(identity.vertices) != len(reference.vertices) or not np.array_equal(identity.faces, reference.faces):
+        raise InputError(
+            f"{reference.name}: expected the vertices and faces of {identity.name} ({len(identity.vertices)} and "
+            f"{len(identity.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
+            "give pairs of matching vertices with --markers FILE"
+        )
+    ranks = [rank_vertices(mesh.vertices).group for mesh in (identity, reference, driving)]
+    own = canonical_faces(sound_faces(identity), *ranks)
+    source = canonical_faces(sound_faces(reference), *ranks)
+    thin = ~_sound(reference.vertices, own)
+    theirs = own.copy()
+    theirs[thin] = source[_nearest_centroid(reference.vertices[own[thin]], reference.vertices[source], 1)[:, 0]]
+    return own, theirs
+
+
+def match_by_markers(
+    identity: Mesh, reference: Mesh, driving: Mesh, markers: Int[np.ndarray, "M 2"]
+) -> tuple[Corners, Corners]:
+    """The same for any two meshes, from pairs (identity vertex, reference vertex): each identity triangle's best match.
+
+    Raises:
+        InputError: a marked vertex that does not exist, fewer than three marks apart, or no triangle is left.
+    """
+    _check_markers(markers, identity, reference)
+    ranked = rank_vertices(identity.vertices)
+    theirs_rank = rank_vertices(reference.vertices).group
+    own = canonical_faces(sound_faces(identity), ranked.group)
+    theirs = canonical_faces(sound_faces(reference), theirs_rank, rank_vertices(driving.vertices).group)
+    order = np.lexsort((theirs_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
+    marked, seen = markers[order].T
+    still, faces = ranked.merge(identity.vertices), ranked.group[own]
+    triangles = resized_onto(reference.vertices, reference.vertices[seen], identity.vertices[marked])
+    fitted = register(still, faces, triangles[theirs], ranked.group[marked], triangles[seen])
+    return own, theirs[matching_triangles(fitted[faces], triangles[theirs])]
+
+
+def register(
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    target: Float[np.ndarray, "G 3 3"],
+    marked: Int[np.ndarray, " M"],
+    places: Float[np.ndarray, "M 3"],
+) -> Float[np.ndarray, "V 3"]:
+    """Deform a mesh smoothly onto target triangles, marked vertices to their places.
+
+    In unit-sphere lengths; every triangle must have an area.
+    """
+    from scipy.sparse import diags_array
+
+    smooth, stay = registration_terms(vertices, faces)
+    count, unknowns = len(vertices), len(vertices) + len(faces)
+    start = np.zeros((unknowns, 3))
+    start[:count] = vertices
+    quadratic = smooth.T @ smooth + STAY * (stay.T @ stay)
+    linear = STAY * (stay.T @ np.tile(np.eye(3), (len(faces), 1))) + REST * start
+    places_of = np.zeros((unknowns, 3))
+    np.add.at(places_of, marked, HOLD * places)
+    weights_of = REST * (np.arange(unknowns) < count) + HOLD * np.bincount(marked, minlength=unknowns)
+    fitted = factor(quadratic + diags_array(weights_of)).solve(linear + places_of)
+    for pull in PULLS:
+        points, valid = closest_valid(fitted[:count], faces, target)
+        weights = np.zeros(unknowns)
+        weights[:count] = pull * valid
+        right = linear + places_of
+        right[:count] += weights[:count, None] * points
+        fitted = factor(quadratic + diags_array(weights_of + weights)).solve(right)
+    return fitted[:count]
+
+
+def registration_terms(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> tuple[csr_array, csr_array]:
+    """Sparse (3 S, V + F) and (3 F, V + F): differences of the maps of triangles at one edge, and the maps themselves.
+
+    Unknowns are the vertices, then the images of the triangles' unit normals. Rows 3 f to 3 f + 2 of the second times
+    the unknowns are the transpose of T_f.
+    """
+    from scipy.sparse import csr_array, hstack, kron
+
+    normals, count = face_normals(vertices, faces), len(faces)
+    spread = csr_array((normals.ravel(), (np.arange(3 * count), np.repeat(np.arange(count), 3))))
+    maps = csr_array(hstack([gradient_operator(vertices, faces), spread]))
+    pairs = faces_at_edges(faces)
+    rows = np.repeat(np.arange(len(pairs)), 2)
+    difference = csr_array((np.tile([1.0, -1.0], len(pairs)), (rows, pairs.ravel())), shape=(len(pairs), count))
+    return csr_array(kron(difference, np.eye(3)) @ maps), maps
+
+
+def faces_at_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "S 2"]:
+    """Pairs of faces that share an edge; n faces at one edge give n - 1 pairs."""
+    sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort((sides[:, 1], sides[:, 0]))
+    shared = (sides[order][1:] == sides[order][:-1]).all(axis=1)
+    face = order // 3
+    return np.stack([face[:-1][shared], face[1:][shared]], axis=1)
+
+
+def closest_valid(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], target: Float[np.ndarray, "G 3 3"]
+) -> tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, " V"]]:
+    """Closest target point of each vertex that faces the same way (within 90 degrees), and whether there is one."""
+    corners = np.arange(3 * len(target)).reshape(-1, 3)
+    face, weights, distance = closest_on_mesh(
+        vertices, target.reshape(-1, 3), corners, normals=vertex_normals(vertices, faces)
+    )
+    return np.einsum("vk,vkc->vc", weights, target[face]), np.isfinite(distance).astype(np.int64)
+
+
+def matching_triangles(
+    triangles: Float[np.ndarray, "P 3 3"], target: Float[np.ndarray, "G 3 3"]
+) -> Int[np.ndarray, " P"]:
+    """For each triangle the nearest target by centroid among those facing the same way, or the nearest if none does."""
+    near = _nearest_centroid(triangles, target, min(NEAREST, len(target)))
+    normals, theirs = _normals_of(triangles), _normals_of(target)
+    alike = np.einsum("pnc,pc->pn", theirs[near], normals) > 0
+    return near[np.arange(len(near)), alike.argmax(axis=1)]
+
+
+def resized_onto(
+    vertices: Float[np.ndarray, "V 3"], marks: Float[np.ndarray, "M 3"], places: Float[np.ndarray, "M 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """Vertices scaled and shifted so that the marks come as near to their places as they can; nothing is turned."""
+    centred = marks - marks.mean(axis=0), places - places.mean(axis=0)
+    scale = np.sqrt(np.square(centred[1]).sum() / np.square(centred[0]).sum())
+    return (vertices - marks.mean(axis=0)) * scale + places.mean(axis=0)
+
+
+def sound_faces(mesh: Mesh) -> Int[np.ndarray, "F 3"]:
+    """The faces whose gradient can be trusted (see THIN).
+
+    Raises:
+        InputError: there is none.
+    """
+    sound = mesh.faces[_sound(mesh.vertices, mesh.faces)]
+    if len(sound) == 0:
+        raise InputError(
+            f"{mesh.name}: expected triangles with area for model deformation-transfer, found none; give a surface mesh"
+        )
+    return sound
+
+
+def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]) -> Int[np.ndarray, "F 3"]:
+    """Faces turned to begin at the corner of lowest rank and sorted by the ranks; later ranks break ties."""
+    first = ranks[0][faces].argmin(axis=1)[:, None]
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    keys = np.concatenate([rank[turned] for rank in ranks], axis=1)
+    return turned[np.lexsort(keys.T[::-1])]
+
+
+def factor(matrix: csr_array) -> SuperLU:
+    """Factors of a symmetric positive definite matrix, for as many solves as there are frames."""
+    from scipy.sparse.linalg import splu
+
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+
+
+def _sound(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> np.ndarray:
+    sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+    longest = np.square(sides).sum(-1).max(axis=1, initial=0.0)
+    return np.linalg.norm(face_vectors(vertices, faces), axis=1) > THIN * longest
+
+
+def _nearest_centroid(
+    triangles: Float[np.ndarray, "P 3 3"], target: Float[np.ndarray, "G 3 3"], count: int
+) -> Int[np.ndarray, "P K"]:
+    from scipy.spatial import KDTree
+
+    _, near = KDTree(target.mean(axis=1)).query(triangles.mean(axis=1), k=count)
+    return near.reshape(len(triangles), count)
+
+
+def _normals_of(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
+    return face_normals(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+
+
+def _check_markers(markers: Int[np.ndarray, "M 2"], identity: Mesh, reference: Mesh) -> None:
+    for column, mesh in zip(markers.T, (identity, reference), strict=True):
+        wrong = column[(column < 0) | (column >= len(mesh.vertices))]
+        if wrong.size:
+            raise InputError(
+                f"--markers: expected vertices of {mesh.name} in 0..{len(mesh.vertices) - 1}, found {wrong[0]}; "
+                "rows are (identity vertex, reference vertex), counted from 0"
+            )
+        apart = len(np.unique(mesh.vertices[column], axis=0))
+        if apart < 3:
+            raise InputError(
+                f"--markers: expected 3 or more places on {mesh.name}, found {apart}; mark head, hands and feet"
+            )

@@ -1,0 +1,220 @@
+"""Correspondence from marks: the energies against naive twins, the registration on shapes with a known answer."""
+
+import numpy as np
+import pytest
+import zoo
+from people import person
+from scipy.spatial.transform import Rotation
+
+from mimesh.frame import bbox_centre, radius
+from mimesh.geometry import closest_barycentric, face_normals
+from mimesh.mesh import InputError, Mesh
+from mimesh.methods import correspondence
+from mimesh.methods.correspondence import (
+    REST,
+    STAY,
+    canonical_faces,
+    closest_valid,
+    faces_at_edges,
+    match_by_index,
+    match_by_markers,
+    matching_triangles,
+    register,
+    registration_terms,
+    resized_onto,
+    sound_faces,
+)
+
+FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
+
+
+def unknowns(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> np.ndarray:
+    assert len(mesh.faces) == len(normal_images)
+    return np.concatenate([vertices, normal_images])
+
+
+def naive_maps(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> list[np.ndarray]:
+    """T of each triangle as the paper has it: edges and fourth vertex after, times the inverse of those before."""
+    maps = []
+    normals = face_normals(mesh.vertices, mesh.faces)
+    for f, (a, b, c) in enumerate(mesh.faces):
+        before = np.stack([mesh.vertices[b] - mesh.vertices[a], mesh.vertices[c] - mesh.vertices[a], normals[f]], 1)
+        after = np.stack([vertices[b] - vertices[a], vertices[c] - vertices[a], normal_images[f]], 1)
+        maps.append(after @ np.linalg.inv(before))
+    return maps
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_terms_are_the_papers_energies(make):
+    mesh, rng = make(), np.random.default_rng(0)
+    vertices, images = rng.normal(size=mesh.vertices.shape), rng.normal(size=mesh.faces.shape)
+    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
+    maps, x = naive_maps(mesh, vertices, images), unknowns(mesh, vertices, images)
+    assert np.allclose((stay @ x).reshape(-1, 3, 3).transpose(0, 2, 1), maps)
+    expected = sum(np.square(maps[i] - maps[j]).sum() for i, j in faces_at_edges(mesh.faces))
+    assert np.isclose(np.square(smooth @ x).sum(), expected)
+
+
+@pytest.mark.parametrize("make", FACED)
+def test_one_affine_map_costs_no_smoothness(make):
+    mesh, affine = make(), np.random.default_rng(1).normal(size=(3, 3))
+    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
+    normals = face_normals(mesh.vertices, mesh.faces)
+    x = unknowns(mesh, mesh.vertices @ affine.T + 5, normals @ affine.T)
+    assert np.allclose(smooth @ x, 0, atol=1e-12)
+    assert np.allclose((stay @ x).reshape(-1, 3, 3), affine.T)
+
+
+@pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid, zoo.two_parts])
+def test_faces_at_edges_are_those_that_share_two_vertices(make):
+    faces = make().faces
+    found = {tuple(sorted(pair)) for pair in faces_at_edges(faces).tolist()}
+    naive = {(i, j) for i in range(len(faces)) for j in range(i + 1, len(faces)) if len({*faces[i]} & {*faces[j]}) == 2}
+    assert found == naive
+
+
+def test_three_faces_at_one_edge_are_chained():
+    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
+    assert faces_at_edges(faces).tolist() == [[0, 1], [1, 2]]
+
+
+def test_the_first_solve_is_the_dense_least_squares(monkeypatch):
+    """Naive twin: the quadratic energy of marks, smoothness, identity and rest, by lstsq."""
+    monkeypatch.setattr(correspondence, "PULLS", ())
+    mesh, marked = zoo.cube(), np.array([0, 3, 5])
+    places = mesh.vertices[marked] + np.random.default_rng(0).normal(size=(3, 3)) * 0.2
+    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
+    hold, rest = np.zeros((3, 20)), np.eye(8, 20)
+    hold[np.arange(3), marked] = 1
+    weights = np.sqrt([correspondence.HOLD, STAY, REST])
+    matrix = np.concatenate([smooth.toarray(), weights[0] * hold, weights[1] * stay.toarray(), weights[2] * rest])
+    eyes = np.tile(np.eye(3), (12, 1))
+    right = np.concatenate(
+        [np.zeros((smooth.shape[0], 3)), weights[0] * places, weights[1] * eyes, weights[2] * mesh.vertices]
+    )
+    expected = np.linalg.lstsq(matrix, right, rcond=None)[0][:8]
+    result = register(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces], marked, places)
+    assert np.abs(result - expected).max() < 1e-6
+
+
+def test_closest_valid_points_are_those_of_an_exhaustive_search():
+    mesh, target = person(0, faces=400), person(1, 2, faces=400)
+    points, valid = closest_valid(mesh.vertices, mesh.faces, target.vertices[target.faces])
+    normals = correspondence.vertex_normals(mesh.vertices, mesh.faces)
+    theirs = face_normals(target.vertices, target.faces)
+    assert valid.mean() > 0.9
+    best = []
+    for v in np.flatnonzero(valid):
+        facing = target.vertices[target.faces][theirs @ normals[v] > 0]
+        query = np.repeat(mesh.vertices[v : v + 1], len(facing), axis=0)
+        on = np.einsum("gk,gkc->gc", closest_barycentric(query, facing), facing)
+        best.append(np.linalg.norm(on - mesh.vertices[v], axis=1).min())
+    found = np.linalg.norm(points - mesh.vertices, axis=1)[valid > 0]
+    assert (found > np.array(best) - 1e-9).all()
+    assert np.mean(found < np.array(best) + 1e-9) > 0.9
+
+
+def test_a_sheet_takes_no_point_of_one_that_looks_away():
+    sheet = zoo.grid(4)
+    back = Mesh(sheet.vertices - [0, 0, 0.1], sheet.faces[:, ::-1])
+    far = Mesh(sheet.vertices + [0, 0, 0.3], sheet.faces)
+    both = np.concatenate([mesh.vertices[mesh.faces] for mesh in (back, far)])
+    points, valid = closest_valid(sheet.vertices, sheet.faces, both)
+    assert valid.all()
+    assert np.allclose(points, sheet.vertices + [0, 0, 0.3])
+    match = matching_triangles(sheet.vertices[sheet.faces], both)
+    assert np.array_equal(match, len(sheet.faces) + np.arange(len(sheet.faces)))
+    alone = back.vertices[back.faces]
+    assert not closest_valid(sheet.vertices, sheet.faces, alone)[1].any()
+    assert np.array_equal(matching_triangles(sheet.vertices[sheet.faces], alone), np.arange(len(sheet.faces)))
+
+
+def test_registration_finds_a_bent_copy():
+    sheet = zoo.grid(9)
+    x, y = sheet.vertices[:, 0], sheet.vertices[:, 1]
+    bent = np.stack([x * 1.2, y * 0.9, 0.2 * x * x], axis=1)
+    corners = np.array([0, 8, 72, 80])
+    result = register(sheet.vertices, sheet.faces, bent[sheet.faces], corners, bent[corners])
+    assert np.abs(result[corners] - bent[corners]).max() < 1e-3
+    _, valid = closest_valid(result, sheet.faces, bent[sheet.faces])
+    assert valid.all()
+    assert np.abs(result[:, 2] - 0.2 * (result[:, 0] / 1.2) ** 2).max() < 5e-3
+    assert np.linalg.norm(result - bent, axis=1).mean() < 0.03
+
+
+def test_a_part_that_no_mark_holds_is_fitted_all_the_same():
+    parts = Mesh(zoo.two_parts().vertices / 4, zoo.two_parts().faces)
+    target = parts.vertices * 1.1 + [0.01, 0.02, 0]
+    marked = np.arange(4)
+    result = register(parts.vertices, parts.faces, target[parts.faces], marked, target[marked])
+    assert np.abs(result[:4] - target[:4]).max() < 1e-4
+    points, valid = closest_valid(result, parts.faces, target[parts.faces])
+    assert valid.all()
+    assert np.linalg.norm(points - result, axis=1).max() < 0.005
+    assert np.linalg.norm(points - result, axis=1).max() < np.abs(parts.vertices[4:] - target[4:]).max() / 5
+
+
+def test_matches_of_a_person_are_near_the_true_ones():
+    identity, reference = person(0, 3), person(1, 3)
+    rest = person(0).vertices
+    marked = np.array([rest[:, 1].argmax(), rest[:, 0].argmax(), rest[:, 0].argmin(), rest[:, 1].argmin()])
+    size = radius(identity.vertices - bbox_centre(identity.vertices))
+    identity = Mesh(identity.vertices / size, identity.faces)
+    own, theirs = match_by_markers(identity, reference, reference, np.stack([marked, marked], axis=1))
+    assert len(own) == len(sound_faces(identity))
+    true, found = (reference.vertices[corners].mean(axis=1) for corners in (own, theirs))
+    assert np.linalg.norm(true - found, axis=1).mean() < 0.02
+    assert np.mean((np.sort(own) == np.sort(theirs)).all(axis=1)) > 0.5
+
+
+def test_index_matches_are_the_faces_themselves():
+    identity, reference = person(0, 3), person(1, 3)
+    flat = reference.vertices.copy()
+    flat[reference.faces[10, 1]] = flat[reference.faces[10, 0]]
+    own, theirs = match_by_index(identity, Mesh(flat, reference.faces), reference)
+    sound = {tuple(sorted(face)) for face in sound_faces(Mesh(flat, reference.faces)).tolist()}
+    for mine, match in zip(own.tolist(), theirs.tolist(), strict=True):
+        assert tuple(sorted(match)) in sound
+        assert match == mine or tuple(sorted(mine)) not in sound
+    assert 1 <= np.sum((own != theirs).any(axis=1)) < 10
+
+
+def test_resizing_undoes_a_scaling_and_a_shift():
+    cube = zoo.cube().vertices
+    assert np.allclose(resized_onto(cube * 7 + [1, 2, 3], cube[:4] * 7 + [1, 2, 3], cube[:4]), cube)
+
+
+def test_canonical_faces_do_not_depend_on_order_or_first_corner():
+    mesh, rng = zoo.cube(), np.random.default_rng(0)
+    rank = rng.permutation(8)
+    turned = np.stack([np.roll(face, rng.integers(3)) for face in mesh.faces])[rng.permutation(12)]
+    expected = canonical_faces(mesh.faces, rank)
+    assert np.array_equal(canonical_faces(turned, rank), expected)
+    assert (rank[expected].argmin(axis=1) == 0).all()
+
+
+def test_a_later_rank_breaks_ties():
+    faces, doubled = np.array([[3, 4, 5], [0, 1, 2]]), np.array([0, 1, 2, 0, 1, 2])
+    assert canonical_faces(faces, doubled, np.arange(6)).tolist() == [[0, 1, 2], [3, 4, 5]]
+
+
+def test_thin_faces_are_left_out():
+    turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-5, 0], [0.5, 1e-3, 0]]) @ turn.T
+    assert sound_faces(Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 0, 1]]))).tolist() == [[0, 1, 3]]
+
+
+@pytest.mark.parametrize(
+    ("markers", "said"),
+    [
+        ([[0, 0], [1, 1], [8, 2]], "found 8"),
+        ([[0, 0], [1, -1], [2, 2]], "found -1"),
+        ([[0, 0], [1, 1]], "3 or more places"),
+        ([[0, 0], [1, 1], [1, 2]], "3 or more places"),
+        ([[0, 0], [1, 1], [2, 1]], "3 or more places"),
+    ],
+)
+def test_unusable_markers_are_told(markers, said):
+    cube = zoo.cube()
+    with pytest.raises(InputError, match=said):
+        match_by_markers(cube, cube, cube, np.array(markers))

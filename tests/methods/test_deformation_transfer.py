@@ -1,0 +1,286 @@
+"""Deformation transfer: exact where the answer is known, the papers' accuracy on people, and every door's error."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+import zoo
+from people import person
+from scipy.spatial.transform import Rotation
+
+from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.frame import bbox_centre, radius
+from mimesh.geometry import face_areas, weld
+from mimesh.mesh import InputError, Mesh, permute_vertices
+from mimesh.methods import Method
+from mimesh.methods.deformation_transfer import DeformationTransfer, component_ties, follower, triangle_frames
+
+SEEN, UNSEEN = 3, 5
+TURN = Rotation.from_euler("xyz", [20, 70, -130], degrees=True).as_matrix()
+
+
+def normalised(mesh: Mesh) -> Mesh:
+    centred = mesh.vertices - bbox_centre(mesh.vertices)
+    return dataclasses.replace(mesh, vertices=centred / radius(centred))
+
+
+@functools.cache
+def trio(faces: int = 1000) -> tuple[Mesh, Mesh, Mesh, np.ndarray]:
+    """Identity, reference and driving as the method sees them, and the truth in metres."""
+    identity, truth = person(0, SEEN, faces), person(0, UNSEEN, faces).vertices
+    reference, driving = person(1, SEEN, faces), person(1, UNSEEN, faces)
+    size = radius(driving.vertices - bbox_centre(driving.vertices))
+    reference = moved(reference, (reference.vertices - bbox_centre(driving.vertices)) / size)
+    return normalised(identity), reference, normalised(driving), truth
+
+
+@functools.cache
+def marks(faces: int = 1000) -> np.ndarray:
+    """Head, hands and feet, by position at rest."""
+    vertices = person(0, None, faces).vertices
+    toes = [np.where(side * vertices[:, 0] > 0, vertices[:, 2] - 3 * vertices[:, 1], -9).argmax() for side in (1, -1)]
+    return np.array([vertices[:, 1].argmax(), vertices[:, 0].argmax(), vertices[:, 0].argmin(), *toes])
+
+
+def pairs_of(marked: np.ndarray) -> np.ndarray:
+    return np.stack([marked, marked], axis=1)
+
+
+def moved(mesh: Mesh, vertices: np.ndarray) -> Mesh:
+    return dataclasses.replace(mesh, vertices=vertices)
+
+
+def run(identity: Mesh, reference: Mesh | None, driving: Mesh, markers=None) -> np.ndarray:
+    drive = DeformationTransfer(reference, markers).prepare(identity, driving)
+    return next(iter(drive([driving.vertices])))
+
+
+def centred(vertices: np.ndarray) -> np.ndarray:
+    return vertices - vertices.mean(axis=0)
+
+
+def joined(*meshes: Mesh) -> Mesh:
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
+
+
+WITH_AND_WITHOUT = pytest.mark.parametrize("markers", [None, pairs_of(marks())], ids=["index", "marks"])
+
+
+@WITH_AND_WITHOUT
+def test_the_same_pose_gives_the_identity_back(markers):
+    identity, _, driving, _ = trio()
+    assert np.abs(run(identity, driving, driving, markers) - identity.vertices).max() < 1e-6
+
+
+@WITH_AND_WITHOUT
+@pytest.mark.parametrize("scale", [1.0, 0.3, 4.0])
+def test_a_rigid_motion_and_a_scaling_come_out_as_they_went_in(markers, scale):
+    identity, _, driving, _ = trio()
+    motion = driving.vertices @ TURN.T * scale + [3, -2, 1]
+    result = run(identity, driving, moved(driving, motion), markers)
+    assert np.abs(centred(result) - centred(identity.vertices @ TURN.T * scale)).max() < 1e-6 * scale
+
+
+@pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid, zoo.two_parts, zoo.bow_tie])
+def test_closed_open_parted_and_non_manifold_meshes_follow_a_rigid_motion(make):
+    identity, reference = normalised(make()), normalised(make())
+    stretched = moved(identity, identity.vertices * [1.0, 1.3, 0.8])
+    result = run(stretched, reference, moved(reference, reference.vertices @ TURN.T + 1))
+    assert np.abs(centred(result) - centred(stretched.vertices @ TURN.T)).max() < 1e-6
+
+
+def test_the_driving_subject_itself_comes_out_as_the_driving():
+    _, reference, driving, _ = trio()
+    assert np.abs(centred(run(reference, reference, driving)) - centred(driving.vertices)).max() < 1e-6
+
+
+@WITH_AND_WITHOUT
+def test_an_unseen_pose_is_nearer_than_the_papers_figure_and_than_the_driving_itself(markers):
+    identity, reference, driving, truth = trio()
+    result = pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth)
+    assert result < 6.7e-4
+    assert result < pmd_of_pair(resized(driving.vertices, truth), truth) / 2
+
+
+def test_marks_join_meshes_of_different_counts():
+    identity, _, _, truth = trio()
+    _, reference, driving, _ = trio(1500)
+    markers = np.stack([marks(), marks(1500)], axis=1)
+    assert pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth) < 6.7e-4
+
+
+def test_permuting_the_identity_permutes_the_result_to_the_last_bit():
+    identity, reference, driving, _ = trio()
+    order = np.random.default_rng(0).permutation(len(identity.vertices))
+    markers = pairs_of(marks())
+    expected = run(identity, reference, driving, markers)[order]
+    markers = np.stack([np.argsort(order)[markers[:, 0]], markers[:, 1]], axis=1)
+    result = run(shuffled_faces(permute_vertices(identity, order)), reference, driving, markers[::-1])
+    assert np.array_equal(result, expected)
+
+
+def test_permuting_driving_and_reference_changes_no_bit():
+    identity, reference, driving, _ = trio()
+    order = np.random.default_rng(1).permutation(len(driving.vertices))
+    markers = pairs_of(marks())
+    expected = run(identity, reference, driving, markers)
+    reference, driving = (shuffled_faces(permute_vertices(mesh, order)) for mesh in (reference, driving))
+    markers = np.stack([markers[:, 0], np.argsort(order)[markers[:, 1]]], axis=1)
+    assert np.array_equal(run(identity, reference, driving, markers), expected)
+
+
+def test_permuting_all_three_meshes_alike_permutes_the_result_to_the_last_bit():
+    meshes = trio()[:3]
+    order = np.random.default_rng(2).permutation(len(meshes[0].vertices))
+    result = run(*(shuffled_faces(permute_vertices(mesh, order)) for mesh in meshes))
+    assert np.array_equal(result, run(*meshes)[order])
+
+
+def shuffled_faces(mesh: Mesh) -> Mesh:
+    """Faces in another order, each begun at another corner."""
+    rng = np.random.default_rng(7)
+    turned = np.take_along_axis(mesh.faces, (rng.integers(3, size=(len(mesh.faces), 1)) + np.arange(3)) % 3, axis=1)
+    return dataclasses.replace(mesh, faces=turned[rng.permutation(len(turned))])
+
+
+@WITH_AND_WITHOUT
+def test_seams_do_not_tear(markers):
+    meshes = trio()[:3]
+    corners = meshes[0].faces.ravel()
+    split = [Mesh(mesh.vertices[corners], np.arange(len(corners)).reshape(-1, 3)) for mesh in meshes]
+    first = np.unique(corners, return_index=True)[1]
+    split_markers = None if markers is None else first[markers]
+    result = run(*split, split_markers)
+    assert np.abs(result - run(*meshes, markers)[corners]).max() < 1e-9
+    assert len(weld(result)[0]) == len(weld(meshes[0].vertices)[0])
+
+
+def test_a_part_of_its_own_goes_with_the_limb_it_is_nearest_to():
+    """A bracelet that the driving subject has not: it turns with the hand and keeps its distance."""
+    identity, reference, driving, _ = trio()
+    hand, size = marks()[1], 0.02
+    bracelet = Mesh(zoo.cube().vertices * size + identity.vertices[hand] + [size, 0, 0], zoo.cube().faces)
+    markers = pairs_of(marks())
+    result = run(joined(identity, bracelet), reference, driving, markers)
+    count = len(identity.vertices)
+    assert np.abs(centred(result[:count]) - centred(run(identity, reference, driving, markers))).max() < 1e-3
+    gap = np.linalg.norm(result[count:] - result[hand], axis=1).min()
+    assert 0.5 * size < gap < 2 * size
+
+
+def test_ties_join_the_nearest_parts_and_no_more_than_needed():
+    line = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
+    points = np.concatenate([line, line + [10, 0, 0], line + [12.5, 0, 0], line + [0, 30, 0], [[1.0, 0.5, 0.5]]])
+    ties = component_ties(points, np.arange(12).reshape(-1, 3))
+    assert {tuple(sorted(pair)) for pair in ties.tolist()} == {(1, 12), (4, 6), (1, 3), (2, 9)}
+
+
+def test_ties_of_large_and_of_small_parts_agree(monkeypatch):
+    rng = np.random.default_rng(0)
+    points, faces = rng.normal(size=(90, 3)), np.arange(90).reshape(-1, 3)
+    expected = component_ties(points, faces)
+    assert len(expected) == 29
+    monkeypatch.setattr("mimesh.methods.deformation_transfer.FEW", 0)
+    assert np.array_equal(component_ties(points, faces), expected)
+
+
+def test_thin_faces_and_loose_vertices_are_carried_along():
+    identity, reference, driving, _ = trio()
+    expected, count = run(identity, reference, driving), len(identity.vertices)
+
+    def worse(mesh):
+        a, b, c = mesh.faces[10]
+        extra = [[a, a, b], [a, b, count], [count + 1, count + 1, count + 1]]
+        added = [(mesh.vertices[a] + mesh.vertices[b]) / 2, mesh.vertices[c] * 1.01]
+        return Mesh(np.concatenate([mesh.vertices, added]), np.concatenate([mesh.faces, extra]))
+
+    result = run(*map(worse, (identity, reference, driving)))
+    assert np.isfinite(result).all()
+    assert np.abs(result[:count] - expected).max() < 1e-9
+    a, b, _ = identity.faces[10]
+    assert np.linalg.norm(result[count] - (result[a] + result[b]) / 2) < 0.02
+
+
+def test_a_triangle_without_area_in_the_reference_or_in_a_frame_gives_numbers():
+    identity, reference, driving, _ = trio()
+    expected = run(identity, reference, driving)
+    flat = reference.vertices.copy()
+    flat[reference.faces[10, 1]] = flat[reference.faces[10, 0]]
+    assert np.abs(run(identity, moved(reference, flat), driving) - expected).max() < 0.1
+    flat = driving.vertices.copy()
+    flat[driving.faces[10, 1]] = flat[driving.faces[10, 0]]
+    assert np.abs(run(identity, reference, moved(driving, flat)) - expected).max() < 0.1
+
+
+@pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid])
+def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
+    """Naive twin: dense lstsq over vertices and fourth vertices, nine equations a triangle weighed by area."""
+    mesh, rng = make(), np.random.default_rng(0)
+    wanted = rng.normal(size=(len(mesh.faces), 3, 3))
+    count = len(mesh.vertices)
+    matrix, right = np.zeros((3 * len(wanted), count + len(wanted))), np.zeros((3 * len(wanted), 3))
+    areas = face_areas(mesh.vertices, mesh.faces)
+    for f, (a, b, c) in enumerate(mesh.faces):
+        inverse = np.linalg.inv(triangle_frames(mesh.vertices[mesh.faces[f : f + 1]])[0])
+        rows, weight = slice(3 * f, 3 * f + 3), np.sqrt(areas[f])
+        for column, vertex in enumerate((b, c, count + f)):
+            matrix[rows, vertex] += weight * inverse[column]
+            matrix[rows, a] -= weight * inverse[column]
+        right[rows] = weight * wanted[f].T
+    expected = np.linalg.lstsq(matrix, right, rcond=None)[0][:count]
+    result = follower(mesh.vertices, mesh.faces)(wanted)
+    assert np.abs(centred(result) - centred(expected)).max() < 1e-9
+
+
+def test_frames_give_what_single_meshes_give_and_walk_as_the_driving():
+    identity, reference, driving, _ = trio()
+    drive = DeformationTransfer(reference).prepare(identity, driving)
+    first, second = drive([driving.vertices, driving.vertices + [0, 0, 0.5]])
+    assert np.array_equal(first, run(identity, reference, driving))
+    step = second - first
+    assert np.ptp(step, axis=0).max() < 1e-9
+    assert step[0, 2] == pytest.approx(0.5 * radius(first - bbox_centre(first)))
+
+
+def test_arguments_are_left_alone():
+    meshes = trio()[:3]
+    before, markers = [mesh.vertices.copy() for mesh in meshes], pairs_of(marks())
+    run(*meshes, markers)
+    assert all(np.array_equal(mesh.vertices, vertices) for mesh, vertices in zip(meshes, before, strict=True))
+    assert np.array_equal(markers, pairs_of(marks()))
+
+
+def test_it_is_a_method():
+    assert isinstance(DeformationTransfer(None), Method)
+    assert DeformationTransfer(None).name == "deformation-transfer"
+
+
+def test_a_missing_reference_is_told():
+    identity, _, driving, _ = trio()
+    with pytest.raises(InputError, match="--reference"):
+        run(identity, None, driving)
+
+
+@pytest.mark.parametrize("change", ["count", "faces"])
+def test_a_reference_of_another_topology_is_told(change):
+    identity, reference, driving, _ = trio()
+    other = trio(1500)[1] if change == "count" else dataclasses.replace(reference, faces=reference.faces[:, [1, 2, 0]])
+    with pytest.raises(InputError, match="export both poses from one file"):
+        run(identity, other, driving)
+
+
+@pytest.mark.parametrize("change", ["count", "faces"])
+def test_another_topology_without_markers_is_told(change):
+    identity, reference, driving, _ = trio()
+    other = trio(1500)[0] if change == "count" else dataclasses.replace(identity, faces=identity.faces[::-1])
+    with pytest.raises(InputError, match="--markers FILE"):
+        run(other, reference, driving)
+
+
+def test_a_point_cloud_is_told():
+    cloud = zoo.point_cloud()
+    with pytest.raises(InputError, match="give a surface mesh"):
+        run(cloud, cloud, cloud)
