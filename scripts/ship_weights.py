@@ -1,7 +1,6 @@
 """Ship a trained checkpoint: export it into the zoo, measure it on `test` and fill its card.
 
-A shipped weight is replaced only by one whose validation figure is lower. The figures of all shipped models are written
-to docs/results/human-npt.json, where README and docs take theirs from.
+A shipped weight is replaced only by one whose validation figure is lower.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--pairs 72]
 """
@@ -12,13 +11,13 @@ import argparse
 import json
 from pathlib import Path
 
-from mimesh.evaluate.run import evaluate_command, markdown
+from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.tables import markdown
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.export import export_command
 
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
-RESULTS = Path(__file__).parents[1] / "docs" / "results" / "human-npt.json"
 
 
 def main() -> None:
@@ -31,7 +30,7 @@ def main() -> None:
         name, _, path = entry.partition("=")
         ship(name, Path(path))
     names = sorted(path.stem for path in ZOO.glob("*.onnx"))
-    report = evaluate_command("human-npt", [*names, "copy"], RESULTS, pairs=args.pairs)
+    report = evaluate_command("human-npt", [*names, "copy"], pairs=args.pairs)
     for name in names:
         fill_card(ZOO / f"{name}.json", report)
     print(markdown(report))

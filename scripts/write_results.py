@@ -11,12 +11,13 @@ from mimesh.evaluate.results import results_page
 from mimesh.io.atomic import whole_file
 
 DOCS = Path(__file__).parents[1] / "docs"
+RESULTS = DOCS / "results"
 
 
 def main() -> None:
     """Replace the page."""
     with whole_file(DOCS / "RESULTS.md") as temporary:
-        temporary.write_text(results_page(DOCS / "results"))
+        temporary.write_text(results_page(RESULTS))
     print(f"{DOCS / 'RESULTS.md'}: written")
 
 
