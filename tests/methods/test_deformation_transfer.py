@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.frame import bbox_centre, radius
-from mimesh.geometry import face_areas, weld
+from mimesh.geometry import edges, face_areas, weld
 from mimesh.mesh import InputError, Mesh, permute_vertices
 from mimesh.methods import Method
 from mimesh.methods.deformation_transfer import DeformationTransfer, component_ties, follower, triangle_frames
@@ -171,20 +171,32 @@ def test_a_part_of_its_own_goes_with_the_limb_it_is_nearest_to():
     assert 0.5 * size < gap < 2 * size
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.7])
+def test_parts_that_touch_come_apart_as_the_drivings_do(scale):
+    """A hand at the hip, each a part of its own, moves away and turns; the ties between them are no glue."""
+    hip, hand = zoo.grid(), Mesh(zoo.cube().vertices * 0.3 + [0.35, 0.35, 0.05], zoo.cube().faces)
+    identity = normalised(joined(hip, hand))
+    reference = moved(identity, identity.vertices * scale)
+    driving = reference.vertices.copy()
+    driving[25:] = (driving[25:] - driving[25]) @ TURN.T + [0.4, -0.2, 2]
+    result = run(identity, reference, moved(reference, driving))
+    assert np.abs(centred(result) - centred(driving) / scale).max() < 1e-6
+
+
 def test_ties_join_the_nearest_parts_and_no_more_than_needed():
     line = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
     points = np.concatenate([line, line + [10, 0, 0], line + [12.5, 0, 0], line + [0, 30, 0], [[1.0, 0.5, 0.5]]])
-    ties = component_ties(points, np.arange(12).reshape(-1, 3))
+    ties = component_ties(points, edges(np.arange(12).reshape(-1, 3)))
     assert {tuple(sorted(pair)) for pair in ties.tolist()} == {(1, 12), (4, 6), (1, 3), (2, 9)}
 
 
 def test_ties_of_large_and_of_small_parts_agree(monkeypatch):
     rng = np.random.default_rng(0)
-    points, faces = rng.normal(size=(90, 3)), np.arange(90).reshape(-1, 3)
-    expected = component_ties(points, faces)
+    points, links = rng.normal(size=(90, 3)), edges(np.arange(90).reshape(-1, 3))
+    expected = component_ties(points, links)
     assert len(expected) == 29
     monkeypatch.setattr("mimesh.methods.deformation_transfer.FEW", 0)
-    assert np.array_equal(component_ties(points, faces), expected)
+    assert np.array_equal(component_ties(points, links), expected)
 
 
 def test_thin_faces_and_loose_vertices_are_carried_along():
@@ -199,7 +211,7 @@ def test_thin_faces_and_loose_vertices_are_carried_along():
 
     result = run(*map(worse, (identity, reference, driving)))
     assert np.isfinite(result).all()
-    assert np.abs(result[:count] - expected).max() < 1e-9
+    assert np.abs(result[:count] - expected).max() < 1e-4
     a, b, _ = identity.faces[10]
     assert np.linalg.norm(result[count] - (result[a] + result[b]) / 2) < 0.02
 
@@ -219,7 +231,8 @@ def test_a_triangle_without_area_in_the_reference_or_in_a_frame_gives_numbers():
 def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
     """Naive twin: dense lstsq over vertices and fourth vertices, nine equations a triangle weighed by area."""
     mesh, rng = make(), np.random.default_rng(0)
-    wanted = rng.normal(size=(len(mesh.faces), 3, 3))
+    rest, triangles = rng.normal(size=(2, len(mesh.faces), 3, 3))
+    wanted = triangle_frames(triangles) @ np.linalg.inv(triangle_frames(rest))
     count = len(mesh.vertices)
     matrix, right = np.zeros((3 * len(wanted), count + len(wanted))), np.zeros((3 * len(wanted), 3))
     areas = face_areas(mesh.vertices, mesh.faces)
@@ -231,7 +244,7 @@ def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
             matrix[rows, a] -= weight * inverse[column]
         right[rows] = weight * wanted[f].T
     expected = np.linalg.lstsq(matrix, right, rcond=None)[0][:count]
-    result = follower(mesh.vertices, mesh.faces)(wanted)
+    result = follower(mesh.vertices, mesh.faces, rest)(triangles)
     assert np.abs(centred(result) - centred(expected)).max() < 1e-9
 
 

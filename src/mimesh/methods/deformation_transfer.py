@@ -28,6 +28,10 @@ from .travel import travelling
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
+TIE = 1e-4
+"""Weight of a tie, where an edge of the mesh has about 1."""
+NEIGHBOURS = 8
+"""How many near points of a vertex are looked at for ones of another part."""
 FEW = 64
 """Parts of fewer points look for their neighbours among all points, larger ones in a tree of the others."""
 
@@ -54,56 +58,104 @@ class DeformationTransfer:
         else:
             own, theirs = match_by_markers(identity, reference, driving, self.markers)
         ranked = rank_vertices(identity.vertices)
-        follow = follower(ranked.merge(identity.vertices), ranked.group[own])
-        undo = np.linalg.inv(triangle_frames(reference.vertices[theirs]))
+        follow = follower(ranked.merge(identity.vertices), ranked.group[own], reference.vertices[theirs])
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            return follow(triangle_frames(vertices[theirs]) @ undo)[ranked.group]
+            return follow(vertices[theirs])[ranked.group]
 
         return lambda frames: travelling(frames, pose, driving.name)
 
 
 def triangle_frames(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3 3"]:
     """Columns: two edges, and the normal over the square root of its length; zero where there is no area."""
-    first, second = triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]
-    normal = np.cross(first, second)
+    normal = _normals(triangles)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
-    return np.stack([first, second, normal / np.sqrt(np.where(length > 0, length, 1.0))], axis=-1)
+    third = normal / np.sqrt(np.where(length > 0, length, 1.0))
+    return np.stack([triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0], third], axis=-1)
 
 
 def follower(
-    vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"]
+    vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"], rest: Float[np.ndarray, "P 3 3"]
 ) -> Callable[[Float[np.ndarray, "P 3 3"]], Float[np.ndarray, "W 3"]]:
-    """A function from the triangles' wanted gradients to vertices that come nearest to them, anywhere in space.
+    """A function from moved driving triangles, one a face and at `rest` before, to the vertices that follow them best.
 
-    Parts that no triangle joins keep their offset at the nearest pair of vertices, which turns and stretches as the
-    triangles there do.
+    They may stand anywhere in space. Ties (see `all_ties`) say where parts that no triangle joins stand to each other;
+    they count so little that they bend no part.
     """
     from scipy.sparse import csr_array
 
     gradient = gradient_operator(vertices, faces)
     divergence = csr_array(gradient.T.multiply(np.repeat(face_areas(vertices, faces), 3)))
-    ties = component_ties(vertices, faces)
-    offset = vertices[ties[:, 0]] - vertices[ties[:, 1]]
-    around = _mean_around(ties, faces, len(vertices))
+    ties = all_ties(vertices, faces)
+    targets = tie_targets(vertices, faces, rest, ties)
     rows = np.repeat(np.arange(len(ties)), 2)
     tie = csr_array((np.tile([1.0, -1.0], len(ties)), (rows, ties.ravel())), shape=(len(ties), len(vertices)))
     # The first vertex stays at the origin: gradients do not say where the whole stands.
-    system = factor(csr_array(divergence @ gradient + tie.T @ tie)[1:, 1:])
+    system = factor(csr_array(divergence @ gradient + TIE * (tie.T @ tie))[1:, 1:])
+    undo = np.linalg.inv(triangle_frames(rest))
 
-    def follow(wanted: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "W 3"]:
-        turned = np.einsum("tkl,tl->tk", around(wanted), offset)
-        right = divergence @ wanted.transpose(0, 2, 1).reshape(-1, 3) + tie.T @ turned
+    def follow(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "W 3"]:
+        wanted = triangle_frames(triangles) @ undo
+        right = divergence @ wanted.transpose(0, 2, 1).reshape(-1, 3) + TIE * (tie.T @ targets(wanted, triangles))
         return np.concatenate([np.zeros((1, 3)), system.solve(right[1:])])
 
     return follow
 
 
-def component_ties(points: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"]) -> Int[np.ndarray, "T 2"]:
-    """Pairs of nearest points that join the parts of a mesh into one: C parts give C - 1 pairs (Borůvka's forest)."""
+def tie_targets(
+    vertices: Float[np.ndarray, "W 3"],
+    faces: Int[np.ndarray, "P 3"],
+    rest: Float[np.ndarray, "P 3 3"],
+    ties: Int[np.ndarray, "T 2"],
+) -> Callable[[Float[np.ndarray, "P 3 3"], Float[np.ndarray, "P 3 3"]], Float[np.ndarray, "T 3"]]:
+    """A function from gradients and driving triangles to the offset from the second end of each tie to the first.
+
+    Both ends are placed by the driving triangles around them, in the identity's size; what is left of their offset
+    turns and stretches with the mean gradient there. So a shoe goes with its foot, and a hand leaves the hip.
+    """
+    from scipy.sparse import csr_array
+
+    first, second = ties.T
+    shape = (len(vertices), len(faces))
+    at = csr_array((np.ones(faces.size), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))), shape=shape)
+    count = np.asarray(at.sum(axis=1))[:, None]
+    number, known = count[first] + count[second], (count[first] > 0) & (count[second] > 0)
+    size = np.sqrt(face_areas(vertices, faces).sum() / np.linalg.norm(_normals(rest), axis=1).sum() * 2)
+    aside = vertices - (at @ vertices[faces].mean(axis=1)) / np.maximum(count, 1)
+
+    def apart(triangles: Float[np.ndarray, "P 3 3"], total: Float[np.ndarray, "W 9"]) -> Float[np.ndarray, "T 3"]:
+        places = size * (at @ triangles.mean(axis=1)) + np.einsum("wkl,wl->wk", total.reshape(-1, 3, 3), aside)
+        places = places / np.maximum(count, 1)
+        return (places[first] - places[second]) * known
+
+    left = vertices[first] - vertices[second] - apart(rest, count * np.eye(3).ravel())
+
+    def targets(wanted: Float[np.ndarray, "P 3 3"], triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "T 3"]:
+        total = at @ wanted.reshape(-1, 9)
+        mean = (total[first] + total[second]) / np.maximum(number, 1)
+        turn = np.where(number > 0, mean, np.eye(3).ravel()).reshape(-1, 3, 3)
+        return np.einsum("tkl,tl->tk", turn, left) + apart(triangles, total)
+
+    return targets
+
+
+def all_ties(points: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"]) -> Int[np.ndarray, "T 2"]:
+    """Pairs of points of different parts: those among each other's near neighbours, and what joins the rest."""
     from scipy.spatial import KDTree
 
-    label, tree, ties = components(faces, len(points)), KDTree(points), []
+    links = edges(faces)
+    label, count = components(links, len(points)), min(NEIGHBOURS + 1, len(points))
+    near = np.asarray(KDTree(points).query(points, k=count)[1])
+    pairs = np.stack([np.repeat(np.arange(len(points)), count), near.ravel()], axis=1)
+    pairs = np.unique(np.sort(pairs[label[pairs[:, 0]] != label[pairs[:, 1]]], axis=1), axis=0)
+    return np.concatenate([pairs, component_ties(points, np.concatenate([links, pairs]))])
+
+
+def component_ties(points: Float[np.ndarray, "W 3"], links: Int[np.ndarray, "L 2"]) -> Int[np.ndarray, "T 2"]:
+    """Pairs of nearest points that join linked parts into one: C parts give C - 1 pairs (Borůvka's tree)."""
+    from scipy.spatial import KDTree
+
+    label, tree, ties = components(links, len(points)), KDTree(points), []
     while label.any():
         parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
         largest = max(parts, key=len)
@@ -116,13 +168,13 @@ def component_ties(points: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3
     return np.array(ties, np.int64).reshape(-1, 2)
 
 
-def components(faces: Int[np.ndarray, "P 3"], count: int) -> Int[np.ndarray, " W"]:
-    """Which connected part each of `count` vertices is in, from 0; a vertex without a face is one by itself."""
+def components(links: Int[np.ndarray, "L 2"], count: int) -> Int[np.ndarray, " W"]:
+    """Which connected part each of `count` points is in, from 0; a point without a link is one by itself."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    pairs = edges(faces)
-    return connected_components(csr_array((np.ones(len(pairs)), pairs.T), shape=(count, count)))[1].astype(np.int64)
+    graph = csr_array((np.ones(len(links)), links.T), shape=(count, count))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _nearest_outside(tree: KDTree, part: Int[np.ndarray, " N"]) -> tuple[float, int, int]:
@@ -137,21 +189,8 @@ def _nearest_outside(tree: KDTree, part: Int[np.ndarray, " N"]) -> tuple[float, 
     return float(distance[row, column]), int(part[row]), int(others[near[row, column]])
 
 
-def _mean_around(
-    ties: Int[np.ndarray, "T 2"], faces: Int[np.ndarray, "P 3"], count: int
-) -> Callable[[Float[np.ndarray, "P 3 3"]], Float[np.ndarray, "T 3 3"]]:
-    """A function from one matrix a face to their mean over the faces at both ends of each tie (no face: identity)."""
-    from scipy.sparse import csr_array
-
-    at = csr_array((np.ones(faces.size), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))), (count, len(faces)))
-    both = at[ties[:, 0]] + at[ties[:, 1]]
-    number = both.sum(axis=1)[:, None, None]
-
-    def mean(matrices: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "T 3 3"]:
-        total = (both @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
-        return np.where(number > 0, total / np.maximum(number, 1), np.eye(3))
-
-    return mean
+def _normals(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
