@@ -1,0 +1,326 @@
+"""Fit a rigged body to a cloud of points by L-BFGS on the Chamfer distance: from the T-pose, coarse to fine.
+
+Only positions are compared, each with the nearest one of the other set: no vertex index is ever taken for a
+correspondence. Unknowns: size and place, the joints' rotations, the shape coefficients that the body comes with.
+Lengths are about those of the unit sphere, which the weights of the priors are chosen for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import product
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..geometry import at_barycentric, sample_surface
+from .rigged import RiggedBody
+from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, rotvec_to_rotmat
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
+POSE_PRIOR = 3e-6
+"""Squared distance that a joint at its limit costs (this and the next three were chosen on human-npt's `val`)."""
+SHAPE_PRIOR = 3e-7
+"""Squared distance that a shape coefficient of one standard deviation costs."""
+SLIDE = 0.1
+"""What a squared distance along the surface counts, beside one across it: matched points are not the same point."""
+SLACK = np.radians(15)
+"""How far a joint may go beyond the tables of limits."""
+LOUD = 100.0
+"""Lengths are multiplied by this for L-BFGS, whose test for convergence takes values below 1 for small."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A person of a body model somewhere in space: `scale * body + translation`."""
+
+    scale: float
+    translation: Float[np.ndarray, " 3"]
+    shape: Float[np.ndarray, " K"]
+    rotvec: Float[np.ndarray, "J 3"]
+    error: float = np.inf
+    """Mean squared distance to the points plus that of the points to the body."""
+
+    def joints(self, body: RiggedBody) -> Float[np.ndarray, "J 3"]:
+        """Where the joints are."""
+        _, joints = body.shaped(self.shape)
+        rotation, translation = body.skinning_transforms(joints, rotvec_to_rotmat(self.rotvec))
+        return self.scale * (np.einsum("jkl,jl->jk", rotation, joints) + translation) + self.translation
+
+    def points(self, body: RiggedBody) -> Float[np.ndarray, "V 3"]:
+        """Where the body's vertices are."""
+        return self.scale * body.posed(self.shape, rotvec_to_rotmat(self.rotvec)) + self.translation
+
+    def rotations(self, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
+        """Rotation of each joint from the body at rest, about the world's axes."""
+        _, joints = body.shaped(self.shape)
+        return body.skinning_transforms(joints, rotvec_to_rotmat(self.rotvec))[0]
+
+
+def thin_body(body: RiggedBody, count: int, components: int, seed: int = 0) -> RiggedBody:
+    """The body as `count` points spread evenly over its surface, without faces, with its first shape components."""
+    chosen, weights = sample_surface(body.vertices, body.faces, count, np.random.default_rng(seed))
+    at = (body.faces, chosen, weights)
+    return replace(
+        body,
+        vertices=at_barycentric(body.vertices, *at),
+        faces=np.zeros((0, 3), np.int64),
+        components=at_barycentric(body.components[:components], *at),
+        joint_components=body.joint_components[:components],
+        weights=np.einsum("nk,nkj->nj", weights, body.weights[body.faces[chosen]]),
+    )
+
+
+def posed_and_pullback(
+    body: RiggedBody, unknowns: Float[np.ndarray, " P"]
+) -> tuple[Float[np.ndarray, "V 3"], Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, " P"]]]:
+    """Points of a fit given as one vector (see `unknowns_of`), and the map from their gradient to the vector's."""
+    scale, place, shape, rotvec = _parts(body, unknowns)
+    points = body.vertices + np.tensordot(shape, body.components, 1)
+    joints = body.joints + np.tensordot(shape, body.joint_components, 1)
+    rotation, above = _world_rotations(body.parents, rotvec)
+    below = _descendants(body.parents)
+    # offset = that of the parent + (rotation of the parent - rotation) joint, down from the root
+    offset = below.T @ np.einsum("jkl,jl->jk", above - rotation, joints)
+    blended = (body.weights @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+    skinned = np.einsum("vkl,vl->vk", blended, points) + body.weights @ offset
+
+    def pullback(gradient: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " P"]:
+        inner = scale * gradient
+        to_points = np.einsum("vkl,vk->vl", blended, inner)
+        to_rotation = (body.weights.T @ (inner[:, :, None] * points[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+        force = body.weights.T @ inner
+        torque = _axial(to_rotation @ rotation.transpose(0, 2, 1)) + np.cross(offset, force)
+        # A joint turns and carries all that hangs on it: forces and torques add up from the leaves.
+        force, torque = below @ force, below @ torque
+        position = np.einsum("jkl,jl->jk", rotation, joints) + offset
+        spin = np.einsum("jkl,jk->jl", above, torque - np.cross(position, force))
+        to_joints = np.einsum("jkl,jk->jl", above - rotation, force)
+        to_shape = np.tensordot(body.components, to_points) + np.tensordot(body.joint_components, to_joints)
+        to_scale = [(inner * skinned).sum()]
+        return np.concatenate([to_scale, gradient.sum(axis=0), to_shape, rotvec_pullback(rotvec, spin).ravel()])
+
+    return scale * skinned + place, pullback
+
+
+def rotvec_pullback(rotvec: Float[np.ndarray, "J 3"], torque: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+    """Gradient by rotation vectors from that by small turns applied after them: the transposed left Jacobian."""
+    angle = np.linalg.norm(rotvec, axis=1, keepdims=True)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
+    turned = np.cross(rotvec, torque)
+    return torque - first * turned + second * np.cross(rotvec, turned)
+
+
+def _world_rotations(parents, rotvec):
+    """Rotation of each joint from rest about the world's axes, and that of its parent."""
+    rotation = rotvec_to_rotmat(rotvec)
+    above = np.broadcast_to(np.eye(3), rotation.shape).copy()
+    for level, over in _levels(parents):
+        above[level] = rotation[over]
+        rotation[level] = above[level] @ rotation[level]
+    return rotation, above
+
+
+@cache
+def _levels(parents):
+    """Joints at each depth below the root, and their parents."""
+    depth = _descendants(parents).sum(axis=0)
+    levels = [np.flatnonzero(depth == d) for d in range(2, int(depth.max()) + 1)]
+    return [(level, np.array(parents)[level]) for level in levels]
+
+
+@cache
+def _descendants(parents):
+    """1 at [j, k] where joint k is j or hangs on it."""
+    below = np.eye(len(parents))
+    for j in range(len(parents) - 1, -1, -1):
+        if parents[j] >= 0:
+            below[parents[j]] += below[j]
+    return below
+
+
+def _axial(matrices):
+    """Sum of v x w over the outer products w v^T that each matrix is made of."""
+    rows = [(2, 1), (0, 2), (1, 0)]
+    return np.stack([matrices[:, i, j] - matrices[:, j, i] for i, j in rows], axis=1)
+
+
+def unknowns_of(fit: Fit) -> Float[np.ndarray, " P"]:
+    """One vector: logarithm of the scale, translation, shape, rotation vectors."""
+    return np.concatenate([[np.log(fit.scale)], fit.translation, fit.shape, fit.rotvec.ravel()])
+
+
+def fit_of(body: RiggedBody, unknowns: Float[np.ndarray, " P"], error: float = np.inf) -> Fit:
+    """The inverse of `unknowns_of`."""
+    return Fit(*_parts(body, unknowns), error)
+
+
+def _parts(body, unknowns):
+    k = 4 + len(body.components)
+    return float(np.exp(unknowns[0])), unknowns[1:4], unknowns[4:k], unknowns[k:].reshape(-1, 3)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points to fit to, and the planes that they lie in."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    """Of the surface, either side; zero where distances count alike in all directions."""
+    slide: float
+    """Weight of the squared distance as such; its part along the normal has the rest of 1."""
+    tree: KDTree
+
+    def matches(self, others: Float[np.ndarray, "V 3"]) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]:
+        """The nearest point of each of the others, and the nearest other of each point."""
+        from scipy.spatial import KDTree
+
+        return np.asarray(self.tree.query(others)[1]), np.asarray(KDTree(others).query(self.points)[1])
+
+
+def cloud_of(points: Float[np.ndarray, "N 3"], slide: float = 1.0, neighbours: int = 16) -> Cloud:
+    """A cloud; where `slide` is below 1, with the normals of planes through each point's nearest neighbours."""
+    from scipy.spatial import KDTree
+
+    tree, normals = KDTree(points), np.zeros_like(points)
+    if slide < 1:
+        near = points[tree.query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)]
+        near = near - near.mean(axis=1, keepdims=True)
+        normals = np.linalg.eigh(near.transpose(0, 2, 1) @ near)[1][:, :, 0]
+    return Cloud(points, normals, slide, tree)
+
+
+def chamfer(
+    cloud: Cloud, others: Float[np.ndarray, "V 3"], matches: tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]
+) -> tuple[float, Float[np.ndarray, "V 3"]]:
+    """Mean squared distance of the others to their matches and of the cloud to its, and the gradient by the others."""
+    near, back = matches
+    error, gradient = 0.0, np.zeros_like(others)
+    for mine, theirs in ((near, slice(None)), (slice(None), back)):
+        normals, away = cloud.normals[mine], others[theirs] - cloud.points[mine]
+        pull = cloud.slide * away + (1 - cloud.slide) * (away * normals).sum(-1, keepdims=True) * normals
+        error += float((away * pull).sum()) / len(away)
+        if isinstance(theirs, slice):
+            gradient += 2 / len(away) * pull
+        else:
+            gradient += 2 / len(away) * np.stack([np.bincount(theirs, p, len(others)) for p in pull.T], axis=1)
+    return error, gradient
+
+
+def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | None = None) -> Fit:
+    """The person of `body` (see `thin_body`) nearest to points of a normalised mesh, given in random order.
+
+    From T-poses that face a little left or right, raise a knee or lower the arms, the first few points choose the best.
+    With a start, a frame before of the same person, size and shape are kept, unless the points have left that behind.
+    Nothing is rejected: points far off the body pull it towards them. Does not look for people on their heads.
+    """
+    cloud = cloud_of(points, SLIDE)
+    if start is not None:
+        followed = _descend(body, cloud, start, _free(body, size=False, shape=False), 4, 20)
+        if followed.error < 3 * start.error:
+            return followed
+    few, first = _first_points(body, 300), cloud_of(points[:300])
+    begun = sorted((_scored(few, first, fit) for fit in _starts(body, points)), key=_error)[:6]
+    begun = [_descend(few, first, fit, _free(body, ("Hips", "Leg", "Arm"), shape=False), 4, 5) for fit in begun]
+    some, second = _first_points(body, 800), cloud_of(points[:800])
+    best = [_descend(some, second, fit, _free(body), 4, 15) for fit in sorted(begun, key=_error)[:2]]
+    return _descend(body, cloud, min(best, key=_error), _free(body), 8, 30)
+
+
+def _scored(body: RiggedBody, cloud: Cloud, fit: Fit) -> Fit:
+    posed = posed_and_pullback(body, unknowns_of(fit))[0]
+    return replace(fit, error=chamfer(cloud, posed, cloud.matches(posed))[0])
+
+
+def _error(fit: Fit) -> float:
+    return fit.error
+
+
+def _first_points(body: RiggedBody, count: int) -> RiggedBody:
+    components = body.components[:, :count]
+    return replace(body, vertices=body.vertices[:count], components=components, weights=body.weights[:count])
+
+
+def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Fit]:
+    """Rough people with the centroid and the root mean square radius of the points."""
+    centre, middle = points.mean(axis=0), body.vertices.mean(axis=0)
+    size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, body.vertices))
+    scale = max(float(size / own), 1e-6)  # a single point has no size
+    fits = []
+    for heading, left, right, lowered in product((-40, 0, 40), (0, 60), (0, 60), (0, 70)):
+        degrees = {"Hips": (0, heading, 0), "LeftArm": (0, 0, -lowered), "RightArm": (0, 0, lowered)}
+        degrees |= {"LeftUpLeg": (-left, 0, 0), "LeftLeg": (left, 0, 0)}
+        degrees |= {"RightUpLeg": (-right, 0, 0), "RightLeg": (right, 0, 0)}
+        rotvec = np.zeros((len(body.parents), 3))
+        for name, turn in degrees.items():
+            rotvec[body.joint(name)] = np.radians(turn)
+        fits.append(Fit(scale, centre - scale * middle, np.zeros(len(body.components)), rotvec))
+    return fits
+
+
+def _free(
+    body: RiggedBody, joints: tuple[str, ...] = ("",), size: bool = True, shape: bool = True
+) -> Bool[np.ndarray, " P"]:
+    """Which unknowns move: place always, size, shape, and joints whose names end like these."""
+    turns = np.repeat([name.endswith(joints) for name in body.joint_names], 3)
+    return np.concatenate([[size], np.ones(3, bool), np.full(len(body.components), shape), turns])
+
+
+def _descend(body: RiggedBody, cloud: Cloud, fit: Fit, free: Bool[np.ndarray, " P"], rounds: int, steps: int) -> Fit:
+    """Match nearest points, take up to `steps` iterations of L-BFGS over the free unknowns, `rounds` times."""
+    from scipy.optimize import minimize
+
+    unknowns, unit = unknowns_of(fit), LOUD * _reach(body)[free]
+    low, high = _limits(body)
+    weight = _prior_weight(body, low, high)
+
+    def objective(moving: Float[np.ndarray, " M"]) -> tuple[float, Float[np.ndarray, " M"]]:
+        trial = unknowns.copy()
+        trial[free] = moving / unit
+        posed, pullback = posed_and_pullback(body, trial)
+        error, gradient = chamfer(cloud, posed, matches)
+        slope = pullback(gradient) + 2 * weight * trial
+        return LOUD**2 * (error + float(weight @ trial**2)), LOUD**2 * slope[free] / unit
+
+    bounds = np.stack([low[free] * unit, high[free] * unit], axis=1)
+    options = {"maxiter": steps, "maxcor": 20, "ftol": 1e-5, "gtol": 1e-7}
+    for _ in range(rounds):
+        matches = cloud.matches(posed_and_pullback(body, unknowns)[0])
+        found = minimize(objective, unknowns[free] * unit, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        unknowns[free] = found.x / unit
+    return _scored(body, cloud, fit_of(body, unknowns))
+
+
+def _reach(body: RiggedBody) -> Float[np.ndarray, " P"]:
+    """How far about a unit of each unknown moves the points: makes steps of all unknowns comparable."""
+    carried = body.weights @ _descendants(body.parents).T
+    joints = np.sqrt((carried * np.square(body.vertices[:, None] - body.joints).sum(-1)).mean(axis=0))
+    size = np.sqrt(np.square(body.vertices - body.vertices.mean(axis=0)).sum(-1).mean())
+    shape = np.sqrt(np.square(body.components).sum(-1).mean(-1))
+    return np.maximum(np.concatenate([[size], np.ones(3), shape, np.repeat(joints, 3)]), 3e-3)
+
+
+def _limits(body: RiggedBody) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """Lowest and highest unknowns: joints that never turn are held, the root is free."""
+    tables = np.stack([limits_rotvec(body, table) for table in (TABLE_6, JOINT_LIMITS)])
+    low, high = tables[:, 0].min(axis=0), tables[:, 1].max(axis=0)
+    slack = SLACK * (high > low).any(axis=1, keepdims=True)
+    low, high = low - slack, high + slack
+    low[0], high[0] = -np.inf, np.inf
+    place, shape = np.full(4, np.inf), np.full(len(body.components), 3.5)
+    return np.concatenate([-place, -shape, low.ravel()]), np.concatenate([place, shape, high.ravel()])
+
+
+def _prior_weight(body: RiggedBody, low: Float[np.ndarray, " P"], high: Float[np.ndarray, " P"]):
+    """Cost of the square of each unknown: none for size, place and the root."""
+    k = len(body.components)
+    half = (high[4 + k :] - low[4 + k :]) / 2
+    return np.concatenate([np.zeros(4), np.full(k, SHAPE_PRIOR), POSE_PRIOR / np.where(half > 0, half, np.inf) ** 2])

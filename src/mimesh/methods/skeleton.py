@@ -1,0 +1,115 @@
+"""The baseline "skeleton" (NPT, appendix C.1): fit a body to both meshes, bind the identity to its skeleton, move that.
+
+The fits see point sets only and half of the shape components. The identity keeps its own limb lengths: each of its
+bones turns as the driving's bone stands to its own, and hangs where its parent ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies import RiggedBody, load_body
+from ..bodies.fit import Fit, fit_points, thin_body
+from ..geometry import at_barycentric, sample_surface
+from ..mesh import Mesh
+from . import Drive
+from .heat_weights import heat_weights
+from .pairing import TOLERANCE, rank_vertices
+from .travel import travelling
+
+POINTS = 4000
+"""Points of each mesh, and of the body, that the fits compare."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Moves people only, shaped and posed somewhat like our body: anything else gets some result."""
+
+    name: str = "skeleton"
+    seed: int = 0
+
+    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+        """Fit and bind the identity, and choose the driving's points, once for all frames."""
+        body = load_body()
+        thin = thin_body(body, POINTS, len(body.components) // 2)
+        sample = surface_sampler(identity, POINTS, np.random.default_rng([self.seed, 0]))
+        own = fit_points(thin, sample(identity.vertices))
+        weights = bind(identity, thin, own)
+        watch = surface_sampler(driving, POINTS, np.random.default_rng([self.seed, 0]))
+
+        def poser() -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]:
+            last: list[Fit] = []
+
+            def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+                last[:] = [fit_points(thin, watch(vertices), *last)]
+                rotation, offset = bone_transforms(thin, own, last[0])
+                blended = (weights @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+                return np.einsum("vkl,vl->vk", blended, identity.vertices) + weights @ offset
+
+            return pose
+
+        return lambda frames: travelling(frames, poser(), driving.name)
+
+
+def surface_sampler(
+    mesh: Mesh, count: int, rng: np.random.Generator
+) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "N 3"]]:
+    """Where `count` points spread evenly over a mesh are in a frame; of a point cloud, some or all of its vertices.
+
+    Neither the order of vertices or faces, nor the last bits of positions, matter.
+    """
+    ranked = rank_vertices(mesh.vertices)
+    if len(mesh.faces) == 0:
+        chosen = rng.permutation(len(ranked))[:count]
+        return lambda vertices: rounded(ranked.merge(vertices)[chosen])
+    faces = np.unique(np.sort(ranked.group[mesh.faces], axis=1), axis=0)
+    triangles, weights = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
+    return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, triangles, weights))
+
+
+def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """To TOLERANCE: a search among nearest points would make much of a last bit."""
+    return np.round(points / TOLERANCE) * TOLERANCE
+
+
+def bind(identity: Mesh, body: RiggedBody, fit: Fit) -> Float[np.ndarray, "V J"]:
+    """Heat weights of the identity's vertices for the joints of the fit; vertices along a seam get the same."""
+    ranked = rank_vertices(identity.vertices)
+    vertices = rounded(ranked.merge(identity.vertices))
+    faces = ranked.group[identity.faces]
+    first_corner = faces.argmin(axis=1)[:, None]
+    faces = np.unique(np.take_along_axis(faces, (first_corner + np.arange(3)) % 3, axis=1), axis=0)
+    segments, owners = bone_segments(body, fit)
+    return heat_weights(vertices, faces, segments, owners, len(body.parents))[ranked.group]
+
+
+def bone_segments(body: RiggedBody, fit: Fit) -> tuple[Float[np.ndarray, "S 2 3"], Int[np.ndarray, " S"]]:
+    """Segments from each joint to its children, and the joint that owns each.
+
+    The last joint of a limb ends as far beyond the middle of its points as this is from the joint.
+    """
+    joints = fit.joints(body)
+    points = fit.points(body)
+    segments, owners = [], []
+    for j in range(len(joints)):
+        children = [c for c, parent in enumerate(body.parents) if parent == j]
+        middle = body.weights[:, j] @ points / max(body.weights[:, j].sum(), 1e-9)
+        ends = joints[children] if children else [2 * middle - joints[j]]
+        segments += [(joints[j], end) for end in ends]
+        owners += [j] * len(ends)
+    return np.array(segments), np.array(owners)
+
+
+def bone_transforms(
+    body: RiggedBody, own: Fit, other: Fit
+) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+    """What each bone of the skeleton `own` does to take the directions of `other`: x -> rotation x + offset."""
+    rotation = other.rotations(body) @ own.rotations(body).transpose(0, 2, 1)
+    joints, place = own.joints(body), np.empty((len(body.parents), 3))
+    for j, p in enumerate(body.parents):
+        place[j] = joints[j] if p < 0 else place[p] + rotation[p] @ (joints[j] - joints[p])
+    return rotation, place - np.einsum("jkl,jl->jk", rotation, joints)

@@ -1,0 +1,154 @@
+"""Fitting a body to points: exact gradients, then people found again from shuffled points."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.bodies.fit import (
+    Fit,
+    chamfer,
+    cloud_of,
+    fit_of,
+    fit_points,
+    posed_and_pullback,
+    rotvec_pullback,
+    thin_body,
+    unknowns_of,
+)
+from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.frame import Frame
+from mimesh.geometry import at_barycentric, sample_surface
+from mimesh.mesh import permute_vertices
+
+COMPONENTS = 4
+
+
+@cache
+def thin(count=600):
+    return thin_body(load_body(), count, COMPONENTS)
+
+
+def some_fit(seed=0, angle=0.5) -> Fit:
+    rng = np.random.default_rng(seed)
+    rotvec = angle * rng.normal(size=(len(thin().parents), 3))
+    return Fit(0.7, rng.normal(size=3), rng.normal(size=COMPONENTS), rotvec)
+
+
+def slopes(function, at, step=1e-6):
+    return np.stack([(function(at + e) - function(at - e)) / (2 * step) for e in step * np.eye(len(at))])
+
+
+def test_the_points_of_a_fit_are_those_of_the_body():
+    body, fit = thin(), some_fit()
+    posed = body.posed(fit.shape, rotvec_to_rotmat(fit.rotvec))
+    points = posed_and_pullback(body, unknowns_of(fit))[0]
+    assert np.allclose(points, fit.scale * posed + fit.translation, rtol=0, atol=1e-12)
+    assert np.allclose(points, fit.points(body), rtol=0, atol=1e-12)
+
+
+def test_unknowns_round_trip():
+    fit, again = some_fit(), fit_of(thin(), unknowns_of(some_fit()))
+    for field in ("scale", "translation", "shape", "rotvec"):
+        assert np.allclose(getattr(fit, field), getattr(again, field), rtol=1e-14)
+
+
+def test_the_joints_of_a_rest_fit_are_the_bodys():
+    body = thin()
+    fit = Fit(2.0, np.array([1.0, 2, 3]), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)))
+    assert np.allclose(fit.joints(body), 2 * body.joints + [1, 2, 3])
+    assert np.allclose(fit.rotations(body), np.eye(3))
+
+
+@pytest.mark.parametrize("angle", [0.5, 1e-5, 0.0, 2.0])
+def test_the_gradient_of_the_points_is_that_of_finite_differences(angle):
+    body = thin_body(load_body(), 40, COMPONENTS)
+    unknowns = unknowns_of(some_fit(1, angle))
+    push = np.random.default_rng(2).normal(size=(40, 3))
+    expected = slopes(lambda u: (posed_and_pullback(body, u)[0] * push).sum(), unknowns)
+    assert np.allclose(posed_and_pullback(body, unknowns)[1](push), expected, rtol=0, atol=1e-6)
+
+
+def test_the_gradient_of_a_rotation_vector_is_that_of_finite_differences():
+    rng = np.random.default_rng(0)
+    rotvec = np.concatenate([rng.normal(size=(5, 3)), [[0, 0, 0], [1e-6, 0, 0], [0, 3.1, 0], [0, 0, 1e-3]]])
+    torque = rng.normal(size=rotvec.shape)
+
+    def turn_after(moved, r):
+        return (Rotation.from_rotvec(moved) * Rotation.from_rotvec(r).inv()).as_rotvec()
+
+    expected = [slopes(lambda x, r=r, t=t: turn_after(x, r) @ t, r) for r, t in zip(rotvec, torque, strict=True)]
+    assert np.allclose(rotvec_pullback(rotvec, torque), np.array(expected), rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("slide", [1.0, 0.1])
+def test_chamfer_is_that_of_a_naive_twin_and_its_gradient_that_of_finite_differences(slide):
+    rng = np.random.default_rng(0)
+    cloud, others = cloud_of(rng.normal(size=(30, 3)), slide), rng.normal(size=(20, 3))
+    squared = np.square(others[:, None] - cloud.points).sum(-1)
+    matches = cloud.matches(others)
+    assert np.array_equal(matches[0], squared.argmin(axis=1))
+    assert np.array_equal(matches[1], squared.argmin(axis=0))
+    error, gradient = chamfer(cloud, others, matches)
+    if slide == 1:
+        assert np.isclose(error, squared.min(axis=1).mean() + squared.min(axis=0).mean())
+    expected = slopes(lambda x: chamfer(cloud, x.reshape(-1, 3), matches)[0], others.ravel())
+    assert np.allclose(gradient.ravel(), expected, rtol=0, atol=1e-8)
+
+
+def test_across_a_plane_a_distance_counts_in_full_and_along_it_little():
+    grid = np.stack([*np.meshgrid(np.arange(5.0), np.arange(5.0)), np.zeros((5, 5))], -1).reshape(-1, 3)
+    cloud = cloud_of(grid, slide=0.1)
+    matches = np.arange(25), np.arange(25)
+    assert np.isclose(chamfer(cloud, grid + [0, 0, 0.2], matches)[0], 2 * 0.2**2)
+    assert np.isclose(chamfer(cloud, grid + [0.2, 0, 0], matches)[0], 2 * 0.1 * 0.2**2)
+
+
+@pytest.mark.parametrize("pose", [0, 1])
+def test_a_person_is_found_again_from_shuffled_vertices(pose):
+    """Made of the free components only; other points of the surface than those that the body is thinned to."""
+    body, rotvec = load_body(), sample_pose(load_body(), 11, pose)
+    truth = Fit(1.0, np.zeros(3), np.array([0.5, -1.0, 0.8, 0.4]), rotvec)
+    mesh = permute_vertices(body.mesh(truth.points(body)), np.random.default_rng(5).permutation(len(body.vertices)))
+    mesh = dataclasses.replace(mesh, faces=np.random.default_rng(6).permutation(mesh.faces))
+    frame = Frame.fit(mesh, "+y", "+z")
+    chosen = sample_surface(mesh.vertices, mesh.faces, 2000, np.random.default_rng(7))
+    fit = fit_points(thin(2000), frame.apply(at_barycentric(mesh.vertices, mesh.faces, *chosen)))
+    found = frame.undo(fit.joints(thin()))
+    names = [
+        f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
+    ]
+    millimetres = 1e3 * np.linalg.norm(found - truth.joints(body), axis=1)[[body.joint(name) for name in names]]
+    assert millimetres.max() < 18
+    assert millimetres.mean() < 8
+
+
+def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
+    body = thin()
+    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-3)
+    bent = first.rotvec.copy()
+    bent[body.joint("LeftForeArm"), 1] = -0.4
+    points = dataclasses.replace(first, rotvec=bent).points(body)
+    fit = fit_points(body, points, first)
+    assert fit.scale == first.scale
+    assert np.array_equal(fit.shape, first.shape)
+    assert np.abs(fit.rotvec - bent)[body.joint("LeftForeArm")].max() < 0.1
+
+
+def test_a_frame_that_was_lost_is_fitted_anew():
+    body = thin()
+    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9)
+    turned = first.rotvec.copy()
+    turned[0, 1] = np.radians(40)
+    fit = fit_points(body, 0.5 * dataclasses.replace(first, rotvec=turned).points(body), first)
+    assert fit.scale != first.scale
+    assert np.isclose(fit.scale, 0.5, rtol=0.1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 20])
+def test_few_points_give_some_finite_fit(count):
+    fit = fit_points(thin(), np.random.default_rng(0).normal(size=(count, 3)))
+    assert np.isfinite(unknowns_of(fit)).all()
