@@ -65,7 +65,10 @@ def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corn
 def match_by_markers(
     identity: Mesh, reference: Mesh, driving: Mesh, markers: Int[np.ndarray, "M 2"]
 ) -> tuple[Corners, Corners]:
-    """The same for any two meshes, from pairs (identity vertex, reference vertex): each identity triangle's best match.
+    """The same for any two meshes, from pairs (identity vertex, reference vertex).
+
+    Every triangle of both meshes with its best match in the other: first all of the identity's, then all of the
+    reference's. A triangle with several matches is later given a mean of their gradients.
 
     Raises:
         InputError: a marked vertex that does not exist, fewer than three marks apart, or no triangle is left.
@@ -78,9 +81,11 @@ def match_by_markers(
     order = np.lexsort((theirs_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
     marked, seen = markers[order].T
     still, faces = ranked.merge(identity.vertices), ranked.group[own]
-    triangles = resized_onto(reference.vertices, reference.vertices[seen], identity.vertices[marked])
-    fitted = register(still, faces, triangles[theirs], ranked.group[marked], triangles[seen])
-    return own, theirs[matching_triangles(fitted[faces], triangles[theirs])]
+    places = resized_onto(reference.vertices, reference.vertices[seen], identity.vertices[marked])
+    target = places[theirs]
+    fitted = register(still, faces, target, ranked.group[marked], places[seen])[faces]
+    there, back = matching_triangles(fitted, target), matching_triangles(target, fitted)
+    return np.concatenate([own, own[back]]), np.concatenate([theirs[there], theirs])
 
 
 def register(
