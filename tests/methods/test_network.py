@@ -169,7 +169,7 @@ def test_shipped_networks_bring_a_turned_driving_to_the_same_result(name):
 
 
 def test_an_unknown_model_lists_the_known_ones():
-    with pytest.raises(InputError, match="copy, npt, npt-maxpool"):
+    with pytest.raises(InputError, match=r"copy, .*npt, npt-maxpool"):
         find_method("mime")
 
 
