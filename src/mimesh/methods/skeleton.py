@@ -18,7 +18,7 @@ from ..geometry import at_barycentric, sample_surface
 from ..mesh import Mesh
 from . import Drive
 from .heat_weights import heat_weights
-from .pairing import TOLERANCE, rank_vertices
+from .pairing import TOLERANCE, Ranked, rank_vertices
 from .travel import travelling
 
 POINTS = 4000
@@ -37,18 +37,21 @@ class Skeleton:
         body = load_body()
         thin = thin_body(body, POINTS, len(body.components) // 2)
         sample = surface_sampler(identity, POINTS, np.random.default_rng([self.seed, 0]))
-        own = fit_points(thin, sample(identity.vertices))
-        weights = bind(identity, thin, own)
+        own = fit_points(thin, sample(identity.vertices), seed=self.seed)
+        # Everything is moved in ranked order: sums of a matrix product may depend on the row that they stand in.
+        ranked = rank_vertices(identity.vertices)
+        still, weights = ranked.merge(identity.vertices), bind(identity, ranked, thin, own)
         watch = surface_sampler(driving, POINTS, np.random.default_rng([self.seed, 0]))
 
         def poser() -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]:
-            last: list[Fit] = []
+            last: Fit | None = None
 
             def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-                last[:] = [fit_points(thin, watch(vertices), *last)]
-                rotation, offset = bone_transforms(thin, own, last[0])
+                nonlocal last
+                last = fit_points(thin, watch(vertices), last, self.seed)
+                rotation, offset = bone_transforms(thin, own, last)
                 blended = (weights @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
-                return np.einsum("vkl,vl->vk", blended, identity.vertices) + weights @ offset
+                return (np.einsum("vkl,vl->vk", blended, still) + weights @ offset)[ranked.group]
 
             return pose
 
@@ -76,15 +79,14 @@ def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
     return np.round(points / TOLERANCE) * TOLERANCE
 
 
-def bind(identity: Mesh, body: RiggedBody, fit: Fit) -> Float[np.ndarray, "V J"]:
-    """Heat weights of the identity's vertices for the joints of the fit; vertices along a seam get the same."""
-    ranked = rank_vertices(identity.vertices)
+def bind(identity: Mesh, ranked: Ranked, body: RiggedBody, fit: Fit) -> Float[np.ndarray, "W J"]:
+    """Heat weights of the identity's distinct positions for the joints of the fit."""
     vertices = rounded(ranked.merge(identity.vertices))
     faces = ranked.group[identity.faces]
     first_corner = faces.argmin(axis=1)[:, None]
     faces = np.unique(np.take_along_axis(faces, (first_corner + np.arange(3)) % 3, axis=1), axis=0)
     segments, owners = bone_segments(body, fit)
-    return heat_weights(vertices, faces, segments, owners, len(body.parents))[ranked.group]
+    return heat_weights(vertices, faces, segments, owners, len(body.parents))
 
 
 def bone_segments(body: RiggedBody, fit: Fit) -> tuple[Float[np.ndarray, "S 2 3"], Int[np.ndarray, " S"]]:
