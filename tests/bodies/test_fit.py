@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.fit import (
+    GOOD,
     Fit,
     chamfer,
     cloud_of,
@@ -124,6 +125,17 @@ def test_a_person_is_found_again_from_shuffled_vertices(pose):
     millimetres = 1e3 * np.linalg.norm(found - truth.joints(body), axis=1)[[body.joint(name) for name in names]]
     assert millimetres.max() < 18
     assert millimetres.mean() < 8
+
+
+def test_somebody_who_sits_is_found():
+    body, rotvec = thin(4000), np.zeros((len(thin().parents), 3))
+    for side in ("Left", "Right"):
+        rotvec[body.joint(f"{side}UpLeg"), 0] = -1.4
+        rotvec[body.joint(f"{side}Leg"), 0] = 0.7
+    points = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), rotvec).points(body)
+    fit = fit_points(body, points[::-1])
+    assert fit.error < GOOD
+    assert np.abs(fit.rotvec - rotvec)[[body.joint("LeftUpLeg"), body.joint("RightUpLeg")]].max() < 0.15
 
 
 def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():

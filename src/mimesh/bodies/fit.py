@@ -238,11 +238,15 @@ def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | 
         followed = _descend(body, cloud, _descend(*coarse[1], start, turns, 4, 15), turns, 8, 15)
         if followed.error < max(3 * start.error, GOOD):
             return followed
-    rough = _best_of([_starts(body, points)], 12, *coarse)
+    rough = _best_of([_starts(coarse[0][0], points)], 12, *coarse)
     fit, rng = _descend(body, cloud, rough, _free(body), 8, 30), np.random.default_rng(seed)
     lost = 0
     while fit.error > GOOD and lost < PATIENCE:
-        again = _best_of([_thrown(body, fit, limb, rng) for limb in (*LIMBS, LOWER_HALF)], 2, *coarse)
+        again = _best_of(
+            [_thrown(coarse[0][0], points, fit, limb, rng) for limb in (*LIMBS, LOWER_HALF, body.joint_names)],
+            2,
+            *coarse,
+        )
         better = fit
         if again.error < rough.error:
             rough, better = again, min(fit, _descend(body, cloud, again, _free(body), 8, 30), key=_error)
@@ -259,15 +263,21 @@ def _best_of(groups: list[list[Fit]], kept: int, few: tuple[RiggedBody, Cloud], 
     return min((_descend(*more, fit, _free(few[0]), 4, 15) for fit in begun), key=_error)
 
 
-def _thrown(body: RiggedBody, fit: Fit, limb: tuple[str, ...], rng: np.random.Generator) -> list[Fit]:
-    """The fit with one limb anywhere within the joints' limits, many times."""
+def _thrown(
+    body: RiggedBody,
+    points: Float[np.ndarray, "N 3"],
+    fit: Fit,
+    names: tuple[str, ...],
+    rng: np.random.Generator,
+) -> list[Fit]:
+    """The fit with joints of these names anywhere within their limits, many times."""
     low, high = limits_rotvec(body, JOINT_LIMITS)
     low[0, 1], high[0, 1] = -1.0, 1.0  # headings, which the table leaves out
-    joints, fits = [body.joint(name) for name in limb], []
+    joints, fits = [body.joint(name) for name in names], []
     for anywhere in rng.uniform(low, high, (60, *low.shape)):
         rotvec = fit.rotvec.copy()
         rotvec[joints] = anywhere[joints]
-        fits.append(replace(fit, rotvec=rotvec))
+        fits.append(_placed(body, points, fit.shape, rotvec))
     return fits
 
 
@@ -286,10 +296,7 @@ def _first_points(body: RiggedBody, count: int) -> RiggedBody:
 
 
 def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Fit]:
-    """Rough people with the centroid and the root mean square radius of the points."""
-    centre, middle = points.mean(axis=0), body.vertices.mean(axis=0)
-    size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, body.vertices))
-    scale = max(float(size / own), 1e-6)  # a single point has no size
+    """People of mean shape in simple poses."""
     fits = []
     legs = ((0, 0), (60, 60), (85, 0))  # hanging, knee raised, stretched to the front
     for heading, left, right, lowered in product((-40, 0, 40), legs, legs, (0, 70)):
@@ -299,8 +306,16 @@ def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Fit]:
         rotvec = np.zeros((len(body.parents), 3))
         for name, turn in degrees.items():
             rotvec[body.joint(name)] = np.radians(turn)
-        fits.append(Fit(scale, centre - scale * middle, np.zeros(len(body.components)), rotvec))
+        fits.append(_placed(body, points, np.zeros(len(body.components)), rotvec))
     return fits
+
+
+def _placed(body: RiggedBody, points: Float[np.ndarray, "N 3"], shape, rotvec) -> Fit:
+    """A person with the centroid and the root mean square radius of the points."""
+    posed = body.posed(shape, rotvec_to_rotmat(rotvec))
+    size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, posed))
+    scale = max(float(size / own), 1e-6)  # a single point has no size
+    return Fit(scale, points.mean(axis=0) - scale * posed.mean(axis=0), shape, rotvec)
 
 
 def _free(
