@@ -8,18 +8,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.bodies.fit import (
-    GOOD,
-    Fit,
-    chamfer,
-    cloud_of,
-    fit_of,
-    fit_points,
-    posed_and_pullback,
-    rotvec_pullback,
-    thin_body,
-    unknowns_of,
-)
+from mimesh.bodies.cloud import chamfer, cloud_of
+from mimesh.bodies.fit import GOOD, fit_points
+from mimesh.bodies.fitted import Fit, fit_of, posed_and_pullback, rotvec_pullback, thin_body, unknowns_of
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.frame import Frame
 from mimesh.geometry import at_barycentric, sample_surface

@@ -9,7 +9,7 @@ from people import person, walk
 from zoo import ZOO
 
 from mimesh.bodies import load_body
-from mimesh.bodies.fit import Fit, thin_body
+from mimesh.bodies.fitted import Fit, thin_body
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.frame import Frame
 from mimesh.mesh import Mesh, permute_vertices

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.fit import Fit, fit_points, thin_body
+from ..bodies.fit import fit_points
+from ..bodies.fitted import Fit, thin_body
 from ..geometry import at_barycentric, sample_surface
 from ..mesh import Mesh
 from . import Drive
