@@ -1,6 +1,6 @@
 """Ship a trained checkpoint: export it into the zoo, measure it on `test` and fill its card.
 
-A shipped weight is replaced only by one whose validation figure is lower.
+A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--pairs 72]
 """
@@ -16,6 +16,7 @@ from mimesh.evaluate.tables import markdown
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.export import export_command
+from mimesh.mesh import InputError
 
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
 
@@ -38,8 +39,13 @@ def main() -> None:
 
 def ship(name: str, path: Path) -> None:
     """Export one checkpoint unless what is shipped under that name validates better."""
-    new, card = checkpoint.load(path).metrics["val"], ZOO / f"{name}.json"
-    old = json.loads(card.read_text())["metrics"]["val"]["val_pmd_e4"] if card.exists() else float("inf")
+    state, card, old = checkpoint.load(path), ZOO / f"{name}.json", float("inf")
+    new = state.metrics.get("val", float("inf"))
+    if card.exists():
+        facts = json.loads(card.read_text())
+        if facts["config"]["data"]["kind"] != state.config.data.kind:
+            raise InputError(f"{path}: expected data {facts['config']['data']['kind']} as shipped, found others")
+        old = facts["metrics"]["val"]["val_pmd_e4"]
     if new >= old:
         print(f"{name}: kept, {old:.2f}e-4 on val against {new:.2f}e-4 of {path}")
         return

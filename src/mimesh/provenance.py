@@ -2,21 +2,45 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import subprocess
+import zlib
+from importlib import metadata
 from pathlib import Path
+
+PACKAGE = Path(__file__).parent
+MEASURING = ("bodies", "evaluate", "methods", "motions", "frame.py", "geometry.py", "mesh.py", "pipeline.py")
+"""Parts of the package that figures depend on."""
+LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
+"""Whose versions might change a figure."""
 
 
 def commit() -> str:
     """Short hash of the code's git commit, `-dirty` if files differ from it; `unknown` outside a checkout."""
-    command = ["git", "describe", "--always", "--dirty"]
+    commands = ["git ls-files --error-unmatch provenance.py", "git describe --always --dirty"]
     try:
-        done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
+        # The first fails where the package is installed inside a checkout of something else.
+        done = [subprocess.run(c.split(), cwd=PACKAGE, capture_output=True, text=True, check=True) for c in commands]
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return done.stdout.strip()
+    return done[-1].stdout.strip()
 
 
 def machine() -> str:
-    """Processor architecture, system and Python version."""
-    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+    """Processor architecture and cores, system and Python version."""
+    return f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}, Python {platform.python_version()}"
+
+
+def libraries() -> dict[str, str]:
+    """Versions of LIBRARIES."""
+    return {name: metadata.version(name) for name in LIBRARIES}
+
+
+def code_fingerprint() -> int:
+    """Of the files that figures depend on: figures of other code are never taken over."""
+    found = [path for part in MEASURING for path in (PACKAGE / part, *(PACKAGE / part).rglob("*"))]
+    total = 0
+    for path in sorted(path for path in found if path.suffix in (".py", ".npz")):
+        total = zlib.crc32(path.read_bytes(), total)
+    return total

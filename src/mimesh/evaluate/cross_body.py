@@ -27,7 +27,7 @@ from ..bodies.landmarks import landmarks
 from ..io.gltf_skin import read_skin
 from ..mesh import InputError, Mesh
 from ..motions.retarget import BONES, NEEDED, alignments, to_local
-from .pairs import Pair, human
+from .pairs import Pair, Pose, human
 from .protocols import Wide
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
@@ -84,9 +84,9 @@ class CrossBody(Wide):
         casts = self.casts(split)
         mover, actor = casts[(i + self.kinds.index(kind)) % len(casts)]
         as_made = rng.random() < 2 / 3
-        stand = pose_at_rest(mover, human()) if as_made else self.rest(split, kind, i, rng).rotmat
+        stand = Pose(pose_at_rest(mover, human()), "rest") if as_made else self.rest(split, kind, i, rng)
         played = self.played(split, kind, i, rng)
-        return _stage(mover, actor, stand, played.rotmat, "rest" if as_made else "stand", played.label)
+        return _stage(mover, actor, stand, played)
 
     def casts(self, split: str) -> list[tuple[GltfRig, GltfRig]]:
         """Who is moved and who drives, in all ordered pairs of the split.
@@ -231,28 +231,21 @@ def _skeletons(data: Path) -> list[list[GltfRig]]:
     return [[check_person(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
 
 
-def _stage(
-    mover: GltfRig,
-    actor: GltfRig,
-    stand: Float[np.ndarray, "J 3 3"],
-    played: Float[np.ndarray, "J 3 3"],
-    stands: str,
-    plays: str,
-) -> Pair:
+def _stage(mover: GltfRig, actor: GltfRig, stand: Pose, played: Pose) -> Pair:
     """The mover stands, the actor plays; truth is the mover playing. `copy` needs both to have the same triangles."""
-    rest, reference = (rig.posed(pose_on_rig(rig, human(), stand)) for rig in (mover, actor))
-    truth, driving = (rig.posed(pose_on_rig(rig, human(), played)) for rig in (mover, actor))
+    rest, reference = (rig.posed(pose_on_rig(rig, human(), stand.rotmat)) for rig in (mover, actor))
+    truth, driving = (rig.posed(pose_on_rig(rig, human(), played.rotmat)) for rig in (mover, actor))
     twins = np.array_equal(mover.mesh.faces, actor.mesh.faces)
     return Pair(
-        identity=_mesh(mover, rest, stands),
-        driving=_mesh(actor, driving, plays),
+        identity=_mesh(mover, rest, stand.label),
+        driving=_mesh(actor, driving, played.label),
         truth=truth,
         height=float(np.ptp(mover.mesh.vertices[:, 1])),
         aligned=driving if twins else None,
         aligned_reference=reference if twins else None,
         reference=reference,
         markers=np.stack([landmarks_on(mover), landmarks_on(actor)], axis=1),
-        truth_name=f"{mover.mesh.name}_{plays}",
+        truth_name=f"{mover.mesh.name}_{played.label}",
     )
 
 

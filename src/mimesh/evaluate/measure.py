@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ..frame import Frame, bbox_centre, radius
 from ..mesh import InputError, Mesh
+from ..methods import SHIPPED_NETWORKS, find_method, shipped_path
+from ..methods.network import Network
 from ..pipeline import transfer
 from .metrics import (
     chamfer,
@@ -30,9 +35,37 @@ GIVEN = {
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
     "deformation-transfer-5": "third mesh, 5 control points",
-    "skeleton": "our body model",
+    "skeleton": "our body model and its joint limits",
 }
-"""What a method is given besides the two meshes; those that are not here get nothing."""
+"""What a method is given besides the two meshes and their axes; for networks see `given`."""
+RESAMPLES = 2000
+"""Draws of the bootstrap behind the confidence intervals."""
+
+
+class NotApplicableError(InputError):
+    """A method cannot work on a pair by its nature."""
+
+
+def given(method: str) -> str:
+    """What a method knows besides the two meshes and their axes."""
+    if method in GIVEN:
+        return GIVEN[method]
+    network = find_method(method)
+    return "trained on our body" + (", true size" if network.target_scale == "truth" else "")  # type: ignore[attr-defined]
+
+
+def trained(method: str) -> str:
+    """The training behind a method, from the card beside its weights."""
+    path = shipped_path(method) if method in SHIPPED_NETWORKS else Path(method)
+    if method in GIVEN:
+        return "none"
+    if not path.with_suffix(".json").exists():
+        return "unknown"
+    card = json.loads(path.with_suffix(".json").read_text())
+    count = card["config"]["data"]["vertices"] or 6890
+    data = {"table6": "16 people x 400 poses", "wide": "endless people and poses"}[card["config"]["data"]["kind"]]
+    minutes = f"{card['seconds_trained'] / 60:.0f} min, {card['hardware']}"
+    return f"{minutes}; {card['pairs']:,} pairs of {count:,} vertices; {data}"
 
 
 def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"]:
@@ -41,12 +74,15 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
     Axes are given to all alike: finding them is not what is measured here.
 
     Raises:
-        InputError: the method cannot work on this pair, such as deformation transfer of a point cloud.
+        NotApplicableError: the method cannot work on this pair, such as deformation transfer of a point cloud.
     """
     run = partial(transfer, up="+y", front="+z", driving_up="+y", driving_front="+z", ensemble=ensemble)
     if method == "copy":
         return resized(_needed(pair.aligned, method), pair.truth)
     if not method.startswith("deformation-transfer"):
+        network = find_method(method, ensemble=ensemble)
+        if isinstance(network, Network) and network.target_scale == "truth":
+            return in_true_size(network, pair)
         return run(pair.identity, pair.driving, method).vertices
     if method == "deformation-transfer-dense":
         driving, third = (
@@ -54,9 +90,23 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
             for points in (pair.aligned, pair.aligned_reference)
         )  # fmt: skip
         return run(pair.identity, driving, "deformation-transfer", reference=third).vertices
+    if len(pair.driving.faces) == 0:
+        raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
     reference = dataclasses.replace(pair.driving, vertices=_needed(pair.reference, method))
     markers = _needed(pair.markers, method)[: 5 if method.endswith("-5") else 13]
+    markers = markers[markers[:, 1] >= 0]
     return run(pair.identity, pair.driving, "deformation-transfer", reference=reference, markers=markers).vertices
+
+
+def in_true_size(network: Network, pair: Pair) -> Float[np.ndarray, "V 3"]:
+    """The result of a network whose unit is the truth's radius, which the papers' tables give away."""
+    unit = dataclasses.replace(network, target_scale="identity")
+    identity, driving = (
+        dataclasses.replace(mesh, vertices=Frame.fit(mesh, "+y", "+z").apply(mesh.vertices))
+        for mesh in (pair.identity, pair.driving)
+    )
+    result = next(iter(unit.prepare(identity, driving)([driving.vertices])))
+    return result * radius(pair.truth - bbox_centre(pair.truth))
 
 
 def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
@@ -64,7 +114,7 @@ def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
     started = time.perf_counter()
     try:
         result = moved(pair, method, ensemble)
-    except InputError as error:
+    except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
     faces = pair.identity.faces
@@ -84,7 +134,8 @@ def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
 def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
     """One row: means, and the tail of the errors, where users live."""
     done = [f for f in figures if "why" not in f]
-    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(done), "given": GIVEN.get(method, "")}
+    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(done)}
+    row |= {"given": given(method), "trained": trained(method)}
     if len(done) < len(figures):
         row["not_applicable"] = len(figures) - len(done)
         row["why"] = next(f["why"] for f in figures if "why" in f)
@@ -93,6 +144,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, 
     errors = np.array([f["pmd_e4"] for f in done])
     row |= {
         "pmd_e4": round(float(errors.mean()), 4),
+        "pmd_e4_ci95": round(half_interval(errors), 4),
         "pmd_e4_median": round(float(np.median(errors)), 4),
         "pmd_e4_p90": round(float(np.quantile(errors, 0.9)), 4),
         "pmd_e4_max": round(float(errors.max()), 4),
@@ -106,5 +158,12 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, 
 
 def _needed(array: Any, method: str) -> Any:
     if array is None:
-        raise InputError(f"{method}: expected a correspondence, found none in this test set; choose another method")
+        raise NotApplicableError(f"{method}: expected a correspondence, found none in this test set")
     return array
+
+
+def half_interval(errors: Float[np.ndarray, " N"]) -> float:
+    """Half of the 95 % confidence interval of the mean, by bootstrap over pairs."""
+    drawn = np.random.default_rng(0).integers(len(errors), size=(RESAMPLES, len(errors)))
+    low, high = np.quantile(errors[drawn].mean(axis=1), [0.025, 0.975])
+    return float(high - low) / 2

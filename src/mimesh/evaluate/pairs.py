@@ -15,6 +15,9 @@ from ..bodies.landmarks import landmarks
 from ..mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
+LOST = 0.03
+"""Metres from a landmark to the nearest vertex left, beyond which a damaged mesh has lost it."""
+
 
 @dataclass(frozen=True, eq=False)
 class Pair:
@@ -29,13 +32,13 @@ class Pair:
     height: float
     """The identity person's height at rest in metres, without hair or shoes."""
     aligned: Float[np.ndarray, "V 3"] | None = None
-    """The driving person, undamaged, with true correspondence: what the row `copy` is made of."""
+    """The driving person with true correspondence, dressed as the identity, whole: what the row `copy` is made of."""
     aligned_reference: Float[np.ndarray, "V 3"] | None = None
-    """The driving person in the identity's pose, with true correspondence."""
+    """The same in the identity's pose; None where the driving mesh as given has other vertices."""
     reference: Float[np.ndarray, "U 3"] | None = None
     """The same on the driving's own vertices: the third mesh that deformation transfer is given."""
     markers: Int[np.ndarray, "M 2"] | None = None
-    """Identity and driving vertex of each of `bodies.landmarks.LANDMARKS`."""
+    """Identity and driving vertex of each of `bodies.landmarks.LANDMARKS`; -1 where the driving mesh lacks it."""
     truth_name: str = "truth"
 
 
@@ -95,11 +98,13 @@ def remeshed(pair: Pair, remesh: Remesh, noise: Callable[[Float[np.ndarray, "U 3
     assert pair.markers is not None
     vertices = remesh.at(pair.driving.vertices)
     nearest = remesh.nearest(pair.driving.vertices, pair.markers[:, 1])
+    away = np.linalg.norm(vertices[nearest] - pair.driving.vertices[pair.markers[:, 1]], axis=1)
     return dataclasses.replace(
         pair,
         driving=Mesh(vertices if noise is None else noise(vertices), remesh.faces, name=pair.driving.name),
         reference=remesh.at(pair.reference),
-        markers=np.stack([pair.markers[:, 0], nearest], axis=1),
+        aligned_reference=None,
+        markers=np.stack([pair.markers[:, 0], np.where(away < LOST, nearest, -1)], axis=1),
     )
 
 
@@ -110,7 +115,8 @@ def shuffled(pair: Pair, rng: np.random.Generator) -> Pair:
     ranks = np.argsort(order), np.argsort(driving_order)
     markers = None
     if pair.markers is not None:
-        markers = np.stack([rank[column] for rank, column in zip(ranks, pair.markers.T, strict=True)], axis=1)
+        columns = zip(ranks, pair.markers.T, strict=True)
+        markers = np.stack([np.where(column < 0, -1, rank[column]) for rank, column in columns], axis=1)
     return dataclasses.replace(
         pair,
         identity=permute_vertices(pair.identity, order),

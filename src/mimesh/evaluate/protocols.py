@@ -157,29 +157,39 @@ class Dressed(Wide):
         mover = human() if kind == "driving" else worn[0]
         actor = human() if kind == "identity" else worn[1]
         pose = self.played(split, "table6", i, rng)
-        return stage(*self.people(mover, actor, split, kind, i), self.rest(split, kind, i, rng), pose)
+        pair = stage(*self.people(mover, actor, split, kind, i), self.rest(split, kind, i, rng), pose)
+        return pair if mover is actor else dataclasses.replace(pair, aligned_reference=None)
 
 
 @dataclass(frozen=True)
-class CrossTopology(HumanNpt):
-    """Table 6 poses; the driving mesh has other vertices and triangles than the identity."""
+class Spoilt(HumanNpt):
+    """Table 6 poses, and the same people and poses in all kinds: only what is done to the driving mesh differs."""
+
+    def clean(self, split: str, i: int) -> Pair:
+        """Pair `i` before anything is done to it."""
+        return super().whole(split, "unseen", i, np.random.default_rng([self.seed(split), len(self.kinds), i]))
+
+
+@dataclass(frozen=True)
+class CrossTopology(Spoilt):
+    """The driving mesh has other vertices and triangles than the identity."""
 
     def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        pair = super().whole(split, "unseen", i, rng)
+        pair = self.clean(split, i)
         if kind == "points":
             return remeshed(pair, remesh.points(human(), 4096, rng))
         return remeshed(pair, MESHINGS[kind]())
 
 
 @dataclass(frozen=True)
-class Noise(HumanNpt):
-    """Table 6 poses; the driving mesh is noisy or incomplete.
+class Noise(Spoilt):
+    """The driving mesh is noisy or incomplete.
 
     `noise-2`: each coordinate of each driving vertex moves by up to 2 % of the mesh's radius (uniform), and so on.
     """
 
     def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        pair = super().whole(split, "unseen", i, rng)
+        pair = self.clean(split, i)
         if kind.startswith("noise-"):
             return self.noisy(pair, int(kind.removeprefix("noise-")) / 100, rng)
         if kind == "holes":
@@ -189,11 +199,12 @@ class Noise(HumanNpt):
         return remeshed(pair, remesh.half(human(), pair.driving.vertices, rng))
 
     def noisy(self, pair: Pair, share: float, rng: np.random.Generator) -> Pair:
-        """Uniform noise on the driving's coordinates."""
+        """Uniform noise on the driving's coordinates, and alike on the driving as `copy` gets it."""
         vertices = pair.driving.vertices
         radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
         moved = vertices + share * radius * rng.uniform(-1, 1, vertices.shape)
-        return dataclasses.replace(pair, driving=dataclasses.replace(pair.driving, vertices=moved))
+        spoilt = dataclasses.replace(pair.driving, vertices=moved)
+        return dataclasses.replace(pair, driving=spoilt, aligned=moved)
 
 
 MESHINGS = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import zlib
@@ -12,7 +13,7 @@ from typing import Any
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..methods import MODELS, SHIPPED_NETWORKS, shipped_path
-from ..provenance import commit, machine
+from ..provenance import code_fingerprint, commit, libraries, machine
 from .cross_body import cross_body
 from .measure import GIVEN, measure, summary
 from .protocols import PROTOCOLS, SPLITS, Protocol
@@ -42,7 +43,11 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     config = {"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}
-    ledger = Ledger(out and out.with_name(out.name + ".partial"), {**config, "protocol": [protocol, chosen.version]})
+    if data is not None and protocol == "cross-body":
+        config["data"] = sorted(path.name for path in data.iterdir())
+    made = provenance(config)
+    question = {**config, "protocol": [protocol, chosen.version], "code": code_fingerprint(), **libraries()}
+    ledger = Ledger(out and out.with_name(out.name + ".partial"), question)
     total, rows = len(chosen.kinds) * config["pairs"] * len(methods), []
     for method in methods:
         weights = fingerprint(method)
@@ -54,7 +59,7 @@ def evaluate_command(
                 figures.append(known or ledger.put(key, measure(chosen.pair(split, kind, i), method, ensemble)))
                 if progress is not None:
                     progress(len(rows) * config["pairs"] + len(figures), total)
-            rows.append(summary(method, kind, figures))
+            rows.append({**summary(method, kind, figures), "weights": weights})
             if dump is not None:
                 from .dump import dump_worst
 
@@ -62,7 +67,7 @@ def evaluate_command(
     report = {
         "protocol": chosen.name,
         "version": chosen.version,
-        "provenance": provenance(config),
+        "provenance": made,
         "results": rows,
     }
     if out is not None:
@@ -73,21 +78,23 @@ def evaluate_command(
 
 
 class Ledger:
-    """Figures of finished pairs as JSON lines; the first line says what question they answer."""
+    """Figures of finished pairs as JSON lines; the first line says what question they answer.
+
+    Figures that answer another question (other pairs, code, data or libraries) are put aside as `<name>.old`.
+    """
 
     def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
         self.path, self.known = path, {}
         if path is None:
             return
-        lines = path.read_text().splitlines() if path.exists() else []
-        if lines and json.loads(lines[0]) == json.loads(json.dumps(question)):
-            for line in lines[1:]:
-                if line.endswith("}]"):  # the last line of a killed run may be cut short
-                    key, figures = json.loads(line)
-                    self.known[json.dumps(key)] = figures
-        else:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(question) + "\n")
+        lines = list(_whole_lines(path))
+        if lines and lines[0] == json.loads(json.dumps(question)):
+            self.known = {json.dumps(key): figures for key, figures in lines[1:]}
+        elif path.exists():
+            path.replace(path.with_name(path.name + ".old"))
+        kept = [question, *([json.loads(key), figures] for key, figures in self.known.items())]
+        with whole_file(path) as temporary:
+            temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
 
     def get(self, key: list) -> dict[str, Any] | None:
         """Figures of a pair, if it was finished before."""
@@ -104,6 +111,12 @@ class Ledger:
         """All is in the report now."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
+
+
+def _whole_lines(path: Path):
+    for line in path.read_text().splitlines() if path.exists() else ():
+        with contextlib.suppress(json.JSONDecodeError):  # cut short by a kill
+            yield json.loads(line)
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
@@ -132,11 +145,12 @@ def check_method(method: str) -> None:
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:
-    """Where and when figures were made: seed, configuration, commit, machine, date."""
+    """Where and when figures were made: seed, configuration, commit, machine, libraries, date."""
     return {
         "seed": 0,
         "config": config,
         "commit": commit(),
         "machine": machine(),
+        "libraries": libraries(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
