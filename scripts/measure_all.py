@@ -15,11 +15,9 @@ import write_results
 from mimesh.commands.terminal import progress
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import evaluate_command
-from mimesh.methods import SHIPPED_NETWORKS
+from mimesh.methods import ROWS
 
 GIVEN_MUCH = ("copy", "deformation-transfer-dense", "deformation-transfer-13")
-ROWS = ("deformation-transfer-5", *(name for name in SHIPPED_NETWORKS if name not in ("npt", "npt-maxpool")))
-"""Further rows of the papers' tables, on the papers' protocol alone."""
 
 
 def main() -> None:
@@ -29,7 +27,13 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     args = parser.parse_args()
     for name in args.protocols or (*PROTOCOLS, *(("cross-body",) if args.data else ())):
-        methods = [*GIVEN_MUCH, "skeleton", "npt", "npt-maxpool", *(ROWS if name == "human-npt" else ())]
+        methods = [
+            *GIVEN_MUCH,
+            "skeleton",
+            "npt",
+            "npt-maxpool",
+            *(("deformation-transfer-5", *ROWS) if name == "human-npt" else ()),
+        ]
         with progress(name, quiet=False) as advance:
             evaluate_command(name, methods, write_results.RESULTS / f"{name}.json", progress=advance, data=args.data)
         print(f"{name}: measured")

@@ -6,17 +6,25 @@ from pathlib import Path
 import pytest
 
 from mimesh.evaluate.results import one_page, results_page
+from mimesh.evaluate.run import fingerprint
+from mimesh.mesh import InputError
 
 DOCS = Path(__file__).parents[2] / "docs"
 
 
-def report(protocol, rows):
-    made = {"config": {"pairs": 2}, "commit": "0123456789abcdef", "machine": "a box", "date": "2026-11-21T00:00"}
+def report(protocol, rows, split="test"):
+    made = {
+        "config": {"pairs": 2, "split": split},
+        "commit": "01234567",
+        "machine": "a box",
+        "date": "2026-11-21T00:00",
+    }
     return {"protocol": protocol, "version": 1, "provenance": made, "results": rows}
 
 
 def row(method, split, pmd):
-    return {"method": method, "split": split, "pairs": 2, "pmd_e4": pmd, "seconds_per_frame": 0.5}
+    figures = {"pairs": 2, "pmd_e4": pmd, "seconds_per_frame": 0.5, "given": "nothing", "trained": "none"}
+    return {"method": method, "split": split, **figures}
 
 
 NOISE = report(
@@ -33,14 +41,33 @@ def test_one_page_means_over_kinds_and_never_over_missing_ones():
 
 
 def test_the_page_quotes_reasons_and_provenance(tmp_path):
-    why = {"method": "deformation-transfer-13", "split": "points", "pairs": 0, "why": "no faces", "not_applicable": 2}
+    why = {**row("deformation-transfer-13", "points", 0), "pairs": 0, "why": "no faces", "not_applicable": 2}
+    del why["pmd_e4"]
     (tmp_path / "cross-topology.json").write_text(json.dumps(report("cross-topology", [why])))
     page = results_page(tmp_path)
-    assert "no faces" in page
-    assert "0123456789, a box, 2026-11-21" in page
+    assert "`deformation-transfer-13`, 2 of 2 pairs of points (no faces)" in page
+    assert "01234567, a box, 2026-11-21" in page
     assert "| DT, 13 control points | `deformation-transfer-13` | 7.7 | 6.7 | not measured |" in page
+
+
+def test_figures_of_another_split_do_not_pass(tmp_path):
+    (tmp_path / "noise.json").write_text(json.dumps(report("noise", [row("npt", "holes", 1.0)], "val")))
+    with pytest.raises(InputError, match="split test"):
+        results_page(tmp_path)
+
+
+def test_a_kind_with_missing_pairs_has_no_place_on_the_page():
+    rows = [{**row("npt", kind, 1.0), "not_applicable": 1} for kind in ("holes", "cropped", "half")]
+    assert "| 1 |" not in one_page([report("noise", rows)])
 
 
 @pytest.mark.skipif(not (DOCS / "RESULTS.md").exists(), reason="a package without its docs")
 def test_the_page_in_the_docs_is_the_generated_one():
     assert (DOCS / "RESULTS.md").read_text() == results_page(DOCS / "results")
+
+
+@pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")
+@pytest.mark.parametrize("path", sorted((DOCS / "results").glob("*.json")), ids=lambda path: path.stem)
+def test_figures_in_the_docs_are_those_of_the_shipped_weights(path):
+    for measured in json.loads(path.read_text())["results"]:
+        assert measured["weights"] == fingerprint(measured["method"])

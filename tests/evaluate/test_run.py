@@ -10,12 +10,15 @@ from networks import write_network
 
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.measure import measure, summary
+from mimesh.evaluate.measure import given, measure, moved, summary
+from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
 from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
+from mimesh.frame import bbox_centre, radius
 from mimesh.io import load_mesh
 from mimesh.mesh import InputError
+from mimesh.pipeline import transfer
 
 
 def test_copy_stands_where_the_protocol_puts_it(tmp_path):
@@ -59,11 +62,40 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path, monkeypatch):
     assert not out.exists()
     with (tmp_path / "figures.json.partial").open("a") as file:
         file.write('[["copy", 0, "unseen", 1], {"pmd')  # as a kill in the middle of a line leaves it
+    monkeypatch.setattr("mimesh.evaluate.run.summary", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
+    monkeypatch.setattr("mimesh.evaluate.run.summary", summary)
     resumed = evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
     assert len(measured) == 5 + 2
     for a, b in zip(resumed["results"], whole["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"]
     assert list(tmp_path.iterdir()) == [out]
+
+
+def interrupted(*_):
+    raise KeyboardInterrupt
+
+
+def test_a_network_without_a_size_of_its_own_is_given_the_truths(tmp_path):
+    """As its training validates it."""
+    network = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
+    pair = HUMAN_NPT.pair("val", "unseen", 0)
+    sized = moved(pair, network)
+    free = transfer(pair.identity, pair.driving, network, up="+y", front="+z", driving_up="+y", driving_front="+z")
+    assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
+    same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
+    sizes = [np.ptp(points, axis=0).max() for points in (sized, moved(pair, same))]
+    radii = [radius(points - bbox_centre(points)) for points in (pair.truth, pair.identity.vertices)]
+    assert np.isclose(sizes[0] / sizes[1], radii[0] / radii[1])
+    assert "true size" in given(network)
+    assert "true size" not in given(same)
+
+
+def test_a_broken_network_stops_the_run(tmp_path):
+    (tmp_path / "odd.onnx").write_bytes(b"no network")
+    with pytest.raises(InputError, match="ONNX"):
+        evaluate_command("human-npt", [str(tmp_path / "odd.onnx")], split="val", pairs=1)
 
 
 def test_figures_of_another_question_are_not_taken_over(tmp_path):
@@ -72,6 +104,7 @@ def test_figures_of_another_question_are_not_taken_over(tmp_path):
         '{"split": "test"}\n' + json.dumps([["copy", 0, "seen", 0], {"pmd_e4": 0.0}]) + "\n"
     )
     assert evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)["results"][0]["pmd_e4"] > 0
+    assert (tmp_path / "figures.json.partial.old").exists()
 
 
 def test_what_a_method_cannot_do_is_a_row_that_says_so():

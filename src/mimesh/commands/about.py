@@ -34,7 +34,7 @@ def demo(
 
 def models(json: Json = False) -> None:
     """List what -m takes, with figures."""
-    from ..methods import MODELS
+    from ..methods import MODELS, SHIPPED_NETWORKS
     from ..zoo import cards
 
     shipped = {card["name"]: card for card in cards()}
@@ -42,14 +42,24 @@ def models(json: Json = False) -> None:
         print_json({"models": [shipped.get(name, {"name": name}) for name in MODELS]})
         return
     for name in MODELS:
-        print(f"{name:<22}{_describe(shipped[name]) if name in shipped else PLAIN.get(name, MISSING)}")
+        print(f"{name:<22}{WHAT[name]}")
+        if name in SHIPPED_NETWORKS:
+            print(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
     print_next("evaluate", "human-npt", "-m", "npt,npt-maxpool,copy")
 
 
-PLAIN = {
+WHAT = {
     "copy": "the driving vertices themselves, as they are: what every method must beat",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
     "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
+    "npt": "Neural Pose Transfer, trained on endless people and poses",
+    "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
+    "npt-table": "a row of the paper's tables: NPT on its 16 people x 400 poses, longest training",
+    "npt-equal": "a row of the paper's tables: NPT, trained as long as the rows below",
+    "npt-no-edge": "a row of the paper's tables: without the edge loss",
+    "npt-no-spadain": "a row of the paper's tables: ResBlocks without SPAdaIN",
+    "npt-concat1": "a row of the paper's tables: 1x1 convolutions alone",
+    "npt-maxpool-equal": "a row of the paper's tables: max-pool, trained as long as the rows above",
 }
 MISSING = "its weights are missing here; install mimesh again"
 

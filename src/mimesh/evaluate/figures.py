@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 TILE = (300, 360)
-ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt")
+ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
 
 
 class Tile(NamedTuple):

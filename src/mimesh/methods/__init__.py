@@ -18,7 +18,9 @@ from ..mesh import InputError, Mesh
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
 
-SHIPPED_NETWORKS = {"npt": "npt.onnx", "npt-maxpool": "npt-maxpool.onnx"}
+ROWS = ("npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal")
+"""Lines of the papers' tables: trained on the papers' poses alone, to be compared rather than used."""
+SHIPPED_NETWORKS = {name: f"{name}.onnx" for name in ("npt", "npt-maxpool", *ROWS)}
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int
 
 from ..frame import bbox_centre, radius
-from ..geometry import edges
+from ..geometry import edges, spatial_order
 from ..mesh import InputError, Mesh
 from . import Drive
 from .pairing import rank_vertices, surface_points
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 POOLED_POINTS = 8192
 """Most driving points that a pooling network is given; a denser driving mesh is thinned by the seed."""
+PATCHES = 200
+"""Patches of the identity's surface by which the size of a result is judged, where the network does not know it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Network:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """"identity", or "truth": then the result's size is unknown and is set by the identity's edge lengths."""
+    """"identity", or "truth": then the result's size is unknown and is set by the identity's lengths (`Lengths`)."""
     ensemble: int = 1
     seed: int = 0
 
@@ -52,13 +54,13 @@ class Network:
         # A pooled pose has no pairing to average over.
         rounds = 1 if pooled else self.ensemble
         pairings = [_generator(self.seed, 1 + k).permutation(len(points))[:taken] for k in range(rounds)]
-        welded_edges = edges(ranked.group[identity.faces])
+        lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             centred = vertices - bbox_centre(vertices)
             result = self._run(still, points.at(centred / radius(centred)), pairings)
             if self.target_scale == "truth":
-                result = result * _edge_length(still, welded_edges) / _edge_length(result, welded_edges)
+                result = result * lengths.total(still) / lengths.total(result)
             return result[ranked.group]
 
         return lambda frames: travelling(frames, pose, driving.name)
@@ -121,9 +123,27 @@ def _card(session: InferenceSession, path: Path) -> dict:
     return card
 
 
-def _edge_length(points: Float[np.ndarray, "W 3"], pairs: Int[np.ndarray, "E 2"]) -> float:
-    """Sum of edge lengths; 1 for a point cloud, whose size is left as it is."""
-    return float(np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1).sum()) if len(pairs) else 1.0
+@dataclass(frozen=True, eq=False)
+class Lengths:
+    """Distances between the middles of neighbouring patches of a surface: a size that roughness hardly changes."""
+
+    patch: Int[np.ndarray, " W"]
+    pairs: Int[np.ndarray, "E 2"]
+
+    @classmethod
+    def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> Lengths:
+        """Up to PATCHES patches of equally many vertices, and which of them touch."""
+        count, patch = min(PATCHES, len(points)), np.empty(len(points), np.int64)
+        patch[spatial_order(points)] = np.arange(len(points)) * count // len(points)
+        touching = np.unique(patch[welded_edges].reshape(-1, 2), axis=0)
+        return cls(patch, touching[touching[:, 0] != touching[:, 1]])
+
+    def total(self, points: Float[np.ndarray, "W 3"]) -> float:
+        """Sum of the distances; 1 for a point cloud, whose size is left as it is."""
+        sums = np.stack([np.bincount(self.patch, column) for column in points.T], axis=1)
+        middles = sums / np.bincount(self.patch)[:, None]
+        apart = np.linalg.norm(middles[self.pairs[:, 0]] - middles[self.pairs[:, 1]], axis=1)
+        return float(apart.sum()) if len(apart) else 1.0
 
 
 def _batch_of_one(points: Float[np.ndarray, "N 3"]) -> Float32[np.ndarray, "1 N 3"]:
