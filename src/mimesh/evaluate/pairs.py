@@ -15,7 +15,7 @@ from ..bodies.landmarks import landmarks
 from ..mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
-LOST = 0.03
+LOST = 0.05
 """Metres from a landmark to the nearest vertex left, beyond which a damaged mesh has lost it."""
 
 
