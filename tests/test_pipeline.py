@@ -147,3 +147,57 @@ def test_a_clip_of_one_frame_says_so():
     result = animate(person(0), Clip(pose, pose.vertices[None].astype(np.float32)), "copy")
     assert any("one frame" in note for note in result.notes)
     assert not any("one frame" in note for note in animate(person(0), walk(1), "copy").notes)
+
+
+@pytest.mark.parametrize(
+    ("markers", "found"),
+    [
+        (np.zeros((5, 3)), "float64 (5, 3)"),
+        (np.zeros((5, 3), int), "int64 (5, 3)"),
+        (np.zeros((5, 2)), "float64 (5, 2)"),
+        (np.zeros(4, int), "int64 (4,)"),
+        ([[0, 0], [1]], "object (2,)"),
+        ([], "float64 (0,)"),
+    ],
+)
+def test_unusable_markers_are_told(markers, found):
+    message = (
+        f"markers: expected whole numbers of shape (M, 2), found {found}; rows are (identity vertex, driving vertex)"
+    )
+    mesh = person(0)
+    with pytest.raises(InputError) as told:
+        transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=markers)
+    assert str(told.value) == message
+
+
+@pytest.mark.parametrize("row", [[1000, 0], [0, 1000], [-1, 0]])
+def test_markers_out_of_range_are_told_in_one_line(row):
+    mesh = person(0)
+    with pytest.raises(InputError, match=r"expected vertices of person0 in 0\.\.") as told:
+        transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=[[1, 1], [2, 2], [3, 3], row])
+    assert "\n" not in str(told.value)
+
+
+def test_markers_may_be_a_list_of_pairs():
+    identity, driving, reference = person(0, 3), person(1, 5), person(1, 3)
+    marks = np.unique(np.concatenate([identity.vertices.argmax(axis=0), identity.vertices.argmin(axis=0)]))
+    pairs = np.stack([marks, marks], axis=1)
+    results = [
+        transfer(identity, driving, "deformation-transfer", reference=reference, markers=markers).vertices
+        for markers in (pairs, pairs.tolist(), pairs.astype(np.uint16))
+    ]
+    assert np.array_equal(results[0], results[1])
+    assert np.array_equal(results[0], results[2])
+
+
+def test_a_driving_that_walks_off_to_the_side_of_its_reference_changes_nothing():
+    """The reference faces +z, the clip +x from its first frame on: the result faces +z and walks there."""
+    identity, reference, clip = person(0), person(1), walk(1, 3)
+    aside = np.stack([clip.vertices[..., 2], clip.vertices[..., 1], -clip.vertices[..., 0]], axis=-1)
+    turned = Clip(dataclasses.replace(clip.mesh, vertices=aside[0]), aside)
+    axes = {"up": "+y", "front": "+z", "driving_up": "+y", "reference": reference}
+    expected = animate(identity, clip, "deformation-transfer", driving_front="+z", **axes).clip.vertices
+    result = animate(identity, turned, "deformation-transfer", driving_front="+x", **axes).clip.vertices
+    assert np.abs(result - expected).max() < 1e-5
+    steps = (result[1:] - result[:-1]).mean(axis=1)
+    assert (steps[:, 2] > 3 * np.abs(steps[:, 0])).all()

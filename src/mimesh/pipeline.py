@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
@@ -83,7 +84,7 @@ def transfer(
     ensemble: int = 1,
     seed: int = 0,
     reference: Mesh | str | Path | None = None,
-    markers: Int[np.ndarray, "M 2"] | str | Path | None = None,
+    markers: ArrayLike | str | Path | None = None,
 ) -> Result:
     """Give the identity the pose of the driving mesh: animate() with one frame, in double precision.
 
@@ -93,7 +94,7 @@ def transfer(
     Args:
         ensemble: average over this many random pairings (index-paired networks only).
         reference: the driving mesh in the identity's pose (deformation transfer only).
-        markers: identity and driving vertices that correspond, as an array or a file (deformation transfer only).
+        markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
 
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
@@ -120,7 +121,7 @@ def animate(
     ensemble: int = 1,
     seed: int = 0,
     reference: Mesh | str | Path | None = None,
-    markers: Int[np.ndarray, "M 2"] | str | Path | None = None,
+    markers: ArrayLike | str | Path | None = None,
     fps: float | None = None,
     start: int = 0,
     stop: int | None = None,
@@ -155,16 +156,31 @@ def animate(
 def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
     """The method of a name with its options, once the driving's frame is known."""
     mesh = None if reference is None else _read_mesh(reference)
-    if markers is not None and not isinstance(markers, np.ndarray):
+    if isinstance(markers, (str, Path)):
         from .io.markers import load_markers
 
         markers = load_markers(Path(markers))
+    elif markers is not None:
+        markers = _pairs(markers)
 
     def choose(frame: Frame) -> Method:
         third = None if mesh is None else dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
         return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
 
     return choose
+
+
+def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
+    try:
+        found = np.asarray(markers)
+    except ValueError:  # rows of different lengths
+        found = np.asarray(markers, object)
+    if found.ndim != 2 or found.shape[1] != 2 or found.dtype.kind not in "iu":
+        raise InputError(
+            f"markers: expected whole numbers of shape (M, 2), found {found.dtype} {found.shape}; "
+            "rows are (identity vertex, driving vertex)"
+        )
+    return found.astype(np.int64)
 
 
 def _move(

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import time
 
 import numpy as np
 import pytest
@@ -14,7 +15,13 @@ from mimesh.frame import bbox_centre, radius
 from mimesh.geometry import edges, face_areas, weld
 from mimesh.mesh import InputError, Mesh, permute_vertices
 from mimesh.methods import Method
-from mimesh.methods.deformation_transfer import DeformationTransfer, component_ties, follower, triangle_frames
+from mimesh.methods.deformation_transfer import (
+    DeformationTransfer,
+    component_ties,
+    components,
+    follower,
+    triangle_frames,
+)
 
 SEEN, UNSEEN = 3, 5
 TURN = Rotation.from_euler("xyz", [20, 70, -130], degrees=True).as_matrix()
@@ -190,13 +197,46 @@ def test_ties_join_the_nearest_parts_and_no_more_than_needed():
     assert {tuple(sorted(pair)) for pair in ties.tolist()} == {(1, 12), (4, 6), (1, 3), (2, 9)}
 
 
-def test_ties_of_large_and_of_small_parts_agree(monkeypatch):
+def naive_ties(points: np.ndarray, links: np.ndarray) -> list[tuple[int, int]]:
+    """Kruskal's tree over all pairs of points, shortest first."""
+    label, ties = components(links, len(points)), []
+    distance = np.linalg.norm(points[:, None] - points, axis=-1)
+    for pair in np.argsort(distance, axis=None, kind="stable"):
+        i, j = divmod(int(pair), len(points))
+        if label[i] != label[j]:
+            ties.append((i, j))
+            label[label == label[j]] = label[i]
+    return ties
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 40])
+def test_ties_are_the_shortest_that_join_all_parts(size):
+    rng = np.random.default_rng(size)
+    points = rng.normal(size=(160, 3)) + np.repeat(rng.normal(size=(160 // size + 1, 3)) * 3, size, axis=0)[:160]
+    part = np.arange(160) // size
+    links = np.stack([np.arange(159), np.arange(1, 160)], axis=1)[part[1:] == part[:-1]]
+    found = component_ties(points, links)
+    assert len(found) == part.max()
+    assert {frozenset(pair) for pair in found.tolist()} == {frozenset(pair) for pair in naive_ties(points, links)}
+
+
+def test_parts_at_equal_distances_are_tied_into_a_tree():
+    lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3)
+    ties = component_ties(lattice, np.zeros((0, 2), np.int64))
+    assert len(ties) == 63
+    assert not components(ties, 64).any()
+    assert np.allclose(np.linalg.norm(lattice[ties[:, 0]] - lattice[ties[:, 1]], axis=1), 1)
+
+
+def test_many_parts_are_tied_in_time():
+    """A tree for each part would take minutes."""
     rng = np.random.default_rng(0)
-    points, links = rng.normal(size=(90, 3)), edges(np.arange(90).reshape(-1, 3))
-    expected = component_ties(points, links)
-    assert len(expected) == 29
-    monkeypatch.setattr("mimesh.methods.deformation_transfer.FEW", 0)
-    assert np.array_equal(component_ties(points, links), expected)
+    points = (rng.normal(size=(1000, 1, 3)) * 20 + rng.normal(size=(1000, 70, 3)) * 0.1).reshape(-1, 3)
+    chain = np.arange(70000).reshape(1000, 70)
+    links = np.stack([chain[:, :-1].ravel(), chain[:, 1:].ravel()], axis=1)
+    begin = time.process_time()
+    assert len(component_ties(points, links)) == 999
+    assert time.process_time() - begin < 30
 
 
 def test_thin_faces_and_loose_vertices_are_carried_along():
@@ -248,6 +288,46 @@ def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
     assert np.abs(centred(result) - centred(expected)).max() < 1e-9
 
 
+@pytest.mark.parametrize("make", [zoo.cube, zoo.grid, zoo.two_parts])
+def test_a_face_with_several_triangles_follows_their_mean(make):
+    mesh, rng = make(), np.random.default_rng(0)
+    often = np.concatenate([np.arange(len(mesh.faces)), np.repeat(3, 100), [5]])
+    rest = mesh.vertices[mesh.faces[often]]
+    motion = np.eye(3) + rng.normal(size=(len(often), 3, 3)) * 0.1
+    wanted = np.stack([motion[often == f].mean(axis=0) for f in range(len(mesh.faces))])
+    expected = follower(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces])(affine(rest[: len(wanted)], wanted))
+    result = follower(mesh.vertices, mesh.faces[often], rest)(affine(rest, motion))
+    assert np.abs(centred(result) - centred(expected)).max() < 0.02
+    assert np.abs(result - follower(mesh.vertices, mesh.faces, rest[: len(wanted)])(rest[: len(wanted)])).max() > 0.02
+
+
+def affine(triangles: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """Triangles after linear maps, one each, about the origin."""
+    return np.einsum("pkl,pcl->pck", maps, triangles)
+
+
+def test_parts_stand_alike_whatever_the_number_of_triangles_that_drive_them():
+    """Two sheets of few triangles driven by two of many: the offset between them has the identity's size."""
+    few, many = zoo.grid(3), zoo.grid(17)
+    identity, reference = (joined(mesh, Mesh(mesh.vertices + [0, 0, 0.5], mesh.faces)) for mesh in (few, many))
+    corners = [np.array([0, n - 1, n * n - n, n * n - 1]) for n in (3, 17)]
+    markers = np.stack([np.concatenate([c, c + n * n]) for c, n in zip(corners, (3, 17), strict=True)], axis=1)
+    driving = reference.vertices.copy()
+    driving[289:] += [0, 0, 1.0]
+    result = run(identity, reference, moved(reference, driving), markers)
+    expected = identity.vertices + np.repeat([[0, 0, 0], [0, 0, 1.0]], 9, axis=0)
+    assert np.abs(centred(result) - centred(expected)).max() < 0.01
+
+
+@WITH_AND_WITHOUT
+@pytest.mark.parametrize("degrees", [90, 180, 270])
+def test_a_reference_that_faces_another_way_gives_the_same_result(markers, degrees):
+    identity, reference, driving, _ = trio()
+    turn = np.round(Rotation.from_euler("y", degrees, degrees=True).as_matrix())
+    result = run(identity, moved(reference, reference.vertices @ turn.T), driving, markers)
+    assert np.array_equal(result, run(identity, reference, driving, markers))
+
+
 def test_frames_give_what_single_meshes_give_and_walk_as_the_driving():
     identity, reference, driving, _ = trio()
     drive = DeformationTransfer(reference).prepare(identity, driving)
@@ -283,6 +363,13 @@ def test_a_reference_of_another_topology_is_told(change):
     other = trio(1500)[1] if change == "count" else dataclasses.replace(reference, faces=reference.faces[:, [1, 2, 0]])
     with pytest.raises(InputError, match="export both poses from one file"):
         run(identity, other, driving)
+
+
+@pytest.mark.parametrize("factor", [100.0, 0.01])
+def test_a_reference_in_another_unit_is_told(factor):
+    identity, reference, driving, _ = trio()
+    with pytest.raises(InputError, match="times the driving's size; export both poses from one file, in one unit"):
+        run(identity, moved(reference, reference.vertices * factor), driving)
 
 
 @pytest.mark.parametrize("change", ["count", "faces"])

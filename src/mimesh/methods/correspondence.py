@@ -4,15 +4,28 @@ From marks: the non-rigid registration of Sumner and Popović (SIGGRAPH 2004). T
 reference by three energies. Of the affine map T of each triangle (3 x 3): maps of neighbours agree (smoothness), and
 stay near the identity matrix. Of each vertex: it comes near the closest valid point of the reference. T is the gradient
 in the triangle's plane plus one free vector for the image of its normal, which is what the paper's fourth vertex stands
-for. Both meshes must stand alike (one pose, one heading).
+for. Both meshes must stand alike (one pose; of the heading, quarter turns are undone by `turned_alike`).
+
+Departures from the paper:
+
+* Its target (our identity) is deformed onto its source (our reference), where the paper deforms source onto target.
+* Marks are held softly (HOLD), where the paper makes constraints of them.
+* A small term (REST) keeps vertices where they start, so that parts without a mark have a place.
+* The closest valid point is the nearest on the surface of a few near triangles, where the paper takes a vertex.
+* One solve with marks alone and one for each of PULLS, closest points anew for each; the paper counts no solves.
+* n triangles at one edge are compared in n - 1 pairs, not each with each.
+* A match is the nearest centroid that faces the same way; one that a reference triangle looks for must lie within FAR,
+  and each identity triangle has one of its own at any distance.
 """
 
 from __future__ import annotations
 
+import dataclasses
+from math import fsum
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..geometry import closest_on_mesh, face_normals, face_vectors, gradient_operator, vertex_normals
 from ..mesh import InputError, Mesh
@@ -36,6 +49,50 @@ REST = 1e-4
 """Weight of a vertex's distance from its start: decides only where parts stand that nothing holds yet."""
 NEAREST = 30
 """Triangles looked at for one that faces the same way."""
+FAR = 0.05
+"""Farthest centroids (unit-sphere lengths) of a reference triangle and of the identity triangle that it adds to."""
+
+
+def vertex_pairs(identity: Mesh, reference: Mesh, markers: Int[np.ndarray, "M 2"] | None) -> Int[np.ndarray, "N 2"]:
+    """What is known to correspond, as (identity vertex, reference vertex): the markers, or all vertices without them.
+
+    Raises:
+        InputError: without markers, vertex counts or faces differ; a marked vertex that does not exist, or fewer than
+            three marks apart.
+    """
+    if markers is not None:
+        return _checked_markers(markers, identity, reference)
+    if len(identity.vertices) != len(reference.vertices) or not np.array_equal(identity.faces, reference.faces):
+        raise InputError(
+            f"{reference.name}: expected the vertices and faces of {identity.name} ({len(identity.vertices)} and "
+            f"{len(identity.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
+            "give pairs of matching vertices with --markers FILE"
+        )
+    return np.stack([np.arange(len(identity.vertices))] * 2, axis=1)
+
+
+def turned_alike(reference: Mesh, identity: Mesh, pairs: Int[np.ndarray, "N 2"]) -> Mesh:
+    """The reference turned about y by the quarter turn at which its vertices stand most like the identity's.
+
+    The frame that it comes in is that of the driving's first frame, which may face any other way.
+    """
+    turn = quarter_turn(reference.vertices[pairs[:, 1]], identity.vertices[pairs[:, 0]])
+    # + 0.0: no negative zeros, they would sort apart.
+    return dataclasses.replace(reference, vertices=reference.vertices @ turn.T + 0.0)
+
+
+def quarter_turn(points: Float[np.ndarray, "N 3"], places: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3 3"]:
+    """The turn about y by a multiple of 90 degrees that brings points nearest to places in the mean square.
+
+    Centroids are laid on each other; of sizes nothing depends. Where turns are equally good the smaller wins, and the
+    sums are exact to the last bit, so that the order of the points cannot matter.
+    """
+    (x, _, z), (to_x, _, to_z) = (columns - [[fsum(c) / len(c)] for c in columns] for columns in (points.T, places.T))
+    along, across = fsum(x * to_x + z * to_z), fsum(z * to_x - x * to_z)
+    gains = np.array([along, across, -across, -along])  # of 0, 90, 270 and 180 degrees
+    best = int(np.argmax(gains >= gains.max() - 1e-9 * np.abs(gains).max()))
+    cosine, sine = ((1, 0), (0, 1), (0, -1), (-1, 0))[best]
+    return np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], float)
 
 
 def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corners, Corners]:
@@ -45,14 +102,8 @@ def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corn
     nearest one that is not.
 
     Raises:
-        InputError: vertex counts or faces differ, or no triangle is left.
+        InputError: no triangle is left.
     """
-    if len(identity.vertices) != len(reference.vertices) or not np.array_equal(identity.faces, reference.faces):
-        raise InputError(
-            f"{reference.name}: expected the vertices and faces of {identity.name} ({len(identity.vertices)} and "
-            f"{len(identity.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
-            "give pairs of matching vertices with --markers FILE"
-        )
     ranks = [rank_vertices(mesh.vertices).group for mesh in (identity, reference, driving)]
     own = canonical_faces(sound_faces(identity), *ranks)
     source = canonical_faces(sound_faces(reference), *ranks)
@@ -67,13 +118,13 @@ def match_by_markers(
 ) -> tuple[Corners, Corners]:
     """The same for any two meshes, from pairs (identity vertex, reference vertex).
 
-    Every triangle of both meshes with its best match in the other: first all of the identity's, then all of the
-    reference's. A triangle with several matches is later given a mean of their gradients.
+    Triangles of both meshes with their best match in the other: first all of the identity's, then those of the
+    reference that face it and lie within FAR. A triangle with several matches is later given the mean of their
+    gradients.
 
     Raises:
-        InputError: a marked vertex that does not exist, fewer than three marks apart, or no triangle is left.
+        InputError: no triangle is left.
     """
-    _check_markers(markers, identity, reference)
     ranked = rank_vertices(identity.vertices)
     theirs_rank = rank_vertices(reference.vertices).group
     own = canonical_faces(sound_faces(identity), ranked.group)
@@ -84,8 +135,10 @@ def match_by_markers(
     places = resized_onto(reference.vertices, reference.vertices[seen], identity.vertices[marked])
     target = places[theirs]
     fitted = register(still, faces, target, ranked.group[marked], places[seen])[faces]
-    there, back = matching_triangles(fitted, target), matching_triangles(target, fitted)
-    return np.concatenate([own, own[back]]), np.concatenate([theirs[there], theirs])
+    there, _ = matching_triangles(fitted, target)
+    back, alike = matching_triangles(target, fitted)
+    near = alike & (np.linalg.norm(target.mean(axis=1) - fitted[back].mean(axis=1), axis=1) <= FAR)
+    return np.concatenate([own, own[back[near]]]), np.concatenate([theirs[there], theirs[near]])
 
 
 def register(
@@ -97,28 +150,27 @@ def register(
 ) -> Float[np.ndarray, "V 3"]:
     """Deform a mesh smoothly onto target triangles, marked vertices to their places.
 
-    In unit-sphere lengths; every triangle must have an area.
+    In unit-sphere lengths; every triangle must have an area. Solves for the way from the start, where smoothness and
+    the distance of the maps to the identity matrix are both exactly zero: their entries (one over a triangle's height,
+    squared) are so large beside REST that the rounding of positions would move parts that no mark holds.
     """
     from scipy.sparse import diags_array
 
     smooth, stay = registration_terms(vertices, faces)
     count, unknowns = len(vertices), len(vertices) + len(faces)
-    start = np.zeros((unknowns, 3))
-    start[:count] = vertices
     quadratic = smooth.T @ smooth + STAY * (stay.T @ stay)
-    linear = STAY * (stay.T @ np.tile(np.eye(3), (len(faces), 1))) + REST * start
-    places_of = np.zeros((unknowns, 3))
-    np.add.at(places_of, marked, HOLD * places)
-    weights_of = REST * (np.arange(unknowns) < count) + HOLD * np.bincount(marked, minlength=unknowns)
-    fitted = factor(quadratic + diags_array(weights_of)).solve(linear + places_of)
+    held = np.zeros((unknowns, 3))
+    np.add.at(held, marked, HOLD * (places - vertices[marked]))
+    weights = REST * (np.arange(unknowns) < count) + HOLD * np.bincount(marked, minlength=unknowns)
+    shift = factor(quadratic + diags_array(weights)).solve(held)[:count]
     for pull in PULLS:
-        points, valid = closest_valid(fitted[:count], faces, target)
-        weights = np.zeros(unknowns)
-        weights[:count] = pull * valid
-        right = linear + places_of
-        right[:count] += weights[:count, None] * points
-        fitted = factor(quadratic + diags_array(weights_of + weights)).solve(right)
-    return fitted[:count]
+        points, valid = closest_valid(vertices + shift, faces, target)
+        pulled = np.zeros(unknowns)
+        pulled[:count] = pull * valid
+        right = held.copy()
+        right[:count] += pulled[:count, None] * (points - vertices)
+        shift = factor(quadratic + diags_array(weights + pulled)).solve(right)[:count]
+    return vertices + shift
 
 
 def registration_terms(
@@ -162,12 +214,19 @@ def closest_valid(
 
 def matching_triangles(
     triangles: Float[np.ndarray, "P 3 3"], target: Float[np.ndarray, "G 3 3"]
-) -> Int[np.ndarray, " P"]:
-    """For each triangle the nearest target by centroid among those facing the same way, or the nearest if none does."""
+) -> tuple[Int[np.ndarray, " P"], Bool[np.ndarray, " P"]]:
+    """For each triangle the nearest target by centroid among those facing the same way, and whether there is one.
+
+    Looks at NEAREST; where none of them faces the same way the nearest is given.
+    """
     near = _nearest_centroid(triangles, target, min(NEAREST, len(target)))
     normals, theirs = _normals_of(triangles), _normals_of(target)
-    alike = np.einsum("pnc,pc->pn", theirs[near], normals) > 0
-    return near[np.arange(len(near)), alike.argmax(axis=1)]
+    match, found = near[:, 0].copy(), np.zeros(len(near), bool)
+    for column in near.T:
+        left = np.flatnonzero(~found)
+        found[left] = np.einsum("pc,pc->p", theirs[column[left]], normals[left]) > 0
+        match[left[found[left]]] = column[left[found[left]]]
+    return match, found
 
 
 def resized_onto(
@@ -208,7 +267,7 @@ def factor(matrix: csr_array) -> SuperLU:
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
-def _sound(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> np.ndarray:
+def _sound(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:
     sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     longest = np.square(sides).sum(-1).max(axis=1, initial=0.0)
     return np.linalg.norm(face_vectors(vertices, faces), axis=1) > THIN * longest
@@ -227,7 +286,7 @@ def _normals_of(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3
     return face_normals(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
 
 
-def _check_markers(markers: Int[np.ndarray, "M 2"], identity: Mesh, reference: Mesh) -> None:
+def _checked_markers(markers: Int[np.ndarray, "M 2"], identity: Mesh, reference: Mesh) -> Int[np.ndarray, "M 2"]:
     for column, mesh in zip(markers.T, (identity, reference), strict=True):
         wrong = column[(column < 0) | (column >= len(mesh.vertices))]
         if wrong.size:
@@ -240,3 +299,4 @@ def _check_markers(markers: Int[np.ndarray, "M 2"], identity: Mesh, reference: M
             raise InputError(
                 f"--markers: expected 3 or more places on {mesh.name}, found {apart}; mark head, hands and feet"
             )
+    return markers

@@ -4,16 +4,22 @@ It needs what no other method here does: a third mesh, the driving subject in th
 correspondence. From the reference to each frame, every driving triangle has a deformation gradient S (3 x 3). Identity
 triangles take those of the triangles matched to them, and the vertices follow by least squares over ||T - S||^2.
 
-Two departures. The fourth vertex that the paper adds to a target triangle is in no other triangle, so it meets its S
-exactly and drops out: vertices alone are solved for. Triangles count by area, not alike (PMD on validation people with
-true correspondence 2.0e-4 against 2.1e-4 for unseen poses, 3.1e-4 against 3.4e-4 for seen ones).
+The fourth vertex that the paper adds to a target triangle is in no other triangle, so it meets its S exactly and drops
+out: vertices alone are solved for. Departures from the paper:
+
+* Triangles count by area, not alike (PMD on validation people with true correspondence 2.0e-4 against 2.1e-4 for unseen
+  poses, 3.1e-4 against 3.4e-4 for seen ones), and one with several matches takes the mean of their S.
+* Ties between parts that no triangle joins, placed by the driving triangles around them; the paper's meshes are whole.
+* Thin triangles are left out of the identity, and replaced by their neighbours in the reference.
+* Gradients do not say where the whole stands: each frame is centred where the driving's is (see `travel.py`), where the
+  paper fixes a vertex.
+* The reference is turned to the identity's heading, so that the result heads as the driving's first frame does.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,19 +27,16 @@ from jaxtyping import Float, Int
 from ..geometry import edges, face_areas, gradient_operator
 from ..mesh import InputError, Mesh
 from . import Drive
-from .correspondence import factor, match_by_index, match_by_markers
+from .correspondence import factor, match_by_index, match_by_markers, turned_alike, vertex_pairs
 from .pairing import rank_vertices
 from .travel import travelling
-
-if TYPE_CHECKING:
-    from scipy.spatial import KDTree
 
 TIE = 1e-4
 """Weight of a tie, where an edge of the mesh has about 1."""
 NEIGHBOURS = 8
 """How many near points of a vertex are looked at for ones of another part."""
-FEW = 64
-"""Parts of fewer points look for their neighbours among all points, larger ones in a tree of the others."""
+UNITS = 10.0
+"""A reference that is larger or smaller than the driving mesh by more than this is in another unit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +44,7 @@ class DeformationTransfer:
     """The method for one driving subject."""
 
     reference: Mesh | None
-    """The driving subject in the identity's pose and heading; vertices, faces and frame of the driving mesh."""
+    """The driving subject in the identity's pose; vertices, faces and frame of the driving mesh, facing any way."""
     markers: Int[np.ndarray, "M 2"] | None = None
     """Pairs (identity vertex, reference vertex); without them vertex i of both is one point of the body."""
     name: str = "deformation-transfer"
@@ -50,9 +53,10 @@ class DeformationTransfer:
         """Match triangles and factor the identity's system, once for all frames.
 
         Raises:
-            InputError: no reference, one with another topology than the driving mesh, or nothing to match by.
+            InputError: no reference, one of another topology or unit than the driving mesh, or nothing to match by.
         """
         reference = _checked(self.reference, driving)
+        reference = turned_alike(reference, identity, vertex_pairs(identity, reference, self.markers))
         if self.markers is None:
             own, theirs = match_by_index(identity, reference, driving)
         else:
@@ -79,15 +83,16 @@ def follower(
 ) -> Callable[[Float[np.ndarray, "P 3 3"]], Float[np.ndarray, "W 3"]]:
     """A function from moved driving triangles, one a face and at `rest` before, to the vertices that follow them best.
 
-    They may stand anywhere in space. Ties (see `all_ties`) say where parts that no triangle joins stand to each other;
-    they count so little that they bend no part.
+    They may stand anywhere in space. A face that comes several times follows the mean of its triangles. Ties (see
+    `all_ties`) say where parts that no triangle joins stand to each other; they count so little that they bend no part.
     """
     from scipy.sparse import csr_array
 
     gradient = gradient_operator(vertices, faces)
-    divergence = csr_array(gradient.T.multiply(np.repeat(face_areas(vertices, faces), 3)))
+    share = shares(faces)
+    divergence = csr_array(gradient.T.multiply(np.repeat(share * face_areas(vertices, faces), 3)))
     ties = all_ties(vertices, faces)
-    targets = tie_targets(vertices, faces, rest, ties)
+    targets = tie_targets(vertices, faces, share, rest, ties)
     rows = np.repeat(np.arange(len(ties)), 2)
     tie = csr_array((np.tile([1.0, -1.0], len(ties)), (rows, ties.ravel())), shape=(len(ties), len(vertices)))
     # The first vertex stays at the origin: gradients do not say where the whole stands.
@@ -102,9 +107,16 @@ def follower(
     return follow
 
 
+def shares(faces: Int[np.ndarray, "P 3"]) -> Float[np.ndarray, " P"]:
+    """One over how often each face comes: the shares of a face add up to one."""
+    _, index, count = np.unique(faces, axis=0, return_inverse=True, return_counts=True)
+    return 1.0 / count[index.reshape(-1)]
+
+
 def tie_targets(
     vertices: Float[np.ndarray, "W 3"],
     faces: Int[np.ndarray, "P 3"],
+    share: Float[np.ndarray, " P"],
     rest: Float[np.ndarray, "P 3 3"],
     ties: Int[np.ndarray, "T 2"],
 ) -> Callable[[Float[np.ndarray, "P 3 3"], Float[np.ndarray, "P 3 3"]], Float[np.ndarray, "T 3"]]:
@@ -117,10 +129,12 @@ def tie_targets(
 
     first, second = ties.T
     shape = (len(vertices), len(faces))
-    at = csr_array((np.ones(faces.size), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))), shape=shape)
+    at = csr_array((np.repeat(share, 3), (faces.ravel(), np.repeat(np.arange(len(faces)), 3))), shape=shape)
     count = np.asarray(at.sum(axis=1))[:, None]
     number, known = count[first] + count[second], (count[first] > 0) & (count[second] > 0)
-    size = np.sqrt(face_areas(vertices, faces).sum() / np.linalg.norm(_normals(rest), axis=1).sum() * 2)
+    weight = share * face_areas(vertices, faces)
+    ours, theirs = (_spread(triangles, weight) for triangles in (vertices[faces], rest))
+    size = ours / theirs if theirs > 1e-9 else 1.0  # all triangles about one point: no size to compare
     aside = vertices - (at @ vertices[faces].mean(axis=1)) / np.maximum(count, 1)
 
     def apart(triangles: Float[np.ndarray, "P 3 3"], total: Float[np.ndarray, "W 9"]) -> Float[np.ndarray, "T 3"]:
@@ -152,20 +166,55 @@ def all_ties(points: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "P 3"]) ->
 
 
 def component_ties(points: Float[np.ndarray, "W 3"], links: Int[np.ndarray, "L 2"]) -> Int[np.ndarray, "T 2"]:
-    """Pairs of nearest points that join linked parts into one: C parts give C - 1 pairs (Borůvka's tree)."""
+    """Pairs of nearest points that join linked parts into one: C parts give C - 1 pairs (Borůvka's tree).
+
+    A round joins every part but the largest to its nearest one.
+    """
+    label, ties = components(links, len(points)), np.zeros((0, 2), np.int64)
+    while label.any():
+        asked = np.flatnonzero(label != np.bincount(label).argmax())
+        other, distance = nearest_outside(points, label, asked)
+        order = np.lexsort((asked, distance))
+        order = order[np.unique(label[asked[order]], return_index=True)[1]]
+        pairs = np.stack([asked[order], other[order]], axis=1)
+        ties = np.concatenate([ties, without_rings(pairs, distance[order], label)])
+        label = components(np.concatenate([links, ties]), len(points))
+    return ties
+
+
+def nearest_outside(
+    points: Float[np.ndarray, "W 3"], label: Int[np.ndarray, " W"], asked: Int[np.ndarray, " N"]
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """The nearest point of another label to each one asked for, and its distance.
+
+    Labels that differ do so in some bit: for each bit, points are looked for among those with the other one. So L
+    labels cost about log L k-d trees of all points, where a tree for each label would cost L.
+    """
     from scipy.spatial import KDTree
 
-    label, tree, ties = components(links, len(points)), KDTree(points), []
-    while label.any():
-        parts = np.split(np.argsort(label, kind="stable"), np.cumsum(np.bincount(label))[:-1])
-        largest = max(parts, key=len)
-        found = sorted(_nearest_outside(tree, part) for part in parts if part is not largest)
-        for _, inside, outside in found:
-            if label[inside] != label[outside]:
-                ties.append((inside, outside))
-                label[label == label[outside]] = label[inside]
-        label = np.unique(label, return_inverse=True)[1]
-    return np.array(ties, np.int64).reshape(-1, 2)
+    best, other = np.full(len(asked), np.inf), np.zeros(len(asked), np.int64)
+    for bit in range(int(label.max()).bit_length()):
+        side = label >> bit & 1
+        for value in (0, 1):
+            here, there = (np.flatnonzero(found) for found in (side[asked] == value, side != value))
+            distance, near = map(np.asarray, KDTree(points[there]).query(points[asked[here]]))
+            closer = distance < best[here]
+            best[here[closer]], other[here[closer]] = distance[closer], there[near[closer]]
+    return other, best
+
+
+def without_rings(
+    pairs: Int[np.ndarray, "T 2"], distance: Float[np.ndarray, " T"], label: Int[np.ndarray, " W"]
+) -> Int[np.ndarray, "S 2"]:
+    """Those of the pairs that join labels into trees: each once, and of a ring of equal distances not the last."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import minimum_spanning_tree
+
+    pairs = pairs[np.lexsort((pairs[:, 0], distance))]
+    sides, first = np.unique(np.sort(label[pairs], axis=1), axis=0, return_index=True)
+    count = int(label.max()) + 1
+    tree = minimum_spanning_tree(csr_array((first + 1.0, sides.T), shape=(count, count)))
+    return pairs[tree.data.astype(np.int64) - 1]
 
 
 def components(links: Int[np.ndarray, "L 2"], count: int) -> Int[np.ndarray, " W"]:
@@ -177,16 +226,10 @@ def components(links: Int[np.ndarray, "L 2"], count: int) -> Int[np.ndarray, " W
     return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
-def _nearest_outside(tree: KDTree, part: Int[np.ndarray, " N"]) -> tuple[float, int, int]:
-    """Distance, point of the part and point outside it, of the nearest such pair."""
-    points, few = np.asarray(tree.data), len(part) < FEW
-    others = np.arange(len(points)) if few else np.delete(np.arange(len(points)), part)
-    # Among one more neighbour than a part has points, one is outside.
-    search, count = (tree, len(part) + 1) if few else (type(tree)(points[others]), 1)
-    distance, near = (np.asarray(found).reshape(len(part), count) for found in search.query(points[part], k=count))
-    distance = np.where(np.isin(others[near], part), np.inf, distance)
-    row, column = divmod(int(distance.argmin()), count)
-    return float(distance[row, column]), int(part[row]), int(others[near[row, column]])
+def _spread(triangles: Float[np.ndarray, "P 3 3"], weight: Float[np.ndarray, " P"]) -> float:
+    """Root mean square distance of triangles from their centroid: how many and how small they are does not matter."""
+    points, weight = triangles.mean(axis=1), weight / weight.sum()
+    return float(np.sqrt(weight @ np.square(points - weight @ points).sum(axis=1)))
 
 
 def _normals(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
@@ -194,7 +237,7 @@ def _normals(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
 
 
 def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
-    """The reference, which must be the driving mesh in another pose."""
+    """The reference, which must be the driving mesh in another pose, in one unit."""
     if reference is None:
         raise InputError(
             f"{driving.name}: expected the same subject in the identity's pose beside it for model "
@@ -206,4 +249,17 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
             f"{len(driving.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
             "export both poses from one file"
         )
+    size, ours = (_length(mesh) for mesh in (driving, reference))
+    if not size / UNITS <= ours <= size * UNITS:
+        raise InputError(
+            f"--reference: expected the size of {driving.name}, found {ours / size:.3g} times the driving's size; "
+            "export both poses from one file, in one unit"
+        )
     return reference
+
+
+def _length(mesh: Mesh) -> float:
+    """Of all sides of all faces: the same in every pose, nearly."""
+    return float(
+        np.linalg.norm(mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)], axis=-1).sum()
+    )
