@@ -15,7 +15,7 @@ from ..bodies.landmarks import landmarks
 from ..mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
-LOST = 0.05
+LOST = 0.08
 """Metres from a landmark to the nearest vertex left, beyond which a damaged mesh has lost it."""
 
 
