@@ -11,11 +11,11 @@ Departures from the paper:
 * Its target (our identity) is deformed onto its source (our reference), where the paper deforms source onto target.
 * Marks are held softly (HOLD), where the paper makes constraints of them.
 * A small term (REST) keeps vertices where they start, so that parts without a mark have a place.
-* The closest valid point is the nearest on the surface of a few near triangles, where the paper takes a vertex.
-* One solve with marks alone and one for each of PULLS, closest points anew for each; the paper counts no solves.
+* The closest valid point is the nearest on the surface of the few triangles whose centroids are nearest.
+* One solve with marks alone, then one for each of PULLS (the paper's range in steps of ours), with points found anew.
 * n triangles at one edge are compared in n - 1 pairs, not each with each.
-* A match is the nearest centroid that faces the same way; one that a reference triangle looks for must lie within FAR,
-  and each identity triangle has one of its own at any distance.
+* A match is the nearest centroid, among NEAREST, that faces the same way. The paper's threshold (FAR) is asked only of
+  those that a reference triangle looks for: each identity triangle has one of its own at any distance.
 """
 
 from __future__ import annotations
@@ -153,6 +153,9 @@ def register(
     In unit-sphere lengths; every triangle must have an area. Solves for the way from the start, where smoothness and
     the distance of the maps to the identity matrix are both exactly zero: their entries (one over a triangle's height,
     squared) are so large beside REST that the rounding of positions would move parts that no mark holds.
+
+    Each of the eleven solves factors V + F unknowns anew: on one core 0.3 s for 7,000 vertices and 8 s for 110,000, so
+    about three minutes and 2 GB in all for 200,000.
     """
     from scipy.sparse import diags_array
 

@@ -12,7 +12,7 @@ out: vertices alone are solved for. Departures from the paper:
 * Ties between parts that no triangle joins, placed by the driving triangles around them; the paper's meshes are whole.
 * Thin triangles are left out of the identity, and replaced by their neighbours in the reference.
 * Gradients do not say where the whole stands: each frame is centred where the driving's is (see `travel.py`), where the
-  paper fixes a vertex.
+  paper constrains a position.
 * The reference is turned to the identity's heading, so that the result heads as the driving's first frame does.
 """
 
