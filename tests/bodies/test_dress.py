@@ -191,3 +191,12 @@ def test_mistakes_are_told(body):
     )
     with pytest.raises(InputError, match="stump: expected the shipped human"):
         dressed_body(fewer, ("hair",))
+    more = dataclasses.replace(
+        body,
+        components=np.concatenate([body.components] * 2),
+        joint_components=np.concatenate([body.joint_components] * 2),
+    )
+    with pytest.raises(
+        InputError, match=f"at most the {len(body.components)} shape .*found {2 * len(body.components)}"
+    ):
+        dressed_body(more, ("hair",))

@@ -1,6 +1,7 @@
 """Fitting a body to points: exact gradients, then people found again from shuffled points."""
 
 import dataclasses
+import itertools
 from functools import cache
 
 import numpy as np
@@ -10,7 +11,16 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.cloud import chamfer, cloud_of
 from mimesh.bodies.fit import GOOD, fit_points
-from mimesh.bodies.fitted import Fit, fit_of, posed_and_pullback, rotvec_pullback, thin_body, unknowns_of
+from mimesh.bodies.fitted import (
+    Fit,
+    _levels,
+    descendants,
+    fit_of,
+    posed_and_pullback,
+    rotvec_pullback,
+    thin_body,
+    unknowns_of,
+)
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.frame import Frame
 from mimesh.geometry import at_barycentric, sample_surface
@@ -126,6 +136,7 @@ def test_somebody_who_sits_is_found():
     points = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), rotvec).points(body)
     fit = fit_points(body, points[::-1])
     assert fit.error < GOOD
+    assert fit.lost == max(3 * fit.error, GOOD)
     assert np.abs(fit.rotvec - rotvec)[[body.joint("LeftUpLeg"), body.joint("RightUpLeg")]].max() < 0.15
 
 
@@ -143,12 +154,38 @@ def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
 
 def test_a_frame_that_was_lost_is_fitted_anew():
     body = thin()
-    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9)
+    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9, lost=GOOD)
     turned = first.rotvec.copy()
     turned[0, 1] = np.radians(40)
     fit = fit_points(body, 0.5 * dataclasses.replace(first, rotvec=turned).points(body), first)
     assert fit.scale != first.scale
     assert np.isclose(fit.scale, 0.5, rtol=0.1)
+
+
+def test_points_that_worsen_little_by_little_are_fitted_anew_and_the_better_fit_counts(monkeypatch):
+    body = thin(100)
+    anew = dataclasses.replace(some_fit(), error=np.inf, lost=7.0)
+    monkeypatch.setattr("mimesh.bodies.fit._fitted_anew", lambda *_: anew)
+    rest = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), lost=5e-3)
+    noise = np.random.default_rng(0).normal(size=body.vertices.shape)
+    clip = [rest.points(body) + 0.04 * np.sqrt(2) ** t * noise for t in range(4)]
+    fits = [rest]
+    for points in clip:
+        fits.append(fit_points(body, points, fits[-1]))
+    errors = [fit.error for fit in fits[1:]]
+    assert all(1 < after / before < 3 for before, after in itertools.pairwise(errors))
+    assert errors[0] < rest.lost < errors[-1]
+    assert all(fit.lost == rest.lost for fit in fits)  # no fresh fit is better than the followed one
+    anew = dataclasses.replace(anew, error=0.0)  # now any is
+    assert fit_points(body, clip[0], rest).error == errors[0]
+    assert fit_points(body, clip[-1], fits[-2]) is anew
+
+
+def test_what_is_kept_between_fits_of_a_body_cannot_be_changed():
+    parents = load_body().parents
+    for kept in (descendants(parents), *itertools.chain(*_levels(parents))):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[...] = 0
 
 
 def test_a_single_point_gives_some_finite_fit():

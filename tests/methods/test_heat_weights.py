@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from zoo import ZOO
+from zoo import ZOO, grid
 
 from mimesh.geometry import face_areas
 from mimesh.mesh import Mesh
@@ -11,7 +11,7 @@ from mimesh.methods.heat_weights import (
     closest_on_segment,
     cotangent_laplacian,
     heat_weights,
-    nearest_segment,
+    nearest_segments,
     outward_normals,
     vertex_areas,
 )
@@ -51,9 +51,61 @@ def test_far_along_a_bone_its_weight_is_one_and_half_at_the_joint():
     x = mesh.vertices[:, 0]
     assert weights[x < 0.4, 0].min() > 0.999
     assert weights[x > 1.6, 1].min() > 0.999
-    assert np.abs(weights[np.isclose(x, 1), 0] - 0.5).max() < 0.3  # the vertices there belong to one of two equals
+    assert np.allclose(weights[np.isclose(x, 1)], 0.5, rtol=0, atol=1e-9)
     along = [weights[np.isclose(x, at), 0].mean() for at in np.linspace(0, 2, 21)]
     assert (np.diff(along) <= 1e-12).all()
+
+
+def elbow(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The tube's second half turned by 90 degrees about z at x = 1, and its bones."""
+    x, y, z = vertices.T
+    turned = np.where(x[:, None] > 1, np.stack([1 - y, x - 1, z], axis=1), vertices)
+    return turned, np.array([[[0.0, 0, 0], [1, 0, 0]], [[1, 0, 0], [1, 1, 0]]])
+
+
+def test_outside_a_bend_both_bones_are_nearest_and_heat_evenly():
+    mesh = tube(around=16)
+    vertices, bones = elbow(mesh.vertices)
+    wedge = (vertices[:, 0] >= 1) & (vertices[:, 1] <= 0)
+    assert wedge.sum() > 5
+    nearest, distance = nearest_segments(vertices, mesh.faces, bones)
+    assert nearest[wedge].all()
+    assert np.allclose(distance[wedge], np.linalg.norm(vertices[wedge] - [1, 0, 0], axis=1), rtol=0, atol=1e-12)
+    points = np.array([[1.3, -0.4, 0.2], [1.01, -0.7, 0.0], [0.5, -0.1, 0.0]])
+    weights = heat_weights(points, np.zeros((0, 3), int), bones, OWNERS, 2)
+    assert np.allclose(weights, [[0.5, 0.5], [0.5, 0.5], [1, 0]], rtol=0, atol=1e-12)
+
+
+def test_noise_of_rounding_chooses_no_bone():
+    mesh, rng = tube(around=16), np.random.default_rng(0)
+    vertices, bones = elbow(mesh.vertices)
+    expected = heat_weights(vertices, mesh.faces, bones, OWNERS, 2)
+    for _ in range(3):
+        noisy = vertices + rng.uniform(-1e-9, 1e-9, vertices.shape)
+        moved = bones + rng.uniform(-1e-9, 1e-9, bones.shape)
+        weights = heat_weights(noisy, mesh.faces, moved, OWNERS, 2)
+        assert np.allclose(weights, expected, rtol=0, atol=1e-5)
+
+
+def test_bones_of_one_owner_share_as_one():
+    """Three segments from one joint, two of one owner: two bones, not three."""
+    bones = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 0, 1]]])
+    points = np.array([[-0.5, -0.5, -0.5], [0.5, -0.1, -0.1]])
+    weights = heat_weights(points, np.zeros((0, 3), int), bones, np.array([0, 0, 1]), 2)
+    assert np.allclose(weights, [[0.5, 0.5], [1, 0]], rtol=0, atol=1e-12)
+
+
+def test_k_equal_bones_heat_k_times_as_fast():
+    """A bone given twice, to two owners: both together have what one with twice the heat would have."""
+    mesh = tube(rings=9, around=6)
+    area, stiffness = vertex_areas(mesh.vertices, mesh.faces), cotangent_laplacian(mesh.vertices, mesh.faces)
+    twice = heat_weights(mesh.vertices, mesh.faces, BONES[[0, 0, 1]], np.arange(3), 3)
+    nearest, distance = nearest_segments(mesh.vertices, mesh.faces, BONES)
+    rate = area * HEAT * (nearest @ [2, 1]) / distance**2
+    warm = nearest * [2, 1] / (nearest @ [2, 1])[:, None]
+    expected = np.linalg.solve(stiffness.toarray() + np.diag(rate), rate[:, None] * warm)
+    assert np.allclose(twice[:, 0], twice[:, 1], rtol=0, atol=1e-12)
+    assert np.allclose(twice[:, :2].sum(axis=1), expected[:, 0], rtol=0, atol=1e-10)
 
 
 def test_segments_of_one_owner_are_one_bone():
@@ -74,9 +126,11 @@ def test_weights_are_those_of_a_dense_twin():
             cotangent = max(u @ v / np.linalg.norm(np.cross(u, v)), 0) / 2
             stiffness[[i, j], [j, i]] -= cotangent
             stiffness[[i, j], [i, j]] += cotangent
-    nearest, distance = nearest_segment(vertices, mesh.faces, BONES)
-    rate = area * HEAT / np.maximum(distance, 2e-3) ** 2
-    expected = np.linalg.solve(stiffness + np.diag(rate), rate[:, None] * np.eye(2)[nearest])
+    nearest, distance = nearest_segments(vertices, mesh.faces, BONES)
+    assert set(nearest.sum(axis=1)) == {1, 2}
+    share = nearest / nearest.sum(axis=1, keepdims=True)
+    rate = area * HEAT * nearest.sum(axis=1) / np.maximum(distance, 2e-3) ** 2
+    expected = np.linalg.solve(stiffness + np.diag(rate), rate[:, None] * share)
     assert np.allclose(cotangent_laplacian(vertices, mesh.faces).toarray(), stiffness, rtol=0, atol=1e-12)
     assert np.allclose(heat_weights(vertices, mesh.faces, BONES, OWNERS, 2), expected, rtol=0, atol=1e-10)
 
@@ -92,12 +146,13 @@ def test_a_bone_in_front_of_the_surface_is_not_seen():
     """Two tubes side by side: the second bone is the nearer one for none of the first tube's vertices."""
     mesh = tube()
     thin_neighbour = np.array([[[0.0, 0, 0], [2, 0, 0]], [[0, 0.15, 0], [2, 0.15, 0]]])
-    nearest, distance = nearest_segment(mesh.vertices, mesh.faces, thin_neighbour)
+    nearest, distance = nearest_segments(mesh.vertices, mesh.faces, thin_neighbour)
     side = np.isclose(mesh.vertices[:, 1], 0.1)
     assert side.any()
-    assert not nearest[side].any()
+    assert (nearest[side] == [True, False]).all()
     assert np.allclose(distance[side & (mesh.vertices[:, 0] > 0)], 0.1)
-    assert nearest_segment(mesh.vertices, mesh.faces[:0], thin_neighbour)[0][side].all()  # a cloud sees through itself
+    cloud = nearest_segments(mesh.vertices, mesh.faces[:0], thin_neighbour)[0]
+    assert (cloud[side] == [False, True]).all()  # it sees through itself
 
 
 def test_an_inside_out_mesh_gets_the_same_weights():
@@ -132,6 +187,40 @@ def test_normals_look_outward_whatever_the_winding():
     sides = (np.abs(mesh.vertices[:, 0] - 1) < 0.95) & around.any(axis=1)
     for faces in (mesh.faces, mesh.faces[:, [0, 2, 1]]):
         assert np.allclose(outward_normals(mesh.vertices, faces)[sides], around[sides] / 0.1, rtol=0, atol=1e-9)
+
+
+def test_one_inside_out_part_among_others_is_turned():
+    mesh = tube()
+    count = len(mesh.vertices)
+    vertices = np.concatenate([mesh.vertices, mesh.vertices + [0, 1, 0]])
+    expected = outward_normals(vertices, np.concatenate([mesh.faces, mesh.faces + count]))
+    for first, second in ((mesh.faces[:, ::-1], mesh.faces), (mesh.faces, mesh.faces[:, ::-1])):
+        normals = outward_normals(vertices, np.concatenate([first, second + count]))
+        assert np.allclose(normals, expected, rtol=0, atol=1e-12)
+    assert np.allclose(expected[:count], expected[count:], rtol=0, atol=1e-12)
+    assert np.allclose(expected[:count], outward_normals(mesh.vertices, mesh.faces), rtol=0, atol=1e-12)
+
+
+def test_where_both_windings_cancel_there_is_no_outside_and_every_bone_is_seen():
+    mesh = tube()
+    both = np.concatenate([mesh.faces, np.roll(mesh.faces[:, ::-1], 1, axis=1)])
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]  # the sums are off zero by rounding
+    assert not outward_normals(mesh.vertices @ turn, both).any()
+    bones = np.concatenate([BONES[:1], [[[0.0, 0.15, 0], [2, 0.15, 0]]]])
+    nearest, _ = nearest_segments(mesh.vertices @ turn, both, bones @ turn)
+    cloud, _ = nearest_segments(mesh.vertices @ turn, both[:0], bones @ turn)
+    assert np.array_equal(nearest, cloud)
+
+
+def test_a_bone_in_the_surface_is_not_in_front_of_it():
+    sheet = grid()
+    middle = sheet.vertices[:, :1].mean()
+    low, high = sheet.vertices.min(axis=0), sheet.vertices.max(axis=0)
+    bones = np.array([[low, [low[0], high[1], low[2]]], [[middle, low[1], -9], [middle, high[1], -9]]])
+    bones[0] += [0, 0, 1e-12]
+    for faces in (sheet.faces, sheet.faces[:, ::-1]):
+        nearest, _ = nearest_segments(sheet.vertices, faces, bones)
+        assert nearest[:, 0].all()
 
 
 def test_closest_on_segment_is_that_of_dense_sampling():

@@ -109,6 +109,13 @@ def test_segments_join_the_joints_and_every_joint_owns_one():
     assert np.linalg.norm(top) > 0.05
 
 
+def test_the_end_of_a_limb_without_points_is_refused():
+    weights = BODY.weights.copy()
+    weights[:, BODY.joint("Head")] = 0
+    with pytest.raises(AssertionError, match="end of a limb moves none"):
+        bone_segments(dataclasses.replace(BODY, weights=weights), fit_like(1))
+
+
 def test_bones_keep_their_length_and_turn_as_the_fits_say():
     own, other = fit_like(1), fit_like(2)
     rotation, offset = bone_transforms(BODY, own, other)

@@ -38,7 +38,8 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
     Skin under a garment stays, and garments may touch it in far poses.
 
     Raises:
-        InputError: an unknown or repeated garment, or a body that is not the shipped human (its first components do).
+        InputError: an unknown or repeated garment, or a body that is not the shipped human (its first components do)
+            or has more components than the garments.
     """
     worn = [load_garment(name) for name in garments]
     if len(set(garments)) < len(garments):
@@ -79,13 +80,18 @@ def load_garment(name: str) -> Garment:
 
 
 def _check_fits(body: RiggedBody) -> None:
-    """Refuse a body whose joints do not stand where those of the garments' wearer do (to a millimetre)."""
+    """Refuse a body with joints elsewhere than the garments' wearer (by a millimetre), or with more components."""
     with _open() as data:
         joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
     same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3
-    if not same or len(body.components) > count:
+    if not same:
         raise InputError(f"{body.name}: expected the shipped human, found another body; dress load_body('human')")
+    if len(body.components) > count:
+        raise InputError(
+            f"{body.name}: expected at most the {count} shape components that garments follow, "
+            f"found {len(body.components)}; leave the others out"
+        )
 
 
-def _open():
+def _open() -> np.lib.npyio.NpzFile:
     return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

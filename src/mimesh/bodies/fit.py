@@ -19,7 +19,10 @@ from .rigged import RiggedBody
 from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, rotvec_to_rotmat
 
 POSE_PRIOR = 3e-6
-"""Squared distance that a joint at its limit costs (this and the next three were chosen on human-npt's `val`)."""
+"""Squared distance that a joint turned from rest by half of its range costs, by the square of the turn.
+
+This and the next three were chosen on human-npt's `val`.
+"""
 SHAPE_PRIOR = 3e-7
 """Squared distance that a shape coefficient of one standard deviation costs."""
 SLIDE = 0.1
@@ -41,22 +44,37 @@ LOUD = 100.0
 def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | None = None, seed: int = 0) -> Fit:
     """The person of `body` (see `thin_body`) nearest to points of a normalised mesh, given in random order.
 
-    From T-poses that face a little left or right, raise a knee or lower the arms, the first few points choose the best.
-    While the fit is not GOOD, limbs are thrown anew by the seed until that helps no more; the better fit is kept.
-    With a start, a frame before of the same person, size and shape are kept, unless the points have left that behind.
+    With a start, the fit of a frame before of the same person, size and shape are kept. If that leaves an error of
+    `start.lost`, which the first frame has set, the points are fitted as if there were no start; the better one counts.
     Nothing is rejected: points far off the body pull it towards them. Does not look for people on their heads.
     """
     cloud = cloud_of(points, SLIDE)
     coarse = [(_first_points(body, count), cloud_of(points[:count])) for count in (300, 800)]
-    if start is not None:
-        turns = _free(body, size=False, shape=False)
-        followed = _descend(body, cloud, _descend(*coarse[1], start, turns, 4, 15), turns, 8, 15)
-        if followed.error < max(3 * start.error, GOOD):
-            return followed
+    if start is None:
+        return _fitted_anew(body, points, cloud, coarse, seed)
+    turns = _free(body, size=False, shape=False)
+    followed = _descend(body, cloud, _descend(*coarse[1], start, turns, 4, 15), turns, 8, 15)
+    followed = replace(followed, lost=start.lost)
+    if followed.error < start.lost:
+        return followed
+    return min(followed, _fitted_anew(body, points, cloud, coarse, seed), key=_error)
+
+
+def _fitted_anew(
+    body: RiggedBody,
+    points: Float[np.ndarray, "N 3"],
+    cloud: Cloud,
+    coarse: list[tuple[RiggedBody, Cloud]],
+    seed: int,
+) -> Fit:
+    """From T-poses that face a little left or right, raise a knee or lower the arms, the few points choose the best.
+
+    While the fit is not GOOD, limbs are thrown anew by the seed until that helps no more; the better fit is kept.
+    """
     rough = _best_of([_starts(coarse[0][0], points)], 12, *coarse)
     fit, rng = _descend(body, cloud, rough, _free(body), 8, 30), np.random.default_rng(seed)
-    lost = 0
-    while fit.error > GOOD and lost < PATIENCE:
+    failed = 0
+    while fit.error > GOOD and failed < PATIENCE:
         again = _best_of(
             [_thrown(coarse[0][0], points, fit, limb, rng) for limb in (*LIMBS, LOWER_HALF, body.joint_names)],
             2,
@@ -65,9 +83,9 @@ def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | 
         better = fit
         if again.error < rough.error:
             rough, better = again, min(fit, _descend(body, cloud, again, _free(body), 8, 30), key=_error)
-        lost = 0 if better.error < 0.8 * fit.error else lost + 1
+        failed = 0 if better.error < 0.8 * fit.error else failed + 1
         fit = better
-    return fit
+    return replace(fit, lost=max(3 * fit.error, GOOD))
 
 
 def _best_of(groups: list[list[Fit]], kept: int, few: tuple[RiggedBody, Cloud], more: tuple[RiggedBody, Cloud]) -> Fit:
@@ -125,7 +143,12 @@ def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Fit]:
     return fits
 
 
-def _placed(body: RiggedBody, points: Float[np.ndarray, "N 3"], shape, rotvec) -> Fit:
+def _placed(
+    body: RiggedBody,
+    points: Float[np.ndarray, "N 3"],
+    shape: Float[np.ndarray, " K"],
+    rotvec: Float[np.ndarray, "J 3"],
+) -> Fit:
     """A person with the centroid and the root mean square radius of the points."""
     posed = body.posed(shape, rotvec_to_rotmat(rotvec))
     size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, posed))
@@ -186,7 +209,9 @@ def _limits(body: RiggedBody) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray
     return np.concatenate([-place, -shape, low.ravel()]), np.concatenate([place, shape, high.ravel()])
 
 
-def _prior_weight(body: RiggedBody, low: Float[np.ndarray, " P"], high: Float[np.ndarray, " P"]):
+def _prior_weight(
+    body: RiggedBody, low: Float[np.ndarray, " P"], high: Float[np.ndarray, " P"]
+) -> Float[np.ndarray, " P"]:
     """Cost of the square of each unknown: none for size, place and the root."""
     k = len(body.components)
     half = (high[4 + k :] - low[4 + k :]) / 2

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..geometry import at_barycentric, sample_surface
 from .rigged import RiggedBody
@@ -27,6 +27,8 @@ class Fit:
     rotvec: Float[np.ndarray, "J 3"]
     error: float = np.inf
     """Mean squared distance to the points plus that of the points to the body."""
+    lost: float = np.inf
+    """Error from which on a frame that follows this one in a clip is fitted anew; carried along unchanged."""
 
     def joints(self, body: RiggedBody) -> Float[np.ndarray, "J 3"]:
         """Where the joints are."""
@@ -68,7 +70,9 @@ def fit_of(body: RiggedBody, unknowns: Float[np.ndarray, " P"], error: float = n
     return Fit(*_parts(body, unknowns), error)
 
 
-def _parts(body, unknowns):
+def _parts(
+    body: RiggedBody, unknowns: Float[np.ndarray, " P"]
+) -> tuple[float, Float[np.ndarray, " 3"], Float[np.ndarray, " K"], Float[np.ndarray, "J 3"]]:
     k = 4 + len(body.components)
     return float(np.exp(unknowns[0])), unknowns[1:4], unknowns[4:k], unknowns[k:].reshape(-1, 3)
 
@@ -116,7 +120,9 @@ def rotvec_pullback(rotvec: Float[np.ndarray, "J 3"], torque: Float[np.ndarray, 
     return torque - first * turned + second * np.cross(rotvec, turned)
 
 
-def _world_rotations(parents, rotvec):
+def _world_rotations(
+    parents: tuple[int, ...], rotvec: Float[np.ndarray, "J 3"]
+) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3 3"]]:
     """Rotation of each joint from rest about the world's axes, and that of its parent."""
     rotation = rotvec_to_rotmat(rotvec)
     above = np.broadcast_to(np.eye(3), rotation.shape).copy()
@@ -127,24 +133,29 @@ def _world_rotations(parents, rotvec):
 
 
 @cache
-def _levels(parents):
-    """Joints at each depth below the root, and their parents."""
+def _levels(parents: tuple[int, ...]) -> tuple[tuple[Int[np.ndarray, " L"], Int[np.ndarray, " L"]], ...]:
+    """Joints at each depth below the root, and their parents; read-only."""
     depth = descendants(parents).sum(axis=0)
     levels = [np.flatnonzero(depth == d) for d in range(2, int(depth.max()) + 1)]
-    return [(level, np.array(parents)[level]) for level in levels]
+    return tuple((_frozen(level), _frozen(np.array(parents)[level])) for level in levels)
 
 
 @cache
-def descendants(parents):
-    """1 at [j, k] where joint k is j or hangs on it."""
+def descendants(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
+    """1 at [j, k] where joint k is j or hangs on it; read-only."""
     below = np.eye(len(parents))
     for j in range(len(parents) - 1, -1, -1):
         if parents[j] >= 0:
             below[parents[j]] += below[j]
-    return below
+    return _frozen(below)
 
 
-def _axial(matrices):
+def _frozen(cached: np.ndarray) -> np.ndarray:
+    cached.setflags(write=False)
+    return cached
+
+
+def _axial(matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "J 3"]:
     """Sum of v x w over the outer products w v^T that each matrix is made of."""
     rows = [(2, 1), (0, 2), (1, 0)]
     return np.stack([matrices[:, i, j] - matrices[:, j, i] for i, j in rows], axis=1)

@@ -38,7 +38,9 @@ def landmarks(body: RiggedBody) -> dict[str, int]:
     return found | {name: _on_skin(body, joint, np.array(way)) for name, (joint, way) in ON_SKIN.items()}
 
 
-def _along_and_aside(body: RiggedBody, joint: str, way: Float[np.ndarray, " 3"]):
+def _along_and_aside(
+    body: RiggedBody, joint: str, way: Float[np.ndarray, " 3"]
+) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
     """Of each vertex: how far it lies in a direction from a joint, and how far from that line."""
     offset = body.vertices - body.joints[body.joint(joint)]
     along = offset @ way

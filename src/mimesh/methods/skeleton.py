@@ -100,11 +100,16 @@ def bone_segments(body: RiggedBody, fit: Fit) -> tuple[Float[np.ndarray, "S 2 3"
     segments, owners = [], []
     for j in range(len(joints)):
         children = [c for c, parent in enumerate(body.parents) if parent == j]
-        middle = body.weights[:, j] @ points / max(body.weights[:, j].sum(), 1e-9)
-        ends = joints[children] if children else [2 * middle - joints[j]]
+        ends = joints[children] if children else [2 * _middle(points, body.weights[:, j]) - joints[j]]
         segments += [(joints[j], end) for end in ends]
         owners += [j] * len(ends)
     return np.array(segments), np.array(owners)
+
+
+def _middle(points: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, " V"]) -> Float[np.ndarray, " 3"]:
+    """Mean of points by their weights for one joint."""
+    assert weights.sum() > 0, "a joint at the end of a limb moves none of the body's points: take more of them"
+    return weights @ points / weights.sum()
 
 
 def bone_transforms(

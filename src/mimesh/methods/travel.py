@@ -26,8 +26,8 @@ def travelling(frames: Iterable[Float[np.ndarray, "U 3"]], pose: Pose, name: str
     for t, vertices in enumerate(frames):
         if not np.ptp(vertices, axis=0).any():
             raise InputError(
-                f"{name}: expected some size in frame {t}, found all vertices at one point; "
-                "cut that frame out with --start and --stop"
+                f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
+                "repair that frame, or end the clip before it with --stop"
             )
         result = pose(vertices)
         result = result - bbox_centre(result)

@@ -1,0 +1,26 @@
+"""Results walk where the driving walks, in the identity's size."""
+
+import numpy as np
+import pytest
+
+from mimesh.mesh import InputError
+from mimesh.methods.travel import travelling
+
+SHAPE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
+
+
+def test_boxes_are_centred_where_the_drivings_are_scaled_by_the_first_result():
+    frames = [SHAPE + [t, 0, 0] for t in range(3)]
+    results = list(travelling(iter(frames), lambda vertices: 2 * SHAPE + vertices[0], "walk"))
+    steps = np.diff([result.mean(axis=0) for result in results], axis=0)
+    assert np.allclose(np.diff(results, axis=0), steps[:, None], rtol=0, atol=1e-12)
+    assert np.allclose(steps, [[np.linalg.norm([1, 2]), 0, 0]] * 2, rtol=0, atol=1e-12)
+
+
+def test_a_frame_without_size_is_told_by_its_number():
+    frames = [SHAPE, SHAPE, 0 * SHAPE + 3]
+    told = (
+        "walk: expected some size in frame 2 of those taken.*repair that frame, or end the clip before it with --stop"
+    )
+    with pytest.raises(InputError, match=told):
+        list(travelling(frames, lambda vertices: vertices, "walk"))
