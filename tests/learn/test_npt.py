@@ -14,6 +14,9 @@ VARIANTS = [
     {"pose_code": "global_max", "unnormalised": "block"},
     {"blocks": "conv"},
     {"blocks": "resblock"},
+    {"blocks": "conv", "plain_norm": "none"},
+    {"blocks": "resblock", "plain_norm": "none"},
+    {"blocks": "conv", "pose_code": "global_max"},
     {"order": "norm-relu-conv", "output": "2tanh"},
 ]
 
@@ -54,6 +57,18 @@ def test_driving_pose_reaches_the_result(switches):
     model = tiny(**switches)
     identity, first, second = torch.rand(3, 1, 40, 3)
     assert (model(identity, first) - model(identity, second)).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("blocks", ["conv", "resblock"])
+@torch.no_grad()
+def test_without_any_norm_the_vertices_of_the_decoder_never_meet(blocks):
+    identity, driving = torch.rand(2, 1, 40, 3)
+    other = identity.clone()
+    other[:, 0] += 0.3
+    for plain_norm, meets in (("none", False), ("instance", True)):
+        model = tiny(blocks=blocks, plain_norm=plain_norm)
+        moved = (model(identity, driving) - model(other, driving))[:, 1:].abs().max()
+        assert (moved > 1e-6) == meets
 
 
 @torch.no_grad()

@@ -55,17 +55,23 @@ class SPAdaIN(nn.Module):
 
 
 class Unit(nn.Module):
-    """One unit of a ResBlock: `norm-conv-relu` as NPT Table 3 has it, or `norm-relu-conv` as the public code has it."""
+    """One unit of a ResBlock: `norm-conv-relu` as NPT Table 3 has it, or `norm-relu-conv` as the public code has it.
+
+    Where it is not modulated, `normalise` is an InstanceNorm or nothing.
+    """
 
     def __init__(self, channels: int, order: str, modulated: bool, normalise: bool) -> None:
         super().__init__()
         self.norm = SPAdaIN(channels, normalise) if modulated else None
         self.conv = PointConv(channels, channels)
         self.order = order
+        self.normalise = normalise
 
     def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
         if self.norm is not None:
             h = self.norm(h, identity)
+        elif self.normalise:
+            h = instance_norm(h)
         return self.conv(h).relu() if self.order == "norm-conv-relu" else self.conv(h.relu())
 
 
@@ -73,15 +79,22 @@ class ResBlock(nn.Module):
     """Two units, plus one unit on the shortcut (NPT Table 3; its row 9 adds rows 6 and 8).
 
     Args:
-        modulated: SPAdaIN in front of each convolution; without it the block is convolutions alone (Table 2).
+        modulated: SPAdaIN in front of each convolution (left out in Table 2).
         normalise: whether the instance norms of (first unit, second unit, shortcut) are there.
+        plain_norm: whether there is an InstanceNorm where there is no SPAdaIN.
     """
 
     def __init__(
-        self, channels: int, order: str, modulated: bool = True, normalise: tuple[bool, bool, bool] = (True, True, True)
+        self,
+        channels: int,
+        order: str,
+        modulated: bool = True,
+        normalise: tuple[bool, bool, bool] = (True, True, True),
+        plain_norm: bool = True,
     ) -> None:
         super().__init__()
-        first, second, shortcut = (Unit(channels, order, modulated, keep) for keep in normalise)
+        keep = [there and (modulated or plain_norm) for there in normalise]
+        first, second, shortcut = (Unit(channels, order, modulated, there) for there in keep)
         self.first, self.second, self.shortcut = first, second, shortcut
 
     def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:

@@ -28,6 +28,9 @@ class NPTConfig:
     """Channels of the three ResBlocks (rows 10 to 15)."""
     blocks: Literal["spadain", "resblock", "conv"] = "spadain"
     """`resblock` is Table 2's "w/o SPAdaIN"; `conv` is its "concat1": 1x1 convolutions alone."""
+    plain_norm: Literal["instance", "none"] = "instance"
+    """What stands where SPAdaIN is left out: InstanceNorm as in the encoder, or nothing. The paper does not say; with
+    nothing there the vertices of the decoder never meet."""
     pose_code: Literal["per_vertex", "global_max"] = "per_vertex"
     """`global_max` pools the code over the driving vertices (Table 7), so the two meshes may differ in vertex count."""
     unnormalised: Literal["first", "block"] = "first"
@@ -57,7 +60,12 @@ class NPT(nn.Module):
         keep = (True, True, True)
         if index == 0 and config.pose_code == "global_max":
             keep = (False, True, False) if config.unnormalised == "first" else (False, False, False)
-        return ResBlock(channels, config.order, config.blocks == "spadain", keep)
+        return ResBlock(channels, config.order, config.blocks == "spadain", keep, config.plain_norm == "instance")
+
+    def _plain(self, h: Float[Tensor, "C B V"], index: int) -> Float[Tensor, "C B V"]:
+        """What follows convolution `index` where there are no ResBlocks; a pooled code would be whitened away."""
+        pooled = index == 0 and self.config.pose_code == "global_max"
+        return instance_norm(h) if self.config.plain_norm == "instance" and not pooled else h
 
     def encode(self, driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "C B P"]:
         """Pose code: one vector a driving vertex (P = U), or one for the whole mesh (P = 1)."""
@@ -74,7 +82,7 @@ class NPT(nn.Module):
         h = torch.cat([code, points.to(code.dtype)])
         for i, conv in enumerate(self.convs):
             h = conv(h)
-            h = self.blocks[i](h, points) if len(self.blocks) else h.relu()
+            h = self.blocks[i](h, points) if len(self.blocks) else self._plain(h, i).relu()
         reach = 2.0 if self.config.output == "2tanh" else 1.0
         return reach * torch.tanh(self.head(h).float()).permute(1, 2, 0)
 
