@@ -1,7 +1,8 @@
 """Layers that the papers' models share.
 
 Inside a model features are (C, B, V), channels first: a 1x1 convolution is then one matrix product for the whole batch,
-and InstanceNorm runs over contiguous rows. In place of B there may be more axes; the identity's may be 1 where h's are not.
+and InstanceNorm runs over contiguous rows. In place of B there may be more axes, and the identity's may be 1 where
+those of the features are not.
 """
 
 from __future__ import annotations
