@@ -10,7 +10,8 @@ from zoo import point_cloud, two_parts
 from mimesh.frame import ROTATIONS
 from mimesh.mesh import Clip, InputError, Mesh
 from mimesh.methods import SHIPPED_NETWORKS, find_method
-from mimesh.methods.network import POOLED_POINTS, load_network
+from mimesh.methods.loading import load_network
+from mimesh.methods.network import POOLED_POINTS
 from mimesh.methods.pairing import rank_vertices, surface_points
 from mimesh.pipeline import animate, transfer
 

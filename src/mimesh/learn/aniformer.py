@@ -18,7 +18,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import torch
 import torch.nn.functional as F
@@ -79,8 +79,8 @@ class FrameAttention(Attention):
         scores = torch.stack([torch.stack([(here * there).sum(1) for there in k]) for here in q])
         weights = (self.scale * scores.float()).softmax(dim=1).to(h.dtype)
         v = self._by_frame(self.value, h)
-        attended = [sum(w[:, None] * there for w, there in zip(row, v, strict=True)) for row in weights]
-        return h + self.gamma * torch.stack(attended, dim=3).flatten(0, 1)
+        attended = torch.stack([_weighted_sum(row, v) for row in weights], dim=3).flatten(0, 1)
+        return h + self.gamma * attended
 
     def _by_frame(self, conv: PointConv, h: Float[Tensor, "C B T V"]) -> tuple[Float[Tensor, "H D B V"], ...]:
         return by_frame(conv, h).unflatten(0, (self.heads, -1)).unbind(3)
@@ -94,7 +94,7 @@ class VertexAttention(Attention):
         self.keys = config.keys
 
     def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
-        seen = h.narrow(3, 0, torch.sym_min(h.shape[3], self.keys))
+        seen = h.narrow(3, 0, cast(int, torch.sym_min(h.shape[3], self.keys)))  # in a graph V is a symbol
         q, k, v = self._by_head(self.query(h)), self._by_head(self.key(seen)), self._by_head(self.value(seen))
         # An exported graph stores what a fused kernel would not: one head's V x `keys` products at a time, then.
         parts = zip(q.split(1, 1), k.split(1, 1), v.split(1, 1), strict=True) if _exporting() else [(q, k, v)]
@@ -161,8 +161,7 @@ class AniFormer(nn.Module):
 
     def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
         """The MLP block of the regression head."""
-        first, second = self.mlp
-        return second(first(h).relu())
+        return self.mlp[1](self.mlp[0](h).relu())
 
     def estimate_flops(self, vertices: int) -> float:
         """Floating-point operations of a window's forward pass, by driving frame: two for each use of a weight.
@@ -179,7 +178,8 @@ class AniFormer(nn.Module):
             if isinstance(module, VertexAttention):
                 count -= 2 * module.key.weight.numel() * (vertices - keys)
         if config.head == "regression":
-            once = sum(conv.weight.numel() for conv in (*self.mlp, self.head)) * vertices
+            last = [m for part in (self.mlp, self.head) for m in part.modules() if isinstance(m, PointConv)]
+            once = sum(m.weight.numel() for m in last) * vertices
             count -= once * (config.frames - 1) / config.frames
         return 2.0 * count
 
@@ -191,6 +191,15 @@ def by_frame(
     if not _exporting():
         return function(h)
     return torch.cat([function(frame) for frame in h.split(1, dim=2)], dim=2)
+
+
+def _weighted_sum(
+    weights: Float[Tensor, "S H B V"], values: tuple[Float[Tensor, "H D B V"], ...]
+) -> Float[Tensor, "H D B V"]:
+    total = weights[0][:, None] * values[0]
+    for weight, value in zip(weights[1:], values[1:], strict=True):
+        total = torch.addcmul(total, weight[:, None], value)
+    return total
 
 
 def _exporting() -> bool:

@@ -75,7 +75,7 @@ def aniformer_loss(
     result: Float[Tensor, "B T V 3"],
     truth: Float[Tensor, "B T V 3"],
     identity: Float[Tensor, "B V 3"],
-    driving: Float[Tensor, "B T U 3"],
+    driving: Float[Tensor, "B W U 3"],
     edges: Int[Tensor, "B E 2"],
     motion: str = "paper",
     motion_weight: float = 1e-3,
@@ -85,8 +85,8 @@ def aniformer_loss(
 ) -> Float[Tensor, ""]:
     """Eq. 6 with distances and velocities divided by the number of vertices, as Eq. 5 is: L_r is then PMD (Eq. 7).
 
-    Motion needs two frames (`velocity`) or three (`paper`); a result of fewer, as from the regression head, is held to
-    the truth by the other terms, where `truth` holds the same frames.
+    Motion needs two frames (`velocity`) or three (`paper`): the one frame (T = 1) that the regression head gives of a
+    driving window (W frames) is held to the same frame of the truth by the other terms.
 
     Args:
         motion: `paper` (Eq. 4 with absolute values), `velocity` (public code) or `off`.
