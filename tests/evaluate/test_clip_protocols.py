@@ -133,7 +133,7 @@ def test_people_are_eight_targets_and_new_actors_in_streams_of_their_own():
 def test_motions_of_val_are_later_seconds_and_need_no_folder():
     train = {frame.tobytes() for motion in CLIPS_ANIFORMER.seen(human()) for frame in motion.rotmat}
     for kind in ("unseen", "procedural"):
-        for i in range(20):
+        for i in range(14 if kind == "unseen" else 4):
             motion = CLIPS_ANIFORMER.motion("val", kind, i)
             assert len(motion) == 30
             assert not train & {frame.tobytes() for frame in motion.rotmat}
