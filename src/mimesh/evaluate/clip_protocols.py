@@ -6,7 +6,7 @@ pybullet. Walks and splines of other seeds are a kind of their own, `procedural`
 
 16 people train; 8 new targets, each in a pose of its own, are moved in `test`, 8 others in `val`. A driving person is
 somebody else in every trial. `val` knows nothing of the DeepMimic clips: its unseen motions are other seconds of the
-takes. (AniFormer takes 30 frames evenly from each motion of its data; here they are one second at 30 frames a second.)
+takes. All motions begin facing +z. AniFormer takes 30 frames evenly from each of its motions; ours are one second long.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ class ClipsAniformer(Protocol):
             return seen[STRIDE * i % len(seen)]
         if kind == "procedural":
             make = spline_motion if i % 2 else walk_motion
-            return _from_origin(make(human(), self.seed(f"{split}/motions"), i, seconds=FRAMES / FPS, fps=FPS))
+            return _placed(make(human(), self.seed(f"{split}/motions"), i, seconds=FRAMES / FPS, fps=FPS))
         if split == "val":
             return _later()[i % len(_later())]
         return _deepmimic(deepmimic_folder(self.data), tuple(CLIPS)[i % len(CLIPS)])
@@ -161,8 +161,8 @@ def _seen(body: RiggedBody, seed: int) -> tuple[Motion, ...]:
     return (
         *seconds,
         *(mirror(seconds[k]) for k in chosen),
-        *(_from_origin(walk_motion(body, seed, k, **made)) for k in range(SEEN["walks"])),
-        *(_from_origin(spline_motion(body, seed, k, **made)) for k in range(SEEN["splines"])),
+        *(_placed(walk_motion(body, seed, k, **made)) for k in range(SEEN["walks"])),
+        *(_placed(spline_motion(body, seed, k, **made)) for k in range(SEEN["splines"])),
     )
 
 
@@ -179,7 +179,7 @@ def _deepmimic(folder: Path, name: str) -> Motion:
     motion = load_deepmimic(folder / CLIPS[name], human(), name)
     if motion.seconds < FRAMES / FPS:
         motion = resample(motion, motion.fps * (FRAMES - 1) / (len(motion) - 1))
-        return _from_origin(dataclasses.replace(motion, fps=FPS))
+        return _placed(dataclasses.replace(motion, fps=FPS))
     motion = resample(motion, FPS)
     return _cut(motion, (len(motion) - FRAMES) // 2, name)
 
@@ -193,9 +193,16 @@ def _seconds(take: Motion) -> list[Motion]:
 def _cut(motion: Motion, start: int, name: str) -> Motion:
     frames = slice(start, start + FRAMES)
     rotmat, root = motion.rotmat[frames], motion.root[frames]
-    return _from_origin(dataclasses.replace(motion, name=name, rotmat=rotmat, root=root))
+    return _placed(dataclasses.replace(motion, name=name, rotmat=rotmat, root=root))
 
 
-def _from_origin(motion: Motion) -> Motion:
-    """The same motion, its path beginning at x = z = 0."""
-    return dataclasses.replace(motion, root=motion.root - motion.root[0] * [1.0, 0.0, 1.0])
+def _placed(motion: Motion) -> Motion:
+    """The same motion from x = z = 0 on, facing +z in its first frame, to which the frame of a driving clip is fitted.
+
+    The heading is that of the hips' front along the ground, for those who lie too.
+    """
+    front = motion.rotmat[0, 0, :, 2]
+    back = rotvec_to_rotmat(np.array([0.0, -np.arctan2(front[0], front[2]), 0.0]))
+    rotmat = motion.rotmat.copy()
+    rotmat[:, 0] = back @ rotmat[:, 0]
+    return dataclasses.replace(motion, rotmat=rotmat, root=(motion.root - motion.root[0] * [1.0, 0.0, 1.0]) @ back.T)
