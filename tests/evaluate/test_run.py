@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deepmimic_files import write_folder
 from networks import write_network
 
 from mimesh.evaluate.clip_measure import measure_clip, moved_clip
@@ -227,9 +228,11 @@ def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_pa
         return measure_clip(shortened(trial, 3), method, ensemble)
 
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
+    folder = write_folder(tmp_path / "deepmimic")
     with pytest.raises(KeyboardInterrupt):
-        evaluate_command("clips-aniformer", ["copy"], out, split="val", pairs=1)
-    report = evaluate_command("clips-aniformer", ["copy"], out, split="val", pairs=1)
+        evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
+    report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
+    assert "humanoid3d_walk.txt" in report["provenance"]["config"]["data"]
     assert len(measured) == 4
     assert [(row["split"], row["pairs"]) for row in report["results"]] == [
         ("seen", 1), ("unseen", 1), ("procedural", 1)
@@ -240,6 +243,15 @@ def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_pa
     assert ", 1 pairs a column" in text
     with pytest.raises(InputError, match="found one of clips"):
         generate_command("clips-aniformer", tmp_path, "val")
+
+
+def test_clips_that_are_not_there_are_missed_before_anything_is_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("mimesh.evaluate.run.measure_clip", None)
+    with pytest.raises(InputError, match="expected a folder or an installed pybullet"):
+        evaluate_command("clips-aniformer", ["copy"])
+    with pytest.raises(InputError, match="expected the 20 human clips"):
+        evaluate_command("clips-aniformer", ["copy"], split="val", data=tmp_path)
 
 
 def test_the_worst_frame_of_a_clip_is_drawn(trial, tmp_path, monkeypatch):

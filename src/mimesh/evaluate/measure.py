@@ -36,6 +36,13 @@ GIVEN = {
     "skeleton": "our body model and its joint limits",
 }
 """What a method is given besides the two meshes and their axes; for networks see `given`."""
+TRAINED_ON = {
+    "table6": "16 people x 400 poses",
+    "wide": "endless people and poses",
+    "clips80": "16 people x 80 motions",
+    "clips": "endless people and motions",
+}
+"""Kinds of training data, in words."""
 CLIP_FIGURES = {"path_mm": 2, "jitter": 4, "still_mm": 4, "skate_cm_s": 3}
 """Figures that only clips have, and their decimals; the mean is over the clips that have them."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
@@ -64,7 +71,7 @@ def trained(method: str) -> str:
         return "unknown"
     card = json.loads(path.with_suffix(".json").read_text())
     count = card["config"]["data"]["vertices"] or 6890
-    data = {"table6": "16 people x 400 poses", "wide": "endless people and poses"}[card["config"]["data"]["kind"]]
+    data = TRAINED_ON[card["config"]["data"]["kind"]]
     minutes = f"{card['seconds_trained'] / 60:.0f} min, {card['hardware']}"
     return f"{minutes}; {card['pairs']:,} pairs of {count:,} vertices; {data}"
 
