@@ -219,9 +219,9 @@ KEYS = 32
 EXPORTED = {"frames": {"frames": 2}, "regression": {"head": "regression", "frames": 2, "attention": "frames"}}
 
 
-@pytest.fixture(scope="module", params=EXPORTED)
+@pytest.fixture(scope="module", params=["frames", pytest.param("regression", marks=pytest.mark.slow)])
 def exported(request):
-    """The exporter takes half a minute: two variants stand for all."""
+    """The exporter takes a minute on one busy core: one variant stands for all."""
     pytest.importorskip("onnx")
     model = tiny(keys=KEYS, **EXPORTED[request.param])
     return model, to_onnx(model, half=False)
