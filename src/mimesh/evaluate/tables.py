@@ -119,6 +119,7 @@ def markdown(report: dict[str, Any]) -> str:
     found = {(row["method"], row["split"]): row for row in rows}
     # Some figures are of clips alone.
     measured = [name for name in LAST if any(name in row for row in rows)]
+    labels = LAST | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
     counts = dict.fromkeys(str(row["pairs"] + row.get("not_applicable", 0)) for row in rows)
     lines = []
     for method in methods:
@@ -126,7 +127,7 @@ def markdown(report: dict[str, Any]) -> str:
         cells = [_mean_and_interval(row) for row in mine]
         tail = [_figure(mine[-1], name) for name in measured]
         lines.append([f"`{method}`", *cells, *tail, mine[-1].get("given", "-")])
-    head = ["method", *kinds, *(f"{kinds[-1]}: {LAST[name]}" for name in measured), "given"]
+    head = ["method", *kinds, *(f"{kinds[-1]}: {labels[name]}" for name in measured), "given"]
     title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
     return f"{title}, {'/'.join(counts)} pairs a column.\n\n" + grid(head, lines)
 
