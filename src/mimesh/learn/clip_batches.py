@@ -32,7 +32,7 @@ REACH = 0.15
 
 @dataclass(frozen=True)
 class ClipBatch:
-    """Normalised windows. Vertex i of `truth` is vertex i of `identity` in all frames; `driving` is shuffled on its own."""
+    """Normalised windows. Vertex i of `truth` is vertex i of `identity`; `driving` is shuffled alike in all frames."""
 
     identity: Float[Tensor, "B V 3"]
     driving: Float[Tensor, "B T V 3"]

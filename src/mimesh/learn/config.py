@@ -117,7 +117,11 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     network = values.get("network", "npt")
     if network not in MODELS:
         raise InputError(f"{where}, network: expected {' or '.join(MODELS)}, found {network!r}")
-    return _build(TrainConfig, {"model": {}, **values}, where, {"model": MODELS[network]})
+    config = _build(TrainConfig, {"model": {}, **values}, where, {"model": MODELS[network]})
+    single = isinstance(config.model, AniFormerConfig) and config.model.head == "regression"
+    if single and config.losses.motion != "off":
+        raise InputError(f"{where}: expected losses.motion off with the head regression, which gives one frame; set it")
+    return config
 
 
 def _build(kind: type, values: Any, where: str, known: dict[str, type] | None = None) -> Any:
