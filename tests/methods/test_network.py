@@ -8,10 +8,11 @@ from people import person, walk
 from zoo import point_cloud, two_parts
 
 from mimesh.frame import ROTATIONS
+from mimesh.geometry import edges
 from mimesh.mesh import Clip, InputError, Mesh
 from mimesh.methods import SHIPPED_NETWORKS, find_method
 from mimesh.methods.loading import load_network
-from mimesh.methods.network import POOLED_POINTS
+from mimesh.methods.network import POOLED_POINTS, Lengths
 from mimesh.methods.pairing import rank_vertices, surface_points
 from mimesh.pipeline import animate, transfer
 
@@ -84,15 +85,26 @@ def test_seed_and_ensemble_change_the_result(network):
     assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
 
 
-def test_the_truths_scale_is_brought_back_to_the_identitys_edges(tmp_path):
+def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
     truth = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     identity = person(0)
+    lengths = Lengths.of(identity.vertices, edges(identity.faces))
     result = transfer(identity, person(1, 0), truth).vertices
-    length = [
-        np.linalg.norm(v[identity.faces] - v[np.roll(identity.faces, 1, 1)], axis=-1)
-        for v in (identity.vertices, result)
-    ]
-    assert np.isclose(length[0].sum(), length[1].sum(), rtol=0.02)
+    assert np.isclose(lengths.total(result), lengths.total(identity.vertices), rtol=0.02)
+
+
+def test_a_rough_surface_is_hardly_longer_between_patches():
+    """Its edges are: a size taken from them would shrink every rough result."""
+    mesh = person(0, faces=13776)
+    rough = mesh.vertices + np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape)
+    patches, single = Lengths.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
+    assert patches.total(rough) == pytest.approx(patches.total(mesh.vertices), rel=0.02)
+    assert edge_length(rough, single) > 1.3 * edge_length(mesh.vertices, single)
+    assert patches.total(3 * mesh.vertices) == pytest.approx(3 * patches.total(mesh.vertices))
+
+
+def edge_length(vertices, pairs):
+    return np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1).sum()
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])

@@ -57,8 +57,8 @@ WHAT = {
     "npt-table": "a row of the paper's tables: NPT on its 16 people x 400 poses, longest training",
     "npt-equal": "a row of the paper's tables: NPT, trained as long as the rows below",
     "npt-no-edge": "a row of the paper's tables: without the edge loss",
-    "npt-no-spadain": "a row of the paper's tables: ResBlocks without SPAdaIN",
-    "npt-concat1": "a row of the paper's tables: 1x1 convolutions alone",
+    "npt-no-spadain": "a row of the paper's tables: ResBlocks with InstanceNorm in place of SPAdaIN",
+    "npt-concat1": "a row of the paper's tables: 1x1 convolutions and InstanceNorm alone",
     "npt-maxpool-equal": "a row of the paper's tables: max-pool, trained as long as the rows above",
 }
 MISSING = "its weights are missing here; install mimesh again"
