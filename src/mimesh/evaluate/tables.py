@@ -61,8 +61,8 @@ TABLES = {
         "NPT Table 2: ablations",
         "human-npt",
         (
-            Row("concat1 (1x1 convolutions alone)", "npt-concat1", 12.1, 16.9),
-            Row("without SPAdaIN", "npt-no-spadain", 8.3, 13.7),
+            Row("concat1 (1x1 convolutions, InstanceNorm)", "npt-concat1", 12.1, 16.9),
+            Row("without SPAdaIN (InstanceNorm in its place)", "npt-no-spadain", 8.3, 13.7),
             Row("without edge loss", "npt-no-edge", 1.2, 10.1),
             Row("NPT, as long as the rows above", "npt-equal", 1.1, 9.3),
             LONGEST,
