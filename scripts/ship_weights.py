@@ -2,7 +2,7 @@
 
 A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower.
 
-    python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--pairs 72]
+    python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--report FILE]
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def main() -> None:
     """Export what improves, then measure everything that is shipped."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("weights", nargs="*", metavar="NAME=CHECKPOINT")
-    parser.add_argument("--pairs", type=int, default=0, help="pairs of each kind; 0 for all")
+    parser.add_argument("--report", type=Path, help="figures of `mimesh evaluate human-npt` to fill the cards with")
     args = parser.parse_args()
     for entry in args.weights:
         name, _, path = entry.partition("=")
         ship(name, Path(path))
     names = sorted(path.stem for path in ZOO.glob("*.onnx"))
-    report = evaluate_command("human-npt", [*names, "copy"], pairs=args.pairs)
+    report = json.loads(args.report.read_text()) if args.report else evaluate_command("human-npt", [*names, "copy"])
     for name in names:
         fill_card(ZOO / f"{name}.json", report)
     print(markdown(report))

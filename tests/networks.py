@@ -52,3 +52,50 @@ def write_network(
         helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path
+
+
+def write_sequence_network(
+    path: Path, frames: int = 3, head: str = "frames", target_scale: str = "identity", said: dict | None = None
+) -> Path:
+    """AniFormer in small: frames mixed by fixed weights, then as `write_network` does; `said` changes the metadata."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    rng = np.random.default_rng(0)
+    given = 1 if head == "regression" else frames
+    weights = {
+        "mix": rng.uniform(0.1, 1.0, size=(given, frames)),
+        "w1": rng.normal(size=(3, 8)) / 2,
+        "w2": rng.normal(size=(8, 3)) / 4,
+        "gate": rng.normal(size=(3, 3)) / 4,
+    }
+    weights["mix"] /= weights["mix"].sum(axis=1, keepdims=True)
+    node = helper.make_node
+    nodes = [
+        node("Transpose", ["driving"], ["d"], perm=[0, 2, 1, 3]),
+        node("MatMul", ["mix", "d"], ["mixed"]),
+        node("Transpose", ["mixed"], ["m"], perm=[0, 2, 1, 3]),
+        node("MatMul", ["m", "w1"], ["h1"]),
+        node("Relu", ["h1"], ["h2"]),
+        node("MatMul", ["h2", "w2"], ["pose"]),
+        node("Unsqueeze", ["identity", "axis"], ["i"]),
+        node("MatMul", ["i", "gate"], ["g"]),
+        node("Mul", ["pose", "g"], ["step"]),
+        node("Add", ["i", "step"], ["result"]),
+    ]
+    value = helper.make_tensor_value_info
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [value("identity", TensorProto.FLOAT, [1, "V", 3]), value("driving", TensorProto.FLOAT, [1, frames, "V", 3])],
+        [value("result", TensorProto.FLOAT, [1, given, "V", 3])],
+        [numpy_helper.from_array(array.astype(np.float32), name) for name, array in weights.items()]
+        + [numpy_helper.from_array(np.array([1]), "axis")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    card = {"model": "aniformer", "frames": frames, "head": head, "target_scale": target_scale, "config": {}} | (
+        said or {}
+    )
+    helper.set_model_props(model, {"mimesh": json.dumps(card)})
+    onnx.save(model, str(path))
+    return path

@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deepmimic_files import write_folder
 from networks import write_network
 
+from mimesh.evaluate.clip_measure import measure_clip, moved_clip
+from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.measure import given, measure, moved, summary
@@ -158,6 +161,104 @@ def test_generated_point_clouds_and_tables(tmp_path):
     assert len(load_mesh(tmp_path / cloud).faces) == 0
     with pytest.raises(InputError, match="without training data"):
         generate_command("cross-topology", tmp_path, "train")
+
+
+CLIP_COLUMNS = {"path_mm", "jitter", "still_mm", "skate_cm_s"}
+
+
+@pytest.fixture(scope="module")
+def trial():
+    """A clip of validation with few frames, people whole."""
+    return shortened(CLIPS_ANIFORMER.pair("val", "procedural", 0), 4)
+
+
+def shortened(trial, frames):
+    """The first frames of a clip."""
+    clip = dataclasses.replace(trial.clip, vertices=trial.clip.vertices[:frames])
+    return dataclasses.replace(
+        trial, clip=clip, truth_frames=trial.truth_frames[:frames], aligned_frames=trial.aligned_frames[:frames]
+    )
+
+
+@pytest.mark.parametrize("scale", ["identity", "truth"])
+def test_a_network_moves_a_clip_as_animate_does(trial, scale, tmp_path):
+    """Prepared once; in its truth's size where it knows none, then frame by frame the same shapes."""
+    network = str(write_network(tmp_path / f"{scale}.onnx", target_scale=scale))
+    frames = moved_clip(trial, network)
+    assert frames.shape == trial.truth_frames.shape
+    for t in (0, 3):
+        alone = moved(trial.frame(t), network)
+        ours, theirs = (resized(points, alone) for points in (frames[t], alone))
+        assert np.allclose(ours, theirs, atol=1e-4) or t > 0  # pairs are chosen by the first frame
+        if scale == "truth":
+            sizes = [radius(points - bbox_centre(points)) for points in (frames[t], trial.truth_frames[t])]
+            assert sizes[0] / sizes[1] == pytest.approx(sizes_at_first(trial, network), rel=0.2)
+    figures = measure_clip(trial, network)
+    assert figures["still_mm"] == pytest.approx(0, abs=1e-3)
+    assert figures["path_mm"] > 0
+
+
+def sizes_at_first(trial, network):
+    first = moved(trial.frame(0), network)
+    return radius(first - bbox_centre(first)) / radius(trial.truth - bbox_centre(trial.truth))
+
+
+@pytest.mark.parametrize(
+    "method", ["copy", "deformation-transfer-dense", pytest.param("deformation-transfer-13", marks=pytest.mark.slow)]
+)
+def test_unlearned_methods_move_clips(trial, method):
+    figures = measure_clip(shortened(trial, 2), method)
+    assert 0 < figures["pmd_e4"] < 100
+    assert figures["still_mm"] == pytest.approx(0, abs=1e-3)
+    assert figures["jitter"] is None  # of two frames
+
+
+def test_what_a_method_lacks_on_a_clip_is_told(trial):
+    bare = dataclasses.replace(trial, driving=dataclasses.replace(trial.driving, faces=trial.driving.faces[:0]))
+    assert "found points" in measure_clip(bare, "deformation-transfer-13")["why"]
+
+
+def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_path, monkeypatch):
+    out, measured = tmp_path / "figures.json", []
+
+    def counted(trial, method, ensemble):
+        measured.append(trial.truth_name)
+        if len(measured) == 3:
+            raise KeyboardInterrupt
+        return measure_clip(shortened(trial, 3), method, ensemble)
+
+    monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
+    folder = write_folder(tmp_path / "deepmimic")
+    with pytest.raises(KeyboardInterrupt):
+        evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
+    report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
+    assert "humanoid3d_walk.txt" in report["provenance"]["config"]["data"]
+    assert len(measured) == 4
+    assert [(row["split"], row["pairs"]) for row in report["results"]] == [
+        ("seen", 1), ("unseen", 1), ("procedural", 1)
+    ]  # fmt: skip
+    assert set(report["results"][0]) >= CLIP_COLUMNS | {"pmd_e4", "mm", "edge_score", "seconds_per_frame"}
+    text = markdown(report)
+    assert "jitter, m/s²" in text
+    assert ", 1 pairs a column" in text
+    with pytest.raises(InputError, match="found one of clips"):
+        generate_command("clips-aniformer", tmp_path, "val")
+
+
+def test_clips_that_are_not_there_are_missed_before_anything_is_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    monkeypatch.setattr("mimesh.evaluate.run.measure_clip", None)
+    with pytest.raises(InputError, match="expected a folder or an installed pybullet"):
+        evaluate_command("clips-aniformer", ["copy"])
+    with pytest.raises(InputError, match="expected the 20 human clips"):
+        evaluate_command("clips-aniformer", ["copy"], split="val", data=tmp_path)
+
+
+def test_the_worst_frame_of_a_clip_is_drawn(trial, tmp_path, monkeypatch):
+    monkeypatch.setattr("mimesh.evaluate.clip_protocols.ClipsAniformer.pair", lambda *_: trial)
+    figures = [measure_clip(trial, "copy")]
+    paths = dump_worst(CLIPS_ANIFORMER, "val", "procedural", "copy", 1, figures, tmp_path / "worst")
+    assert [path.name for path in paths] == ["copy-procedural-1.png"]
 
 
 def test_the_worst_are_drawn(tmp_path):

@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 import pytest
-from networks import write_network
+from networks import write_network, write_sequence_network
 from people import person, walk
 
 from mimesh.frame import ROTATIONS
@@ -20,14 +20,18 @@ SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)
 SLOW = ("skeleton", "deformation-transfer")
 """Seconds a mesh: held to some of the changes only."""
+WINDOW = 3
+"""Frames that the network of clips sees at once: it reads so many less one ahead."""
 
 
-@pytest.fixture(scope="module", params=["copy", "per_vertex", "global_max", "truth", *SLOW])
+@pytest.fixture(scope="module", params=["copy", "per_vertex", "global_max", "truth", "sequence", *SLOW])
 def model(request, tmp_path_factory):
     if request.param in ("copy", *SLOW):
         return request.param
     pytest.importorskip("onnx")
     path = tmp_path_factory.mktemp("networks") / f"{request.param}.onnx"
+    if request.param == "sequence":
+        return str(write_sequence_network(path, frames=WINDOW))
     if request.param == "truth":
         return str(write_network(path, target_scale="truth"))
     return str(write_network(path, pose_code=request.param))
@@ -161,17 +165,18 @@ def test_arguments_are_left_alone(model):
 
 
 def test_frames_are_taken_one_at_a_time(model):
-    """Constant memory: the result of a frame is there before the next frame is asked for."""
-    asked, trial = [], trials(model)[0]
+    """Constant memory: the result of a frame is there before the next is asked for, or the rest of its window."""
+    asked, trial, last = [], trials(model)[0], 5
+    ahead = WINDOW - 1 if model.endswith("sequence.onnx") else 0
 
     def frames():
-        for t in range(3):
+        for t in range(last):
             asked.append(t)
             yield trial.driving.vertices
 
     drive = find_method(model, **trial.given(model)).prepare(IDENTITY, trial.driving)
     for t, vertices in enumerate(drive(frames())):
-        assert asked == list(range(t + 1))
+        assert asked == list(range(min(t + 1 + ahead, last)))
         assert vertices.shape == IDENTITY.vertices.shape
 
 

@@ -11,7 +11,8 @@ from mimesh.frame import ROTATIONS
 from mimesh.geometry import edges
 from mimesh.mesh import Clip, InputError, Mesh
 from mimesh.methods import SHIPPED_NETWORKS, find_method
-from mimesh.methods.network import POOLED_POINTS, Lengths, load_network
+from mimesh.methods.loading import load_network
+from mimesh.methods.network import POOLED_POINTS, Lengths
 from mimesh.methods.pairing import rank_vertices, surface_points
 from mimesh.pipeline import animate, transfer
 

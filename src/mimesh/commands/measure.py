@@ -10,7 +10,10 @@ import typer
 from .terminal import Json, Quiet, print_json, print_next, progress
 
 Protocol = Annotated[
-    str, typer.Argument(metavar="PROTOCOL", help="human-npt, human-wide, cross-topology, noise, dressed or cross-body.")
+    str,
+    typer.Argument(
+        metavar="PROTOCOL", help="human-npt, human-wide, cross-topology, noise, dressed, cross-body or clips-aniformer."
+    ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
 Pairs = Annotated[int, typer.Option(help="Pairs of each kind; 0 for all the protocol has.", min=0)]
@@ -18,7 +21,10 @@ Kept = Annotated[
     Path | None,
     typer.Option("--output", "-o", help="Keep the figures as JSON; stopped, the same command goes on where it was."),
 ]
-Data = Annotated[Path | None, typer.Option(help="Folder of rigged characters, for cross-body.", metavar="DIR")]
+Data = Annotated[
+    Path | None,
+    typer.Option(help="Folder: rigged characters for cross-body, DeepMimic clips for clips-aniformer.", metavar="DIR"),
+]
 
 
 def evaluate(

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from .clip_measure import moved_clip
+from .clip_protocols import ClipPair
 from .measure import moved
-from .metrics import in_unit_sphere_of
+from .metrics import in_unit_sphere_of, pmd_of_pair
 from .pairs import Pair
 from .protocols import Protocol
 
@@ -32,9 +34,18 @@ def dump_worst(
     for rank, i in enumerate(worst, 1):
         pair = protocol.pair(split, kind, i)
         path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
-        trial_picture(pair, moved(pair, method, ensemble)).save(path)
+        trial_picture(*_to_draw(pair, method, ensemble)).save(path)
         paths.append(path)
     return paths
+
+
+def _to_draw(pair: Pair, method: str, ensemble: int) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
+    """A trial and its result; of a clip, its worst frame."""
+    if not isinstance(pair, ClipPair):
+        return pair, moved(pair, method, ensemble)
+    frames = moved_clip(pair, method, ensemble)
+    worst = int(np.argmax([pmd_of_pair(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
+    return pair.frame(worst), frames[worst]
 
 
 def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..io import save_mesh
 from ..io.atomic import whole_file
 from ..mesh import InputError, Mesh
+from .clip_protocols import ClipsAniformer
 from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
 from .run import Progress, find_protocol
 
@@ -26,6 +27,8 @@ def generate_command(
     The split `train` of human-npt is the 16 x 400 table.
     """
     chosen = find_protocol(protocol, data)
+    if isinstance(chosen, ClipsAniformer):
+        raise InputError(f"{protocol}: expected a protocol of meshes, found one of clips; choose another")
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     if split == "train":

@@ -5,17 +5,15 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..frame import Frame, bbox_centre, radius
-from ..mesh import InputError, Mesh
-from ..methods import SHIPPED_NETWORKS, find_method, shipped_path
-from ..methods.network import Network
+from ..mesh import Clip, InputError, Mesh
+from ..methods import SHIPPED_NETWORKS, Method, find_method, shipped_path
 from ..pipeline import transfer
 from .metrics import (
     chamfer,
@@ -38,6 +36,16 @@ GIVEN = {
     "skeleton": "our body model and its joint limits",
 }
 """What a method is given besides the two meshes and their axes; for networks see `given`."""
+TRAINED_ON = {
+    "table6": "16 people x 400 poses",
+    "wide": "endless people and poses",
+    "clips80": "16 people x 80 motions",
+    "clips": "endless people and motions",
+}
+"""Kinds of training data, in words."""
+CLIP_FIGURES = {"path_mm": 2, "jitter": 4, "still_mm": 4, "skate_cm_s": 3}
+"""Figures that only clips have, and their decimals; the mean is over the clips that have them."""
+AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 RESAMPLES = 2000
 """Draws of the bootstrap behind the confidence intervals."""
 
@@ -51,7 +59,7 @@ def given(method: str) -> str:
     if method in GIVEN:
         return GIVEN[method]
     network = find_method(method)
-    return "trained on our body" + (", true size" if network.target_scale == "truth" else "")  # type: ignore[attr-defined]
+    return "trained on our body" + (", true size" if knows_no_size(network) else "")
 
 
 def trained(method: str) -> str:
@@ -63,7 +71,7 @@ def trained(method: str) -> str:
         return "unknown"
     card = json.loads(path.with_suffix(".json").read_text())
     count = card["config"]["data"]["vertices"] or 6890
-    data = {"table6": "16 people x 400 poses", "wide": "endless people and poses"}[card["config"]["data"]["kind"]]
+    data = TRAINED_ON[card["config"]["data"]["kind"]]
     minutes = f"{card['seconds_trained'] / 60:.0f} min, {card['hardware']}"
     return f"{minutes}; {card['pairs']:,} pairs of {count:,} vertices; {data}"
 
@@ -76,37 +84,57 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
     Raises:
         NotApplicableError: the method cannot work on this pair, such as deformation transfer of a point cloud.
     """
-    run = partial(transfer, up="+y", front="+z", driving_up="+y", driving_front="+z", ensemble=ensemble)
     if method == "copy":
-        return resized(_needed(pair.aligned, method), pair.truth)
-    if not method.startswith("deformation-transfer"):
-        network = find_method(method, ensemble=ensemble)
-        if isinstance(network, Network) and network.target_scale == "truth":
-            return in_true_size(network, pair)
-        return run(pair.identity, pair.driving, method).vertices
+        return resized(needed(pair.aligned, method), pair.truth)
+    if method.startswith("deformation-transfer"):
+        driving, helps = helped(pair, method)
+        return transfer(pair.identity, driving, "deformation-transfer", **AXES, **helps).vertices
+    network = find_method(method, ensemble=ensemble)
+    if knows_no_size(network):
+        return in_true_size(network, pair.identity, Clip(pair.driving, pair.driving.vertices[None]), pair.truth[None])[
+            0
+        ]
+    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble).vertices
+
+
+def helped(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
+    """The driving mesh, and the third mesh and the markers, that a deformation transfer of GIVEN is given.
+
+    Raises:
+        NotApplicableError: it cannot work on this pair.
+    """
     if method == "deformation-transfer-dense":
         driving, third = (
-            Mesh(_needed(points, method), pair.identity.faces)
+            Mesh(needed(points, method), pair.identity.faces)
             for points in (pair.aligned, pair.aligned_reference)
         )  # fmt: skip
-        return run(pair.identity, driving, "deformation-transfer", reference=third).vertices
+        return driving, {"reference": third}
     if len(pair.driving.faces) == 0:
         raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
-    reference = dataclasses.replace(pair.driving, vertices=_needed(pair.reference, method))
-    markers = _needed(pair.markers, method)[: 5 if method.endswith("-5") else 13]
-    markers = markers[markers[:, 1] >= 0]
-    return run(pair.identity, pair.driving, "deformation-transfer", reference=reference, markers=markers).vertices
+    reference = dataclasses.replace(pair.driving, vertices=needed(pair.reference, method))
+    markers = needed(pair.markers, method)[: 5 if method.endswith("-5") else 13]
+    return pair.driving, {"reference": reference, "markers": markers[markers[:, 1] >= 0]}
 
 
-def in_true_size(network: Network, pair: Pair) -> Float[np.ndarray, "V 3"]:
-    """The result of a network whose unit is the truth's radius, which the papers' tables give away."""
+def knows_no_size(method: Method) -> bool:
+    """Whether the unit of a network's results is the truth's radius, which the papers' tables give away."""
+    return getattr(method, "target_scale", "identity") == "truth"
+
+
+def in_true_size(
+    network: Any, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
+) -> Float[np.ndarray, "T V 3"]:
+    """What such a network makes of a clip: each frame in the size of its truth, the path in that of the first frame."""
     unit = dataclasses.replace(network, target_scale="identity")
+    own, theirs = Frame.fit(identity, "+y", "+z"), Frame.fit(clip.mesh, "+y", "+z")
     identity, driving = (
-        dataclasses.replace(mesh, vertices=Frame.fit(mesh, "+y", "+z").apply(mesh.vertices))
-        for mesh in (pair.identity, pair.driving)
+        dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
+        for mesh, frame in ((identity, own), (clip.mesh, theirs))
     )
-    result = next(iter(unit.prepare(identity, driving)([driving.vertices])))
-    return result * radius(pair.truth - bbox_centre(pair.truth))
+    results = unit.prepare(identity, driving)(theirs.apply(vertices) for vertices in clip.vertices)
+    sizes = [radius(true - bbox_centre(true)) for true in truth]
+    middles_and_sizes = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
+    return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])
 
 
 def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
@@ -117,17 +145,22 @@ def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
-    faces = pair.identity.faces
-    sized, truth = in_unit_sphere_of(pair.truth, result, pair.truth)
+    return {**shape_figures(result, pair.truth, pair.identity.faces, pair.height), "seconds": seconds}
+
+
+def shape_figures(
+    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], height: float
+) -> dict[str, float]:
+    """All figures of one mesh against its truth."""
+    sized, true = in_unit_sphere_of(truth, result, truth)
     return {
-        "pmd_e4": 1e4 * pmd_of_pair(result, pair.truth),
-        "pmd_mse_e4": 1e4 * pmd_public(result, pair.truth),
-        "chamfer_e4": 1e4 * chamfer(sized, truth),
-        "mm": mean_error_mm(result, pair.truth, pair.height),
-        "edge_score": edge_score(result, pair.truth, faces),
-        "stretch": largest_stretch(result, pair.truth, faces),
-        "flipped": flipped(result, pair.truth, faces),
-        "seconds": seconds,
+        "pmd_e4": 1e4 * pmd_of_pair(result, truth),
+        "pmd_mse_e4": 1e4 * pmd_public(result, truth),
+        "chamfer_e4": 1e4 * chamfer(sized, true),
+        "mm": mean_error_mm(result, truth, height),
+        "edge_score": edge_score(result, truth, faces),
+        "stretch": largest_stretch(result, truth, faces),
+        "flipped": flipped(result, truth, faces),
     }
 
 
@@ -151,12 +184,17 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, 
     }
     for name, digits in (("pmd_mse_e4", 4), ("chamfer_e4", 4), ("mm", 2), ("edge_score", 4), ("flipped", 5)):
         row[name] = round(float(np.mean([f[name] for f in done])), digits)
+    for name, digits in CLIP_FIGURES.items():
+        known = [f[name] for f in done if f.get(name) is not None]
+        if known:
+            row[name] = round(float(np.mean(known)), digits)
     row["stretch_max"] = round(max(f["stretch"] for f in done), 2)
     row["seconds_per_frame"] = round(float(np.median([f["seconds"] for f in done])), 4)
     return row
 
 
-def _needed(array: Any, method: str) -> Any:
+def needed(array: Any, method: str) -> Any:
+    """Help that a method asks for; raises NotApplicableError where the test set has none."""
     if array is None:
         raise NotApplicableError(f"{method}: expected a correspondence, found none in this test set")
     return array

@@ -110,8 +110,16 @@ def remeshed(pair: Pair, remesh: Remesh, noise: Callable[[Float[np.ndarray, "U 3
 
 def shuffled(pair: Pair, rng: np.random.Generator) -> Pair:
     """Both meshes with their vertices in random orders, independent of each other; truth and markers follow."""
-    order = rng.permutation(len(pair.identity.vertices))
-    driving_order = rng.permutation(len(pair.driving.vertices))
+    return reordered(pair, *random_orders(pair, rng))
+
+
+def random_orders(pair: Pair, rng: np.random.Generator) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " U"]]:
+    """New orders of the identity's and of the driving's vertices."""
+    return rng.permutation(len(pair.identity.vertices)), rng.permutation(len(pair.driving.vertices))
+
+
+def reordered(pair: Pair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Pair:
+    """The pair with its identity's and its driving's vertices in other orders; truth and markers follow."""
     ranks = np.argsort(order), np.argsort(driving_order)
     markers = None
     if pair.markers is not None:

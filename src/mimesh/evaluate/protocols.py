@@ -65,9 +65,17 @@ class Protocol:
         rng = self.rng(split, kind, i)
         return shuffled(self.whole(split, kind, i, rng), rng)
 
+    def count(self, kind: str, asked: int = 0) -> int:
+        """How many pairs of a kind are measured, if so many are asked for (0: as many as usual)."""
+        assert kind in self.kinds
+        return asked or self.pairs
+
+    def check(self, split: str) -> None:
+        """Raise InputError if this split cannot be made here, before any of it is."""
+
     def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
         """The pairs of a split and kind, the first `count` of them if given."""
-        return (self.pair(split, kind, i) for i in range(count or self.pairs))
+        return (self.pair(split, kind, i) for i in range(self.count(kind, count)))
 
 
 @dataclass(frozen=True)

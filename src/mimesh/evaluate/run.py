@@ -14,11 +14,16 @@ from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..methods import MODELS, SHIPPED_NETWORKS, shipped_path
 from ..provenance import code_fingerprint, commit, libraries, machine
+from .clip_measure import measure_clip
+from .clip_protocols import ClipPair, clips_aniformer
 from .cross_body import cross_body
 from .measure import GIVEN, measure, summary
+from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 
 Progress = Callable[[int, int], None]
+FOLDERS = ("cross-body", "clips-aniformer")
+"""Protocols that read a folder."""
 
 
 def evaluate_command(
@@ -42,23 +47,26 @@ def evaluate_command(
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
         check_method(method)
+    chosen.check(split)
     config = {"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}
-    if data is not None and protocol == "cross-body":
+    if data is not None and protocol in FOLDERS:
         config["data"] = sorted(path.name for path in data.iterdir())
     made = provenance(config)
     question = {**config, "protocol": [protocol, chosen.version], "code": code_fingerprint(), **libraries()}
     ledger = Ledger(out and out.with_name(out.name + ".partial"), question)
-    total, rows = len(chosen.kinds) * config["pairs"] * len(methods), []
+    counts = {kind: chosen.count(kind, pairs) for kind in chosen.kinds}
+    total, done, rows = sum(counts.values()) * len(methods), 0, []
     for method in methods:
         weights = fingerprint(method)
         for kind in chosen.kinds:
             figures = []
-            for i in range(config["pairs"]):
+            for i in range(counts[kind]):
                 key = [method, weights, kind, i]
                 known = ledger.get(key)
-                figures.append(known or ledger.put(key, measure(chosen.pair(split, kind, i), method, ensemble)))
+                figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, ensemble)))
+                done += 1
                 if progress is not None:
-                    progress(len(rows) * config["pairs"] + len(figures), total)
+                    progress(done, total)
             rows.append({**summary(method, kind, figures), "weights": weights})
             if dump is not None:
                 from .dump import dump_worst
@@ -75,6 +83,11 @@ def evaluate_command(
             temporary.write_text(json.dumps(report, indent=2) + "\n")
         ledger.close()
     return report
+
+
+def figures_of(trial: Pair, method: str, ensemble: int) -> dict[str, Any]:
+    """Figures of one trial, a pair of meshes or a clip."""
+    return measure_clip(trial, method, ensemble) if isinstance(trial, ClipPair) else measure(trial, method, ensemble)
 
 
 class Ledger:
@@ -120,13 +133,15 @@ def _whole_lines(path: Path):
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
-    """A protocol by name, `data` being the folder that `cross-body` reads; InputError lists the ones there are."""
+    """A protocol by name, `data` being the folder that those of FOLDERS read; InputError lists the ones there are."""
     if name == "cross-body":
         if data is None:
             raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
         return cross_body(data)
+    if name == "clips-aniformer":
+        return clips_aniformer(data)
     if name not in PROTOCOLS:
-        known = ", ".join((*PROTOCOLS, "cross-body"))
+        known = ", ".join((*PROTOCOLS, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")
     return PROTOCOLS[name]
 

@@ -34,6 +34,10 @@ LAST = {
     "mm": "mm",
     "edge_score": "edge score",
     "flipped": "flipped",
+    "path_mm": "path, mm",
+    "jitter": "jitter, m/s²",
+    "still_mm": "unrest, mm",
+    "skate_cm_s": "skate, cm/s",
     "seconds_per_frame": "s a pair",
 }
 """Further columns of a report, for its last kind of pair alone."""
@@ -57,8 +61,8 @@ TABLES = {
         "NPT Table 2: ablations",
         "human-npt",
         (
-            Row("concat1 (1x1 convolutions alone)", "npt-concat1", 12.1, 16.9),
-            Row("without SPAdaIN", "npt-no-spadain", 8.3, 13.7),
+            Row("concat1 (1x1 convolutions, InstanceNorm)", "npt-concat1", 12.1, 16.9),
+            Row("without SPAdaIN (InstanceNorm in its place)", "npt-no-spadain", 8.3, 13.7),
             Row("without edge loss", "npt-no-edge", 1.2, 10.1),
             Row("NPT, as long as the rows above", "npt-equal", 1.1, 9.3),
             LONGEST,
@@ -113,15 +117,19 @@ def markdown(report: dict[str, Any]) -> str:
     kinds = list(dict.fromkeys(row["split"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
     found = {(row["method"], row["split"]): row for row in rows}
+    # Some figures are of clips alone.
+    measured = [name for name in LAST if any(name in row for row in rows)]
+    labels = LAST | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
+    counts = dict.fromkeys(str(row["pairs"] + row.get("not_applicable", 0)) for row in rows)
     lines = []
     for method in methods:
         mine = [found[method, kind] for kind in kinds]
         cells = [_mean_and_interval(row) for row in mine]
-        tail = [_figure(mine[-1], name) for name in LAST]
+        tail = [_figure(mine[-1], name) for name in measured]
         lines.append([f"`{method}`", *cells, *tail, mine[-1].get("given", "-")])
-    head = ["method", *kinds, *(f"{kinds[-1]}: {label}" for label in LAST.values()), "given"]
+    head = ["method", *kinds, *(f"{kinds[-1]}: {labels[name]}" for name in measured), "given"]
     title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
-    return f"{title}, {report['provenance']['config']['pairs']} pairs a column.\n\n" + grid(head, lines)
+    return f"{title}, {'/'.join(counts)} pairs a column.\n\n" + grid(head, lines)
 
 
 def grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:

@@ -27,8 +27,9 @@ from .bodies import TorchBody, rotvec_to_rotmat
 class DataConfig:
     """What the pairs are made of."""
 
-    kind: Literal["table6", "wide"] = "table6"
-    """`table6`: the paper's 16 people x 400 Table 6 poses. `wide`: endless people, joint limits, motions, headings."""
+    kind: Literal["table6", "wide", "clips80", "clips"] = "table6"
+    """`table6`: NPT's 16 people x 400 Table 6 poses. `wide`: endless people, joint limits, motions, headings.
+    `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and moving poses."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -73,7 +74,12 @@ class PairSource:
             torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
         )
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
-        if config.kind == "table6":
+        self._load(body)
+
+    def _load(self, body: RiggedBody) -> None:
+        """What people and poses are drawn from."""
+        device = self.device
+        if self.config.kind == "table6":
             people, poses = HUMAN_NPT.train_people(body), HUMAN_NPT.train_poses(body)
             self.people = torch.from_numpy(people).float().to(device)
             self.poses = torch.from_numpy(numpy_rotmat(poses)).float().to(device)

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..provenance import commit
+from .aniformer import AniFormer, AniFormerConfig
 from .config import TrainConfig, config_from
 from .npt import NPT
 
@@ -99,10 +100,15 @@ def unpack(state: State, model: nn.Module, ema: dict[str, Tensor], optimizers: l
         optimizer.load_state_dict({"state": fields, "param_groups": groups})
 
 
-def load_model(path: Path) -> tuple[NPT, State]:
+def make_model(config: TrainConfig) -> NPT | AniFormer:
+    """A fresh network of a configuration."""
+    return AniFormer(config.model) if isinstance(config.model, AniFormerConfig) else NPT(config.model)
+
+
+def load_model(path: Path) -> tuple[NPT | AniFormer, State]:
     """The model of a checkpoint in float32, ready to infer."""
     state = load(path)
-    model = NPT(state.config.model)
+    model = make_model(state.config)
     model.load_state_dict(state.weights())
     return model.eval(), state
 

@@ -15,18 +15,33 @@ from typing import Any, Literal
 import yaml
 
 from ..mesh import InputError
+from .aniformer import AniFormerConfig
 from .batches import DataConfig
 from .npt import NPTConfig
+
+MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig}
+"""What `network` of a configuration may be, and the switches of each."""
+
+
+@dataclass(frozen=True)
+class ClipLossConfig:
+    """AniFormer's constraints beside the reconstruction (Eq. 6)."""
+
+    motion: Literal["paper", "velocity", "off"] = "paper"
+    motion_weight: float = 1e-3
+    appearance: Literal["paper", "ratio", "off"] = "paper"
+    appearance_weight: float = 5e-4
 
 
 @dataclass(frozen=True)
 class TrainConfig:
     """Everything a training depends on besides the code; the defaults are NPT's paper."""
 
-    model: NPTConfig = field(default_factory=NPTConfig)
+    network: Literal["npt", "aniformer"] = "npt"
+    model: NPTConfig | AniFormerConfig = field(default_factory=NPTConfig)
     data: DataConfig = field(default_factory=DataConfig)
     batch: int = 8
-    """Pairs a step."""
+    """Pairs a step; AniFormer's pairs are windows of T frames."""
     pairs: int = 800_000
     """Length of the training: 200 epochs of 4,000 pairs."""
     minutes: float = 0.0
@@ -46,6 +61,9 @@ class TrainConfig:
     """Decay of the running average of the weights that is validated and kept; 0 keeps the weights themselves."""
     edge: Literal["paper", "ratio", "off"] = "paper"
     edge_weight: float = 5e-4
+    """This and `edge` are NPT's."""
+    losses: ClipLossConfig = field(default_factory=ClipLossConfig)
+    """AniFormer's."""
     precision: Literal["fp32", "bf16"] = "fp32"
     compile: bool = False
     """Fuse element-wise work with torch.compile (needs a C++ compiler on a CPU)."""
@@ -94,13 +112,22 @@ def _change(values: dict[str, Any], change: str) -> None:
 
 def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     """Build the dataclass tree from nested dictionaries, refusing what does not fit."""
-    return _build(TrainConfig, values, where)
-
-
-def _build(kind: type, values: Any, where: str) -> Any:
     if not isinstance(values, dict):
         raise InputError(f"{where}: expected keys and values, found {values!r}")
-    hints = typing.get_type_hints(kind)
+    network = values.get("network", "npt")
+    if network not in MODELS:
+        raise InputError(f"{where}, network: expected {' or '.join(MODELS)}, found {network!r}")
+    config = _build(TrainConfig, {"model": {}, **values}, where, {"model": MODELS[network]})
+    single = isinstance(config.model, AniFormerConfig) and config.model.head == "regression"
+    if single and config.losses.motion != "off":
+        raise InputError(f"{where}: expected losses.motion off with the head regression, which gives one frame; set it")
+    return config
+
+
+def _build(kind: type, values: Any, where: str, known: dict[str, type] | None = None) -> Any:
+    if not isinstance(values, dict):
+        raise InputError(f"{where}: expected keys and values, found {values!r}")
+    hints = typing.get_type_hints(kind) | (known or {})
     unknown = sorted(set(values) - set(hints))
     if unknown:
         raise InputError(f"{where}: expected the keys {', '.join(hints)}, found {', '.join(unknown)}; remove it")

@@ -12,10 +12,12 @@ import numpy as np
 import onnx
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from . import checkpoint
+from .aniformer import AniFormer, AniFormerConfig
 from .npt import NPT, NPTConfig
 
 
@@ -36,16 +38,16 @@ def export_command(path: Path, out: Path) -> Path:
     return out
 
 
-def to_onnx(model: NPT, half: bool) -> onnx.ModelProto:
-    """Export with inputs `identity` (B, V, 3) and `driving` (B, U, 3) and output `result` (B, V, 3), all float32.
+def to_onnx(model: NPT | AniFormer, half: bool) -> onnx.ModelProto:
+    """Export with inputs `identity` and `driving` and output `result`, all float32 and of any vertex count.
+
+    NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or
+    (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small.
 
     Args:
         half: store large weights as float16 behind a cast; arithmetic stays in float32.
     """
-    pooled = model.config.pose_code == "global_max"
-    batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
-    u = torch.export.Dim("driving_vertices", min=2) if pooled else v
-    example = torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3)
+    example, shapes = _window(model.config) if isinstance(model, AniFormer) else _pair(model.config)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter's own deprecations
         program = torch.onnx.export(
@@ -54,12 +56,26 @@ def to_onnx(model: NPT, half: bool) -> onnx.ModelProto:
             dynamo=True,
             input_names=["identity", "driving"],
             output_names=["result"],
-            dynamic_shapes=({0: batch, 1: v}, {0: batch, 1: u}),
+            dynamic_shapes=shapes,
             verbose=False,
         )
     assert program is not None
     network = program.model_proto
     return with_half_weights(network) if half else network
+
+
+def _pair(config: NPTConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
+    """Example inputs of NPT, and which of their axes may have any length."""
+    pooled = config.pose_code == "global_max"
+    batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
+    u = torch.export.Dim("driving_vertices", min=2) if pooled else v
+    return (torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3)), ({0: batch, 1: v}, {0: batch, 1: u})
+
+
+def _window(config: AniFormerConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
+    """The same of AniFormer."""
+    v = torch.export.Dim("vertices", min=2)
+    return (torch.randn(1, 300, 3), torch.randn(1, config.frames, 300, 3)), ({1: v}, {2: v})
 
 
 def with_half_weights(network: onnx.ModelProto, smallest: int = 256) -> onnx.ModelProto:
@@ -79,10 +95,13 @@ def with_half_weights(network: onnx.ModelProto, smallest: int = 256) -> onnx.Mod
     return network
 
 
-def describe(network: onnx.ModelProto, config: NPTConfig, target_scale: str) -> None:
+def describe(network: onnx.ModelProto, config: NPTConfig | AniFormerConfig, target_scale: str) -> None:
     """Write into the file what a runner must know."""
-    facts: dict[str, Any] = {"model": "npt", "pose_code": config.pose_code, "target_scale": target_scale}
-    facts["config"] = dataclasses.asdict(config)
+    if isinstance(config, AniFormerConfig):
+        facts: dict[str, Any] = {"model": "aniformer", "frames": config.frames, "head": config.head}
+    else:
+        facts = {"model": "npt", "pose_code": config.pose_code}
+    facts |= {"target_scale": target_scale, "config": dataclasses.asdict(config)}
     onnx.helper.set_model_props(network, {"mimesh": json.dumps(facts)})
 
 
@@ -109,8 +128,8 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
 
 
 def infer_onnx(
-    network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B U 3"]
-) -> Float[np.ndarray, "B V 3"]:
+    network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
+) -> Float[np.ndarray, "B *R V 3"]:
     """Run an exported network once, to compare it with torch."""
     import onnxruntime
 

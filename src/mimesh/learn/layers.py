@@ -1,7 +1,8 @@
 """Layers that the papers' models share.
 
 Inside a model features are (C, B, V), channels first: a 1x1 convolution is then one matrix product for the whole batch,
-and InstanceNorm runs over contiguous rows.
+and InstanceNorm runs over contiguous rows. In place of B there may be more axes, and the identity's may be 1 where
+those of the features are not.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ EPSILON = 1e-5
 """Added to the variance (NPT Eq. 2)."""
 
 
-def instance_norm(h: Float[Tensor, "C B V"]) -> Float[Tensor, "C B V"]:
+def instance_norm(h: Float[Tensor, "C *B V"]) -> Float[Tensor, "C *B V"]:
     """Zero mean and unit variance over the vertices of each sample and channel (NPT Eq. 1 and 2), no affine part.
 
     The one place where vertices meet.
@@ -34,7 +35,7 @@ class PointConv(nn.Module):
         self.weight = nn.Parameter(torch.empty(channels_out, channels_in).uniform_(-reach, reach))
         self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-reach, reach))
 
-    def forward(self, h: Float[Tensor, "C B V"]) -> Float[Tensor, "D B V"]:
+    def forward(self, h: Float[Tensor, "C *B V"]) -> Float[Tensor, "D *B V"]:
         return torch.addmm(self.bias[:, None], self.weight, h.flatten(1)).unflatten(1, h.shape[1:])
 
 
@@ -50,7 +51,7 @@ class SPAdaIN(nn.Module):
         self.shift = PointConv(3, channels)
         self.normalise = normalise
 
-    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
         return self.scale(identity) * (instance_norm(h) if self.normalise else h) + self.shift(identity)
 
 
@@ -67,7 +68,7 @@ class Unit(nn.Module):
         self.order = order
         self.normalise = normalise
 
-    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
         if self.norm is not None:
             h = self.norm(h, identity)
         elif self.normalise:
@@ -97,5 +98,5 @@ class ResBlock(nn.Module):
         first, second, shortcut = (Unit(channels, order, modulated, there) for there in keep)
         self.first, self.second, self.shortcut = first, second, shortcut
 
-    def forward(self, h: Float[Tensor, "C B V"], identity: Float[Tensor, "3 B V"]) -> Float[Tensor, "C B V"]:
+    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
         return self.second(self.first(h, identity), identity) + self.shortcut(h, identity)

@@ -16,15 +16,15 @@ def edge_paper(result: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> F
 
     `edges` lists every undirected edge once.
     """
-    return 2.0 * (_edge_vectors(result, edges).square().sum(dim=(1, 2))).mean()
+    return 2.0 * (edge_vectors(result, edges).square().sum(dim=(1, 2))).mean()
 
 
 def edge_ratio(
     result: Float[Tensor, "B V 3"], identity: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]
 ) -> Float[Tensor, ""]:
     """The public code's edge term: |length / identity's length - 1|, mean over edges."""
-    old = _edge_vectors(identity, edges).norm(dim=-1)
-    return (_edge_vectors(result, edges).norm(dim=-1) / old.clamp_min(1e-8) - 1.0).abs().mean()
+    old = edge_vectors(identity, edges).norm(dim=-1)
+    return (edge_vectors(result, edges).norm(dim=-1) / old.clamp_min(1e-8) - 1.0).abs().mean()
 
 
 def npt_loss(
@@ -52,6 +52,7 @@ def npt_loss(
     return loss
 
 
-def _edge_vectors(points: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> Float[Tensor, "B E 3"]:
+def edge_vectors(points: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> Float[Tensor, "B E 3"]:
+    """From one end of each edge to the other."""
     ends = [points.gather(1, edges[..., k, None].expand(-1, -1, 3)) for k in range(2)]
     return ends[1] - ends[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 import time
@@ -13,16 +14,18 @@ import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
-from ..bodies import RiggedBody, load_body
-from ..evaluate.metrics import pmd_of_pair
-from ..evaluate.protocols import HUMAN_NPT
+from ..bodies import load_body
 from ..mesh import InputError
 from . import checkpoint
+from .aniformer import AniFormer, AniFormerConfig
 from .batches import Batch, PairSource
-from .config import TrainConfig, load_config
+from .clip_batches import ClipBatch
+from .clip_losses import aniformer_loss
+from .config import MODELS, TrainConfig, load_config
 from .losses import npt_loss
 from .npt import NPT
 from .optimizers import make_optimizers
+from .validation import ClipValidation, PairValidation, make_source
 
 LOG_SECONDS = 20.0
 SAVE_SECONDS = 120.0
@@ -40,8 +43,8 @@ def train_command(
 
     `changes` are "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
     """
-    if model != "npt":
-        raise InputError(f"{model}: expected a model that can be trained (npt), found another")
+    if model not in MODELS:
+        raise InputError(f"{model}: expected a model that can be trained ({', '.join(MODELS)}), found another")
     if resume is not None:
         last = resume / "last.safetensors"
         if not last.exists():
@@ -62,7 +65,8 @@ def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -
     """Train to the end of the schedule or the time limit; continue if the folder holds a checkpoint."""
     folder.mkdir(parents=True, exist_ok=True)
     run = Run.start(config, folder)
-    validation = Validation(config, load_body(), run.device)
+    clips = isinstance(config.model, AniFormerConfig)
+    validation = (ClipValidation if clips else PairValidation)(config, load_body(), run.device)
     deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
     with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
         log = Log(lines, board, config, run)
@@ -84,7 +88,7 @@ class Run:
     """A training in motion."""
 
     config: TrainConfig
-    model: NPT
+    model: NPT | AniFormer
     step_model: nn.Module
     """The model, or its compiled form; both share weights."""
     ema: dict[str, Tensor]
@@ -103,10 +107,10 @@ class Run:
         """A fresh training, or the one whose checkpoint lies in the folder."""
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         torch.manual_seed(config.seed)
-        model = NPT(config.model).to(device)
+        model = checkpoint.make_model(config).to(device)
         ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
         optimizers = make_optimizers(model, config, device)
-        source = PairSource(config.data, load_body(), device, config.seed)
+        source = make_source(config, load_body(), device, config.seed)
         compiled = torch.compile(model) if config.compile else model
         run = cls(config, model, compiled, ema, optimizers, source, device, saved=time.monotonic())  # type: ignore[arg-type]
         last = folder / "last.safetensors"
@@ -146,21 +150,20 @@ class Run:
         self.seconds += time.perf_counter() - started
         return loss.detach()
 
-    def loss(self, batch: Batch) -> Tensor:
-        """NPT Eq. 4 over V, in the configured width."""
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
+    def loss(self, batch: Batch | ClipBatch) -> Tensor:
+        """NPT Eq. 4 or AniFormer Eq. 6 over V, in the configured width."""
+        config = self.config
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
             result = self.step_model(batch.identity, batch.driving)
-        return npt_loss(
-            result,
-            batch.truth,
-            batch.identity,
-            batch.edges,
-            self.config.edge,
-            self.config.edge_weight,
-            batch.edges_of_mesh,
-        )
+        share = batch.edges_of_mesh
+        if isinstance(batch, Batch):
+            edge = (config.edge, config.edge_weight)
+            return npt_loss(result, batch.truth, batch.identity, batch.edges, *edge, share)
+        weights = dataclasses.asdict(config.losses)
+        truth = batch.truth[:, batch.truth.shape[1] // 2, None] if result.shape[1] == 1 else batch.truth
+        return aniformer_loss(result, truth, batch.identity, batch.driving, batch.edges, **weights, edges_of_mesh=share)
 
-    def validate(self, validation: Validation, folder: Path) -> dict[str, float]:
+    def validate(self, validation: PairValidation | ClipValidation, folder: Path) -> dict[str, float]:
         """Measure on `val`; keep the checkpoint if it is the best so far."""
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:
@@ -181,41 +184,6 @@ class Run:
         self.saved = time.monotonic()
 
 
-class Validation:
-    """Pairs of the `val` split of human-npt (PMD of the papers), and of fresh training-like data with another seed."""
-
-    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
-        self.config, self.device = config, device
-        self.trials = {k: list(HUMAN_NPT.trials("val", k, config.validation_pairs)) for k in HUMAN_NPT.kinds}
-        self.fresh = PairSource(config.data, body, device, config.seed + 1_000_003)
-
-    @torch.no_grad()
-    def measure(self, model: NPT) -> dict[str, float]:
-        """PMD x1e4 on seen and unseen poses and on fresh data; `val` is the mean of the last two."""
-        model.eval()
-        figures: dict[str, float] = {}
-        for kind, trials in self.trials.items():
-            figures[kind] = 1e4 * sum(self._pmd(model, t) for t in trials) / len(trials)
-        batches = [self.fresh.batch(32, i) for i in range(8)]
-        errors = [(self._infer(model, b.identity, b.driving) - b.truth).square().sum(-1).mean() for b in batches]
-        figures["fresh"] = 1e4 * float(torch.stack(errors).mean())
-        figures["val"] = (figures["unseen"] + figures["fresh"]) / 2
-        model.train()
-        return figures
-
-    def _pmd(self, model: NPT, trial) -> float:
-        meshes = (trial.identity.vertices, trial.driving.vertices, trial.truth)
-        (identity, own), (driving, _), (_, radius) = (_unit_sphere(torch.from_numpy(m).to(self.device)) for m in meshes)
-        result = self._infer(model, identity.float()[None], driving.float()[None])[0]
-        # In metres again, by the radius that the truths of the training were divided by.
-        scale = own if self.config.data.target_scale == "identity" else radius
-        return pmd_of_pair((result.double() * scale).cpu().numpy(), trial.truth)
-
-    def _infer(self, model: NPT, identity: Tensor, driving: Tensor) -> Tensor:
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
-            return model(identity, driving)
-
-
 class Log:
     """JSON lines, TensorBoard and a line on the terminal."""
 
@@ -225,7 +193,10 @@ class Log:
         self.time, self.mark = time.monotonic(), run.seconds
         # Forward plus backward: three times the forward arithmetic.
         count = config.data.vertices or run.source.body.vertex_count
-        self.flops = 3 * run.model.estimate_flops(count, count)
+        if isinstance(run.model, AniFormer):
+            self.flops = 3 * run.model.config.frames * run.model.estimate_flops(count)
+        else:
+            self.flops = 3 * run.model.estimate_flops(count, count)
 
     def add(self, loss: Tensor) -> None:
         """Collect a loss; write a line now and then."""
@@ -259,10 +230,3 @@ def schedule(config: TrainConfig, pairs: int, share: float) -> float:
     """Share of the learning rate after so many pairs, a `share` of the training: rise, constant, fall over `decay`."""
     rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
     return rise * (min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0)
-
-
-def _unit_sphere(points: Tensor) -> tuple[Tensor, Tensor]:
-    """Points centred on their bounding box in units of their radius, and that radius."""
-    centred = points - (points.amax(0) + points.amin(0)) / 2
-    radius = centred.norm(dim=-1).max()
-    return centred / radius, radius

@@ -62,7 +62,7 @@ def find_method(
         InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
     """
     from .copy import Copy
-    from .network import load_network
+    from .loading import load_network
 
     if ensemble < 1:
         raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")

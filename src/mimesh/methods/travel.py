@@ -23,13 +23,23 @@ def travelling(frames: Iterable[Float[np.ndarray, "U 3"]], pose: Pose, name: str
         InputError: a frame without size, called by the clip's name.
     """
     travel = None
+    for vertices in sized(frames, name):
+        result = pose(vertices)
+        result = result - bbox_centre(result)
+        travel = radius(result) if travel is None else travel
+        yield result + bbox_centre(vertices) * travel
+
+
+def sized(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
+    """The frames, as long as each has some size.
+
+    Raises:
+        InputError: one has none, called by the clip's name.
+    """
     for t, vertices in enumerate(frames):
         if not np.ptp(vertices, axis=0).any():
             raise InputError(
                 f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
                 "repair that frame, or end the clip before it with --stop"
             )
-        result = pose(vertices)
-        result = result - bbox_centre(result)
-        travel = radius(result) if travel is None else travel
-        yield result + bbox_centre(vertices) * travel
+        yield vertices

@@ -1,0 +1,206 @@
+"""AniFormer (Chen et al., BMVC 2021): give an identity mesh the motion of T driving frames at once.
+
+Section 3.1 and Fig. 2: every driving vertex of every frame passes through the pose encoder of NPT, gets its frame's
+temporal embedding (Eq. 1) and then four layers: a 1x1 convolution, attention (Eq. 2) added with a weight that starts at
+zero (Eq. 3), and a SPAdaIN ResBlock of the identity mesh. Driving vertex i is paired with identity vertex i, at random,
+and is the same point of the surface in all frames. What each departure from the public code is:
+
+- InstanceNorm in the encoder and an embedding that all vertices share (the code's are bound to 6,890 ordered vertices).
+- Frames meet. The text gives attention over the driving *sequence*, the code attends to the vertices of one frame.
+  `attention="both"` is factorised: a vertex attends to itself in the T frames, then to vertices of its own frame.
+- Vertices attend to `keys` vertices of their frame, by several heads: V x V products are 73 % of the code's arithmetic.
+
+An InstanceNorm takes away whatever all vertices of a frame share, so the embedding is felt through attention alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, cast
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from .layers import PointConv, ResBlock, instance_norm
+
+
+@dataclass(frozen=True)
+class AniFormerConfig:
+    """Switches of the model; the defaults are the paper's widths (16.9 M parameters)."""
+
+    frames: int = 3
+    """T, the driving frames of a window."""
+    encoder: tuple[int, int, int] = (64, 128, 1024)
+    """Channels of the pose feature extractor, as NPT's."""
+    layers: tuple[int, int, int, int] = (1024, 512, 512, 256)
+    """Channels that each layer puts out (the public code's; the paper leaves them to a supplement)."""
+    attention: Literal["both", "frames", "vertices", "off"] = "both"
+    """Whom a vertex attends to: itself in all frames, vertices of its frame, first the one and then the other."""
+    heads: int = 4
+    """Heads of each attention; they divide the channels of every layer. The public code has 1."""
+    scaled: bool = True
+    """Divide q k by the square root of a head's channels. Eq. 2 and the public code do not."""
+    keys: int = 1024
+    """Most vertices of its frame that a vertex attends to: the first ones, a random sample if the order is random."""
+    embedding: Literal["learned", "off"] = "learned"
+    """E_t of Eq. 1: one learned vector a frame, shared by all vertices."""
+    head: Literal["frames", "regression"] = "frames"
+    """`regression` is Table 1's vanilla head: features averaged over the frames give one frame, the middle one."""
+    order: Literal["norm-conv-relu", "norm-relu-conv"] = "norm-conv-relu"
+    """Of a ResBlock's units: as NPT's Table 3, or as the public code."""
+    output: Literal["tanh", "2tanh"] = "tanh"
+    """`2tanh` is the public code's, whose results may leave the unit sphere."""
+
+
+class Attention(nn.Module):
+    """What both kinds share: q, k and v by 1x1 convolutions, and the weight gamma, zero at first (Eq. 3)."""
+
+    def __init__(self, channels: int, config: AniFormerConfig) -> None:
+        super().__init__()
+        assert channels % config.heads == 0, f"{config.heads} heads do not divide {channels} channels"
+        self.query, self.key, self.value = (PointConv(channels, channels) for _ in range(3))
+        self.gamma = nn.Parameter(torch.zeros(()))
+        self.heads = config.heads
+        self.scale = (channels // config.heads) ** -0.5 if config.scaled else 1.0
+
+
+class FrameAttention(Attention):
+    """Each vertex attends to itself in all frames.
+
+    T is small, so its T x T products are taken channel by channel where the features lie: no copy in another layout.
+    """
+
+    def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
+        q, k = self._by_frame(self.query, h), self._by_frame(self.key, h)
+        scores = torch.stack([torch.stack([(here * there).sum(1) for there in k]) for here in q])
+        weights = (self.scale * scores.float()).softmax(dim=1).to(h.dtype)
+        v = self._by_frame(self.value, h)
+        attended = torch.stack([_weighted_sum(row, v) for row in weights], dim=3).flatten(0, 1)
+        return h + self.gamma * attended
+
+    def _by_frame(self, conv: PointConv, h: Float[Tensor, "C B T V"]) -> tuple[Float[Tensor, "H D B V"], ...]:
+        return by_frame(conv, h).unflatten(0, (self.heads, -1)).unbind(3)
+
+
+class VertexAttention(Attention):
+    """Each vertex attends to the first `keys` vertices of its own frame; no V x V matrix is stored."""
+
+    def __init__(self, channels: int, config: AniFormerConfig) -> None:
+        super().__init__(channels, config)
+        self.keys = config.keys
+
+    def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
+        seen = h.narrow(3, 0, cast(int, torch.sym_min(h.shape[3], self.keys)))  # in a graph V is a symbol
+        q, k, v = self._by_head(self.query(h)), self._by_head(self.key(seen)), self._by_head(self.value(seen))
+        # An exported graph stores what a fused kernel would not: one head's V x `keys` products at a time, then.
+        parts = zip(q.split(1, 1), k.split(1, 1), v.split(1, 1), strict=True) if _exporting() else [(q, k, v)]
+        heads = [F.scaled_dot_product_attention(*part, scale=self.scale) for part in parts]
+        attended = torch.cat(heads, dim=1).permute(1, 3, 0, 2).flatten(0, 1)
+        return h + self.gamma * attended.unflatten(1, h.shape[1:3])
+
+    def _by_head(self, h: Float[Tensor, "C B T N"]) -> Float[Tensor, "BT H N D"]:
+        """Contiguous, as the fused kernels want it."""
+        return h.unflatten(0, (self.heads, -1)).flatten(2, 3).permute(2, 0, 3, 1).contiguous()
+
+
+class Layer(nn.Module):
+    """One layer of the AniFormer encoder (Fig. 2, right)."""
+
+    def __init__(self, channels_in: int, channels: int, config: AniFormerConfig) -> None:
+        super().__init__()
+        self.conv = PointConv(channels_in, channels)
+        self.frames = FrameAttention(channels, config) if config.attention in ("frames", "both") else nn.Identity()
+        self.vertices = VertexAttention(channels, config) if config.attention in ("vertices", "both") else nn.Identity()
+        self.block = ResBlock(channels, config.order)
+
+    def forward(self, h: Float[Tensor, "C B T V"], identity: Float[Tensor, "3 B 1 V"]) -> Float[Tensor, "D B T V"]:
+        h = self.frames(by_frame(self.conv, h))
+        return by_frame(lambda frame: self.block(self.vertices(frame), identity), h)
+
+
+class AniFormer(nn.Module):
+    """The network. Positions in, positions out: each mesh centred, in units of a unit sphere."""
+
+    def __init__(self, config: AniFormerConfig) -> None:
+        super().__init__()
+        self.config = config
+        a, b, code = config.encoder
+        self.encoder = nn.ModuleList([PointConv(3, a), PointConv(a, b), PointConv(b, code)])
+        # As large as the spread of the features it is added to.
+        learned = config.embedding == "learned"
+        self.embedding = nn.Parameter(0.5 * torch.randn(code, 1, config.frames, 1)) if learned else None
+        widths = itertools.pairwise((code, *config.layers))
+        self.layers = nn.ModuleList(Layer(i, o, config) for i, o in widths)
+        last = config.layers[-1]
+        self.mlp = nn.ModuleList(PointConv(last, last) for _ in range(2 if config.head == "regression" else 0))
+        self.head = PointConv(last, 3)
+
+    def encode(self, driving: Float[Tensor, "3 B T V"]) -> Float[Tensor, "C B T V"]:
+        """Pose features Z_t of every frame, without the embedding."""
+        h = driving
+        for conv in self.encoder:
+            h = instance_norm(conv(h)).relu()
+        return h
+
+    def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B T V 3"]) -> Float[Tensor, "B R V 3"]:
+        """Identity vertices in all driving frames (R = T), or in the middle one (`head="regression"`: R = 1)."""
+        assert driving.shape[1] == self.config.frames, "a window has the frames of the configuration"
+        points = identity.permute(2, 0, 1)[:, :, None]
+        h = by_frame(self.encode, driving.permute(3, 0, 1, 2))
+        h = h if self.embedding is None else h + self.embedding
+        for layer in self.layers:
+            h = layer(h, points)
+        if self.config.head == "regression":
+            h = self._mlp(h.mean(dim=2, keepdim=True))
+        reach = 2.0 if self.config.output == "2tanh" else 1.0
+        return reach * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
+
+    def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
+        """The MLP block of the regression head."""
+        return self.mlp[1](self.mlp[0](h).relu())
+
+    def estimate_flops(self, vertices: int) -> float:
+        """Floating-point operations of a window's forward pass, by driving frame: two for each use of a weight.
+
+        The products of queries with keys and of weights with values are counted; norms and activations are not, and
+        training costs three times as much.
+        """
+        config, keys = self.config, min(self.config.keys, vertices)
+        count = sum(m.weight.numel() for m in self.modules() if isinstance(m, PointConv)) * vertices
+        for module in self.modules():
+            if isinstance(module, Attention):
+                channels = module.query.weight.shape[0]
+                count += 2 * channels * vertices * (config.frames if isinstance(module, FrameAttention) else keys)
+            if isinstance(module, VertexAttention):
+                count -= 2 * module.key.weight.numel() * (vertices - keys)
+        if config.head == "regression":
+            last = [m for part in (self.mlp, self.head) for m in part.modules() if isinstance(m, PointConv)]
+            once = sum(m.weight.numel() for m in last) * vertices
+            count -= once * (config.frames - 1) / config.frames
+        return 2.0 * count
+
+
+def by_frame(
+    function: Callable[[Float[Tensor, "C B T V"]], Float[Tensor, "D B T V"]], h: Float[Tensor, "C B T V"]
+) -> Float[Tensor, "D B T V"]:
+    """Apply what treats frames alike: to all at once, or in an exported graph to one after another, to save memory."""
+    if not _exporting():
+        return function(h)
+    return torch.cat([function(frame) for frame in h.split(1, dim=2)], dim=2)
+
+
+def _weighted_sum(
+    weights: Float[Tensor, "S H B V"], values: tuple[Float[Tensor, "H D B V"], ...]
+) -> Float[Tensor, "H D B V"]:
+    total = weights[0][:, None] * values[0]
+    for weight, value in zip(weights[1:], values[1:], strict=True):
+        total = torch.addcmul(total, weight[:, None], value)
+    return total
+
+
+def _exporting() -> bool:
+    return torch.compiler.is_exporting()

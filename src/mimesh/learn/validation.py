@@ -1,0 +1,107 @@
+"""What a training is judged by while it runs: the `val` split of its protocol, and fresh data like its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..bodies import RiggedBody
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
+from ..evaluate.metrics import pmd_of_pair
+from ..evaluate.pairs import Pair
+from ..evaluate.protocols import HUMAN_NPT
+from ..frame import bbox_centre, radius
+from .aniformer import AniFormer, AniFormerConfig
+from .batches import PairSource
+from .clip_batches import ClipSource
+from .config import TrainConfig
+from .npt import NPT
+
+FRESH_SEED = 1_000_003
+"""Added to the seed of a training: batches that it never sees."""
+
+
+def make_source(config: TrainConfig, body: RiggedBody, device: torch.device, seed: int) -> PairSource | ClipSource:
+    """Where a training's batches come from."""
+    if isinstance(config.model, AniFormerConfig):
+        return ClipSource(config.data, config.model.frames, body, device, seed)
+    return PairSource(config.data, body, device, seed)
+
+
+class PairValidation:
+    """Pairs of the `val` split of human-npt (PMD of the papers), and of fresh training-like data with another seed."""
+
+    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
+        self.config, self.device = config, device
+        self.trials = {k: list(HUMAN_NPT.trials("val", k, config.validation_pairs)) for k in HUMAN_NPT.kinds}
+        self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
+
+    @torch.no_grad()
+    def measure(self, model: NPT | AniFormer) -> dict[str, float]:
+        """PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of the last two."""
+        model.eval()
+        figures = {kind: sum(self.pmd(model, t) for t in trials) / len(trials) for kind, trials in self.trials.items()}
+        batches = [self.fresh.batch(32, i) for i in range(8)]
+        errors = [self._error(self._infer(model, b.identity, b.driving), b.truth) for b in batches]
+        figures["fresh"] = float(torch.stack(errors).mean())
+        figures = {kind: 1e4 * value for kind, value in figures.items()}
+        figures["val"] = (figures["unseen"] + figures["fresh"]) / 2
+        model.train()
+        return figures
+
+    def pmd(self, model: NPT | AniFormer, trial: Pair) -> float:
+        """Of one trial, result and truth in metres and then in the truth's unit sphere."""
+        identity, own = self._sphere(trial.identity.vertices)
+        driving, _ = self._sphere(trial.driving.vertices)
+        result = self._infer(model, identity[None], driving[None])[0]
+        return self._pmd_in_metres(result, own, trial.truth)
+
+    def _pmd_in_metres(self, result: Float[Tensor, "V 3"], own: float, truth: Float[np.ndarray, "V 3"]) -> float:
+        """The result made as large as the truths of the training were when they were divided by a radius."""
+        scale = own if self.config.data.target_scale == "identity" else self._sphere(truth)[1]
+        return pmd_of_pair((result.double() * scale).cpu().numpy(), truth)
+
+    def _sphere(self, points: Float[np.ndarray, "V 3"]) -> tuple[Float[Tensor, "V 3"], float]:
+        """Points centred on their bounding box in units of their radius, and that radius."""
+        centred = points - bbox_centre(points)
+        return torch.from_numpy(centred / radius(centred)).float().to(self.device), radius(centred)
+
+    def _infer(self, model: NPT | AniFormer, identity: Tensor, driving: Tensor) -> Tensor:
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
+            return model(identity, driving)
+
+    def _error(self, result: Tensor, truth: Tensor) -> Tensor:
+        return (result - truth).square().sum(-1).mean()
+
+
+class ClipValidation(PairValidation):
+    """The same on windows from the middle of clips of `clips-aniformer`."""
+
+    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
+        self.config, self.device = config, device
+        self.trials = {
+            kind: list(CLIPS_ANIFORMER.trials("val", kind, config.validation_pairs)) for kind in CLIPS_ANIFORMER.kinds
+        }
+        self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
+
+    def pmd(self, model: NPT | AniFormer, trial: ClipPair) -> float:  # type: ignore[override]
+        """Mean over the frames of one window."""
+        assert isinstance(model, AniFormer)
+        frames = model.config.frames
+        start = (len(trial.clip) - frames) // 2
+        identity, own = self._sphere(trial.identity.vertices)
+        window = [self._sphere(v)[0] for v in trial.clip.vertices[start : start + frames].astype(np.float64)]
+        results = self._infer(model, identity[None], torch.stack(window)[None])[0]
+        truths = trial.truth_frames[start : start + frames].astype(np.float64)
+        truths = truths if len(results) == frames else truths[frames // 2, None]
+        return float(np.mean([self._pmd_in_metres(r, own, t) for r, t in zip(results, truths, strict=True)]))
+
+    def _error(self, result: Tensor, truth: Tensor) -> Tensor:
+        return super()._error(result, middle_of(truth, result.shape[1]))
+
+
+def middle_of(truth: Float[Tensor, "B T V 3"], frames: int) -> Float[Tensor, "B R V 3"]:
+    """The truth of a result: all frames, or the middle one where the head gives one."""
+    return truth if frames == truth.shape[1] else truth[:, truth.shape[1] // 2, None]

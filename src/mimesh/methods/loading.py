@@ -1,0 +1,76 @@
+"""Open a network that `mimesh export` wrote, of either kind: its metadata (key "mimesh") say which."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..mesh import InputError
+from .network import Network
+from .sequence import Sequence
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
+
+KNOWN = {
+    "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth")},
+    "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
+}
+"""What the metadata of each kind say, and what they may say."""
+LONGEST = 64
+"""Most driving frames of a window."""
+
+
+def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2) -> Network | Sequence:
+    """Open an ONNX file written by `mimesh export`.
+
+    Raises:
+        InputError: no such file, not an ONNX network, or one that does not say it is ours.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
+    session = _open_session(path, threads)
+    card = _card(session, path)
+    if card["model"] == "aniformer":
+        return Sequence(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
+    return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
+
+
+def _open_session(path: Path, threads: int) -> InferenceSession:
+    import onnxruntime
+    from onnxruntime.capi import onnxruntime_pybind11_state as errors  # pyright: ignore[reportAttributeAccessIssue]
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3  # warnings about graph clean-up are not for users
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+    except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.InvalidArgument, errors.NotImplemented):
+        raise InputError(
+            f"{path}: expected a network in ONNX format, found something else; write one with mimesh export"
+        ) from None
+
+
+def _card(session: InferenceSession, path: Path) -> dict[str, Any]:
+    """The network's own description, checked."""
+    text = session.get_modelmeta().custom_metadata_map.get("mimesh")
+    if text is None:
+        raise InputError(f"{path}: expected a network of mimesh, found no such metadata; write one with mimesh export")
+    card = json.loads(text)
+    _check(card, "model", tuple(KNOWN), path)
+    for key, known in KNOWN[card["model"]].items():
+        _check(card, key, known, path)
+    if card["model"] == "aniformer":
+        _check(card, "frames", tuple(range(1, LONGEST + 1)), path)
+    return card
+
+
+def _check(card: dict[str, Any], key: str, known: tuple, path: Path) -> None:
+    if card.get(key) not in known:
+        wanted = " or ".join(known) if isinstance(known[0], str) else f"{known[0]} to {known[-1]}"
+        raise InputError(
+            f"{path}: expected {key} {wanted} in its metadata, found {card.get(key)!r}; "
+            "export it again with this version"
+        )

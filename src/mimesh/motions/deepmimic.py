@@ -1,0 +1,199 @@
+"""DeepMimic motion files (JSON, 44 numbers a frame) on our bodies: 20 human clips come with the package pybullet.
+
+A frame is its duration (s), the root's position (m) and quaternion, then one quaternion or hinge angle (radians) a
+joint; quaternions are w x y z, axes x front, y up, z right, and all limbs hang straight down at rest. Who was captured
+is not documented by their authors, so the clips are read where users have them, never shipped and never trained on.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import json
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody
+from ..bodies.sampling import rotvec_to_rotmat
+from ..mesh import InputError
+from .bvh import Bvh
+from .motion import Motion, leg_length, rotmat_to_rotvec, slerp
+from .retarget import retarget
+
+NUMBERS = 44
+"""In a frame of a person; the package's four-legged robot has 20."""
+_HUMANOID = (
+    "backflip cartwheel crawl dance_a dance_b getup_facedown getup_faceup jump kick punch roll run spin spinkick"
+)
+_WALKER = "0walk_forward turn_left0 turn_left1 turn_right0 turn_right1"
+CLIPS = {
+    **{name: f"humanoid3d_{name}.txt" for name in (*_HUMANOID.split(), "walk")},
+    **{name.lstrip("0"): f"walker/{name}.txt" for name in _WALKER.split()},
+}
+"""The 20 human clips of pybullet_data 3.2.7 by name, and their files."""
+SOLE = 0.05
+"""How far their soles are below their ankles (m): the foot's box in the character file that comes with the clips."""
+INSTALL = "pip install 'mimesh[motions]', or unpack the wheel of pip download pybullet==3.2.7 --no-deps"
+
+
+class _Joint(NamedTuple):
+    """A joint of ours, where it hangs in metres, and which numbers of a frame turn it; a share of several joints."""
+
+    name: str
+    parent: str
+    offset: tuple[float, float, float]
+    numbers: slice | None
+    share: float = 1.0
+
+
+def _side(side: str, z: float, hip: int, shoulder: int) -> tuple[_Joint, ...]:
+    """Leg and arm of a side; `z` is +1 to the right, `hip` and `shoulder` are where their quaternions begin."""
+    return (
+        _Joint(f"{side}UpLeg", "Hips", (0.0, 0.0, 0.084887 * z), slice(hip, hip + 4)),
+        _Joint(f"{side}Leg", f"{side}UpLeg", (0.0, -0.421546, 0.0), slice(hip + 4, hip + 5)),
+        _Joint(f"{side}Foot", f"{side}Leg", (0.0, -0.40987, 0.0), slice(hip + 5, hip + 9)),
+        _Joint(f"{side}Arm", "Spine1", (-0.02405, 0.2435, 0.18311 * z), slice(shoulder, shoulder + 4)),
+        _Joint(f"{side}ForeArm", f"{side}Arm", (0.0, -0.274788, 0.0), slice(shoulder + 4, shoulder + 5)),
+        _Joint(f"{side}Hand", f"{side}ForeArm", (0.0, -0.258947, 0.0), None),
+    )
+
+
+# One joint of theirs bends the trunk, one the neck; ours share it three by three, the middle one where theirs is.
+_JOINTS = (
+    _Joint("Hips", "", (0.0, 0.0, 0.0), slice(4, 8)),
+    _Joint("LowerBack", "Hips", (0.0, 0.236151, 0.0), slice(8, 12), 1 / 3),
+    _Joint("Spine", "LowerBack", (0.0, 0.0, 0.0), slice(8, 12), 1 / 3),
+    _Joint("Spine1", "Spine", (0.0, 0.0, 0.0), slice(8, 12), 1 / 3),
+    _Joint("Neck", "Spine1", (0.0, 0.223894, 0.0), slice(12, 16), 1 / 3),
+    _Joint("Neck1", "Neck", (0.0, 0.0, 0.0), slice(12, 16), 1 / 3),
+    _Joint("Head", "Neck1", (0.0, 0.0, 0.0), slice(12, 16), 1 / 3),
+    *_side("Right", 1.0, 16, 25),
+    *_side("Left", -1.0, 30, 39),
+)
+
+
+def deepmimic_folder(folder: Path | None = None) -> Path:
+    """The folder with the 20 clips: the one given, or that of an installed pybullet.
+
+    Raises:
+        InputError: a clip is missing there, or no folder is given and pybullet is not installed.
+    """
+    if folder is None:
+        found = importlib.util.find_spec("pybullet_data")  # finds it without importing it
+        if found is None or not found.submodule_search_locations:
+            raise InputError(f"DeepMimic clips: expected a folder or an installed pybullet, found neither; {INSTALL}")
+        folder = Path(found.submodule_search_locations[0]) / "data" / "motions"
+    missing = [file for file in CLIPS.values() if not (folder / file).is_file()]
+    if missing:
+        raise InputError(
+            f"{folder}: expected the {len(CLIPS)} human clips of pybullet_data/data/motions, found no {missing[0]}"
+            f"{f' and {len(missing) - 1} others' if missing[1:] else ''}; {INSTALL}"
+        )
+    return folder
+
+
+def load_deepmimic(path: str | Path, body: RiggedBody, name: str | None = None) -> Motion:
+    """A DeepMimic file's motion on `body`, at the file's frame rate; see `retarget` for what is kept.
+
+    The floor is the file's own: hips stand over it as high as theirs do, in units of the leg. Who lies on it is as
+    thick as our body is, and may sink in a little.
+
+    Raises:
+        InputError: as `read_deepmimic`.
+    """
+    source = read_deepmimic(path)
+    motion = retarget(source, body, name)
+    scale = leg_length(body.joints, body.joint_names) / leg_length(source.rest(), source.joint_names)
+    legs = -source.rest()[source.joint_names.index("LeftFoot"), 1] + SOLE
+    root = motion.root.copy()
+    root[:, 1] = (source.root[:, 1] - legs) * scale
+    return dataclasses.replace(motion, root=root)
+
+
+def read_deepmimic(path: str | Path) -> Bvh:
+    """A DeepMimic file as a skeleton with CMU's joint names, in the file's axes (metres).
+
+    Raises:
+        InputError: no such file, not such a file, frames that are not a person's, numbers that are no rotations or not
+            finite, or frames without duration.
+    """
+    path = Path(path)
+    rows = _read_rows(path)
+    names = tuple(joint.name for joint in _JOINTS)
+    parents = tuple(names.index(joint.parent) if joint.parent else -1 for joint in _JOINTS)
+    offsets = np.array([joint.offset for joint in _JOINTS])
+    rotmat = np.stack([_turned(joint, rows, path) for joint in _JOINTS], axis=1)
+    rotmat, root, fps = _at_one_rate(rows[:-1, 0], rotmat, rows[:, 1:4])
+    return Bvh(path.stem, names, parents, offsets, {}, rotmat, root, fps)
+
+
+def _read_rows(path: Path) -> Float[np.ndarray, "T 44"]:
+    """The file's frames, checked."""
+    if not path.is_file():
+        raise InputError(f"{path}: expected a DeepMimic motion file, found none; check the name")
+    try:
+        data = json.loads(path.read_bytes())
+        rows = data["Frames"]
+        counts = {len(row) for row in rows}
+        values = np.array(rows, float) if len(counts) == 1 else np.zeros(0)
+    except (ValueError, KeyError, TypeError):
+        raise InputError(
+            f'{path}: expected DeepMimic JSON with "Frames", lists of {NUMBERS} numbers, found something else; '
+            "copy the file again"
+        ) from None
+    if counts != {NUMBERS} or len(rows) < 2:
+        sizes = " or ".join(map(str, sorted(counts))) or "no"
+        raise InputError(
+            f"{path}: expected two frames or more of {NUMBERS} numbers, a person's, found {len(rows)} frames of "
+            f"{sizes}; choose another clip"
+        )
+    if not np.isfinite(values).all():
+        bad = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+        raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; copy the file again")
+    if not (values[:-1, 0] > 0).all():  # that of the last frame is 0 in some files
+        bad = int(np.flatnonzero(values[:-1, 0] <= 0)[0])
+        raise InputError(
+            f"{path}: expected frames that last, found {values[bad, 0]:g} s for frame {bad}; delete that frame"
+        )
+    return values
+
+
+def _turned(joint: _Joint, rows: Float[np.ndarray, "T 44"], path: Path) -> Float[np.ndarray, "T 3 3"]:
+    """Local rotations of one of our joints, in the file's axes."""
+    from scipy.spatial.transform import Rotation
+
+    if joint.numbers is None:
+        return np.tile(np.eye(3), (len(rows), 1, 1))
+    numbers = rows[:, joint.numbers]
+    if numbers.shape[1] == 1:
+        return rotvec_to_rotmat(numbers * [0.0, 0.0, 1.0])
+    length = np.linalg.norm(numbers, axis=1)
+    if np.abs(length - 1).max() > 0.5:  # interpolated ones in the package itself are 12 % off
+        worst = int(np.abs(length - 1).argmax())
+        raise InputError(
+            f"{path}: expected quaternions of about unit length, found {length[worst]:.3g} in frame {worst} "
+            f"({joint.name}); copy the file again"
+        )
+    rotmat = Rotation.from_quat(numbers[:, [1, 2, 3, 0]]).as_matrix()
+    return rotmat if joint.share == 1.0 else rotvec_to_rotmat(joint.share * rotmat_to_rotvec(rotmat))
+
+
+def _at_one_rate(
+    seconds: Float[np.ndarray, " N"], rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+) -> tuple[Float[np.ndarray, "S J 3 3"], Float[np.ndarray, "S 3"], float]:
+    """Frames that last as given, played at one rate: that of most of them; frames in between by slerp."""
+    each = float(np.median(seconds))
+    if np.abs(seconds - each).max() < 0.01 * each:
+        return rotmat, root, 1.0 / each
+    times = np.concatenate([[0.0], np.cumsum(seconds)])
+    at = np.arange(int(np.floor(times[-1] / each + 1e-3)) + 1) * each
+    before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(seconds) - 1)
+    part = ((at - times[before]) / seconds[before])[:, None]
+    return (
+        slerp(rotmat[before], rotmat[before + 1], part),
+        root[before] + part * (root[before + 1] - root[before]),
+        1.0 / each,
+    )

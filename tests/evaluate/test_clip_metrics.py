@@ -1,0 +1,99 @@
+"""Metrics of clips: exact values of known faults, naive twins, and what each of them is blind to."""
+
+import numpy as np
+import pytest
+
+from mimesh.evaluate.clip_metrics import clip_pmd, foot_skate, jitter, path_error_mm, unrest_mm
+
+FPS = 10.0
+
+
+def clips(seed: int = 0, frames: int = 6, vertices: int = 20):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(frames, vertices, 3)), rng.normal(size=(frames, vertices, 3))
+
+
+def test_the_truth_itself_is_perfect():
+    truth, _ = clips()
+    assert clip_pmd(truth, truth) == path_error_mm(truth, truth, 1.7) == jitter(truth, truth, 1.7, FPS) == 0
+    still = np.repeat(truth[:1], 4, axis=0)
+    assert unrest_mm(still, 1.7) == 0
+    assert foot_skate(still, still, 1.7, FPS) == 0
+
+
+def test_pmd_against_a_naive_twin():
+    result, truth = clips(1)
+    total = 0.0
+    for ours, theirs in zip(result, truth, strict=True):
+        middle, target = ours.mean(axis=0), theirs.mean(axis=0)
+        size = max(np.linalg.norm(p - target) for p in theirs)
+        total += sum((((p - middle) - (q - target)) ** 2).sum() / size**2 for p, q in zip(ours, theirs, strict=True))
+    assert clip_pmd(result, truth) == pytest.approx(total / truth.shape[0] / truth.shape[1])
+
+
+def test_pmd_is_blind_to_where_frames_stand_and_to_the_unit():
+    result, truth = clips(2)
+    moved = result + np.random.default_rng(3).normal(size=(len(result), 1, 3))
+    assert clip_pmd(moved, truth) == pytest.approx(clip_pmd(result, truth))
+    assert clip_pmd(1000 * result, 1000 * truth) == pytest.approx(clip_pmd(result, truth))
+
+
+def test_path_error_is_the_drift():
+    truth, _ = clips(4)
+    drift = truth + np.arange(len(truth))[:, None, None] * [0.01, 0.0, 0.0]
+    mean = 10 * np.arange(len(truth)).mean()
+    assert path_error_mm(drift, truth, 1.7) == pytest.approx(mean)
+    assert path_error_mm(drift, truth, 0.85) == pytest.approx(2 * mean)
+    assert path_error_mm(truth + [5.0, 0, 0], truth, 1.7) == pytest.approx(0, abs=1e-9)
+
+
+def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():
+    result, truth = clips(5)
+    lengths = [
+        np.linalg.norm(
+            (result[t + 1, v] - 2 * result[t, v] + result[t - 1, v])
+            - (truth[t + 1, v] - 2 * truth[t, v] + truth[t - 1, v])
+        )
+        for t in range(1, len(truth) - 1)
+        for v in range(truth.shape[1])
+    ]
+    assert jitter(result, truth, 1.7, FPS) == pytest.approx(np.mean(lengths) * FPS**2)
+    assert jitter(result, truth, 3.4, FPS) == pytest.approx(np.mean(lengths) * FPS**2 / 2)
+    steady = truth + np.random.default_rng(6).normal(size=truth.shape[1:]) + np.arange(len(truth))[:, None, None]
+    assert jitter(steady, truth, 1.7, FPS) == pytest.approx(0, abs=1e-9)
+    flicker = truth + 0.01 * (-1.0) ** np.arange(len(truth))[:, None, None] * [0, 1, 0]
+    assert jitter(flicker, truth, 1.7, FPS) == pytest.approx(0.04 * FPS**2)
+    assert jitter(truth[:2], truth[:2], 1.7, FPS) is None
+
+
+def test_unrest_is_the_largest_step_of_any_vertex():
+    result = np.zeros((4, 3, 3))
+    result[2, 1] = [0.003, 0.0, 0.004]
+    assert unrest_mm(result, 1.7) == pytest.approx(5.0)
+    assert unrest_mm(result, 0.85) == pytest.approx(10.0)
+    assert unrest_mm(result[:1], 1.7) == 0
+
+
+def test_skate_counts_what_stands_in_the_truth_alone():
+    """Of four vertices one stands, one is above the floor, one runs, one is lifted half way."""
+    frames = np.arange(5)[:, None]
+    truth = np.zeros((5, 4, 3))
+    truth[:, 1, 1] = 0.5
+    truth[:, 2, :1] = 0.1 * frames
+    truth[2:, 3, 1] = 0.2
+    result = truth + np.arange(5)[:, None, None] * [0.003, 0.5, 0.004]  # 5 mm a frame along the ground
+    assert foot_skate(result, truth, 1.7, FPS) == pytest.approx(5.0)
+    assert foot_skate(truth, truth, 1.7, FPS) == 0
+    only = truth.copy()
+    only[1:, 0, 0] += [1, 2, 3, 4]
+    assert foot_skate(only[:, :3], truth[:, :3], 1.7, FPS) == pytest.approx(100 * FPS)
+    assert foot_skate(result[:, 2:3], truth[:, 2:3], 1.7, FPS) is None
+
+
+@pytest.mark.parametrize(("metric", "more"), [(clip_pmd, ()), (path_error_mm, (1.7,)), (jitter, (1.7, FPS)),
+                                              (foot_skate, (1.7, FPS))])  # fmt: skip
+@pytest.mark.parametrize("cut", [np.s_[1:], np.s_[:, 1:]])
+def test_nothing_is_broadcast(metric, more, cut):
+    result, truth = clips()
+    with pytest.raises(ValueError, match="must have one shape"):
+        metric(result, truth[cut], *more)

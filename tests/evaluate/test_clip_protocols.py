@@ -1,0 +1,174 @@
+"""Clips: truth is the target in the driving's motion in every frame, splits are disjoint, the test set is fixed."""
+
+import itertools
+
+import numpy as np
+import pytest
+from deepmimic_files import write_folder
+
+from mimesh.bodies.sampling import sample_shape
+from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, SEEN, clips_aniformer
+from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.evaluate.pairs import human
+from mimesh.mesh import InputError
+from mimesh.motions import load_motion
+from mimesh.motions.clips import SPLITS
+from mimesh.motions.deepmimic import CLIPS
+from mimesh.motions.motion import leg_length
+
+STREAMS = ("train", "train/motions", "val", "val/actors", "val/motions", "test", "test/actors", "test/motions")
+KINDS = CLIPS_ANIFORMER.kinds
+GOLDEN = {
+    "seen": (264930.065593, 282286.203755),
+    "unseen": (346027.344300, 292397.494547),
+    "procedural": (300780.210840, 286580.716474),
+}
+"""Sums over the coordinates of truth and driving (metres) of the first test trial; unseen: of files written here."""
+
+
+@pytest.fixture(scope="module")
+def protocol(tmp_path_factory):
+    """With clips of our own in the place of DeepMimic's."""
+    return clips_aniformer(write_folder(tmp_path_factory.mktemp("deepmimic")))
+
+
+def test_the_papers_numbers():
+    assert len(CLIPS_ANIFORMER.seen(human())) == sum(SEEN.values()) == 80
+    assert len({motion.name for motion in CLIPS_ANIFORMER.seen(human())}) == 80
+    assert CLIPS_ANIFORMER.train_motions(human()).shape == (80, 30, 31, 3, 3)
+    assert CLIPS_ANIFORMER.train_paths(human()).shape == (80, 30, 3)
+    assert CLIPS_ANIFORMER.train_people(human()).shape == (16, 16)
+    assert [CLIPS_ANIFORMER.count(kind) for kind in KINDS] == [24, 20, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 80) for kind in KINDS] == [80, 20, 20]
+    assert [CLIPS_ANIFORMER.count(kind, 3) for kind in KINDS] == [3, 3, 3]
+
+
+def test_all_motions_are_whole_rotations_from_the_origin_to_the_front():
+    rotmat, root = CLIPS_ANIFORMER.train_motions(human()), CLIPS_ANIFORMER.train_paths(human())
+    np.testing.assert_allclose(np.linalg.det(rotmat[:, ::10]), 1, atol=1e-9)
+    np.testing.assert_array_equal(root[:, 0, [0, 2]], 0)
+    front = rotmat[:, 0, 0, :, 2]
+    np.testing.assert_allclose(front[:, 0], 0, atol=1e-12)
+    assert front[:, 2].min() > 0
+    assert np.linalg.norm(np.diff(root, axis=1), axis=-1).max() < 0.2  # metres a frame: nothing jumps
+
+
+def test_seconds_are_disjoint_pieces_of_the_training_takes():
+    """Every second is found in its take at its place, and no place serves twice."""
+    places = set()
+    for motion in CLIPS_ANIFORMER.seen(human())[: SEEN["seconds"]]:
+        take, offset = motion.name.split("@")
+        first = round(sum(map(float, offset.split("+"))) * 30)
+        np.testing.assert_array_equal(motion.rotmat[:, 1:], load_motion(take).rotmat[first : first + 30, 1:])
+        assert any(name == take and 30 * a <= first <= 30 * b - 30 for name, a, b in SPLITS["train"])
+        frames = {(take, t) for t in range(first, first + 30)}
+        assert not frames & places
+        places |= frames
+
+
+def test_the_first_seen_trials_are_spread_and_all_are_taken_once():
+    names = [CLIPS_ANIFORMER.motion("test", "seen", i).name for i in range(80)]
+    assert len(set(names)) == 80
+    sorts = [[n for n in names[:24] if word in n] for word in ("mirrored", "walk", "spline")]
+    assert all(2 <= len(some) <= 6 for some in sorts)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_truth_is_the_target_in_the_drivings_motion(protocol, kind):
+    """In every frame: shuffled alike, copying is wrong by body shape alone, a wrong order or frame by far more."""
+    trial = protocol.pair("test", kind, 1)
+    assert trial.truth_frames.shape == trial.clip.vertices.shape == trial.aligned_frames.shape == (30, 6890, 3)
+    assert trial.clip.fps == 30
+    for t in (0, 11, 29):
+        truth = trial.truth_frames[t]
+        assert pmd_of_pair(resized(trial.aligned_frames[t], truth), truth) < 80e-4
+        assert pmd_of_pair(np.roll(truth, 1, axis=0), truth) > 500e-4
+        assert np.median(np.abs(edge_lengths(truth, trial) / edge_lengths(trial.identity.vertices, trial) - 1)) < 0.06
+        np.testing.assert_allclose(
+            np.sort(trial.clip.vertices[t], axis=0), np.sort(trial.aligned_frames[t], axis=0), atol=1e-12
+        )
+    assert np.linalg.norm(np.diff(trial.truth_frames, axis=0), axis=-1).max() < 0.8
+    assert np.linalg.norm(trial.truth_frames[0] - trial.truth_frames[-1], axis=-1).max() > 0.05
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_a_pair_holds_is_the_first_frame(protocol, kind):
+    trial = protocol.pair("test", kind, 2)
+    np.testing.assert_array_equal(trial.driving.vertices, trial.clip.vertices[0])
+    np.testing.assert_array_equal(trial.clip.mesh.faces, trial.driving.faces)
+    np.testing.assert_array_equal(trial.truth, trial.truth_frames[0])
+    np.testing.assert_array_equal(trial.aligned, trial.aligned_frames[0])
+    later = trial.frame(7)
+    np.testing.assert_array_equal(later.driving.vertices, trial.clip.vertices[7])
+    np.testing.assert_array_equal(later.truth, trial.truth_frames[7])
+    identity, driving = trial.markers.T
+    np.testing.assert_allclose(trial.aligned[identity], trial.driving.vertices[driving], atol=1e-12)
+    np.testing.assert_allclose(trial.aligned_reference[identity], trial.reference[driving], atol=1e-12)
+    still = trial.identity.vertices
+    assert pmd_of_pair(resized(trial.aligned_reference, still), still) < 80e-4  # one pose, two people
+
+
+def edge_lengths(vertices, trial):
+    edge = trial.identity.faces[:, :2]
+    return np.linalg.norm(np.diff(vertices[edge], axis=1)[:, 0], axis=1)
+
+
+def test_truth_is_posed_anew_on_a_path_as_long_as_its_legs():
+    trial = CLIPS_ANIFORMER.whole("val", "procedural", 9, np.random.default_rng(0))
+    motion = CLIPS_ANIFORMER.motion("val", "procedural", 9)
+    shape = sample_shape(human(), CLIPS_ANIFORMER.seed("val"), 1, CLIPS_ANIFORMER.spread)
+    legs = [leg_length(joints, human().joint_names) for joints in (human().shaped(shape)[1], human().joints)]
+    there = human().posed(shape, motion.rotmat[20], motion.root[20] * legs[0] / legs[1])
+    np.testing.assert_allclose(trial.truth_frames[20], there, atol=1e-12)
+    assert abs(legs[0] / legs[1] - 1) > 0.01
+
+
+def test_people_are_eight_targets_and_new_actors_in_streams_of_their_own():
+    seeds = [CLIPS_ANIFORMER.seed(stream) for stream in STREAMS]
+    assert len(set(seeds)) == len(STREAMS)
+    first = [sample_shape(human(), seed, 0) for seed in seeds]
+    assert all(not np.allclose(a, b) for a, b in itertools.combinations(first, 2))
+    one, nine = (CLIPS_ANIFORMER.pair("val", "seen", i) for i in (0, 8))
+    assert one.height == nine.height
+    assert not np.allclose(np.ptp(one.clip.vertices[0], axis=0), np.ptp(nine.clip.vertices[0], axis=0))
+
+
+def test_motions_of_val_are_later_seconds_and_need_no_folder():
+    train = {frame[1:].tobytes() for motion in CLIPS_ANIFORMER.seen(human()) for frame in motion.rotmat}
+    for kind in ("unseen", "procedural"):
+        for i in range(14 if kind == "unseen" else 4):
+            motion = CLIPS_ANIFORMER.motion("val", kind, i)
+            assert len(motion) == 30
+            assert not train & {frame[1:].tobytes() for frame in motion.rotmat}
+
+
+def test_unseen_motions_are_one_second_of_each_clip(protocol):
+    motions = [protocol.motion("test", "unseen", i) for i in range(20)]
+    assert [motion.name for motion in motions] == list(CLIPS)
+    assert {(len(motion), motion.fps) for motion in motions} == {(30, 30.0)}
+
+
+def test_trials_are_a_pure_function_of_the_seed():
+    first, again, other = (CLIPS_ANIFORMER.pair("val", "procedural", i) for i in (3, 3, 4))
+    np.testing.assert_array_equal(first.truth_frames, again.truth_frames)
+    np.testing.assert_array_equal(first.clip.vertices, again.clip.vertices)
+    np.testing.assert_array_equal(first.clip.mesh.faces, again.clip.mesh.faces)
+    assert not np.array_equal(first.truth_frames, other.truth_frames)
+
+
+def test_what_is_missing_is_told_before_anything_is_measured(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="DeepMimic clips: expected a folder or an installed pybullet"):
+        CLIPS_ANIFORMER.check("test")
+    CLIPS_ANIFORMER.check("val")
+    with pytest.raises(InputError, match="expected val or test"):
+        CLIPS_ANIFORMER.check("train")
+    with pytest.raises(InputError, match="expected the 20 human clips"):
+        clips_aniformer(tmp_path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_test_set_is_the_published_one(protocol, kind):
+    trial = protocol.pair("test", kind, 0)
+    sums = [np.abs(trial.truth_frames).sum(), np.abs(trial.clip.vertices).sum()]
+    assert np.allclose(sums, GOLDEN[kind], rtol=1e-7), sums

@@ -1,0 +1,171 @@
+"""Windows of a clip: what is read when, how results are blended; an exported AniFormer is found by its file."""
+
+import itertools
+import weakref
+
+import numpy as np
+import pytest
+from networks import write_sequence_network
+from people import person, walk
+
+from mimesh.geometry import edges
+from mimesh.mesh import Clip, InputError, Mesh, permute_vertices
+from mimesh.methods import find_method
+from mimesh.methods.network import Lengths
+from mimesh.methods.pairing import rank_vertices
+from mimesh.methods.sequence import Sequence, blended, middles, windows
+from mimesh.pipeline import animate, transfer
+
+HEADS = ["frames", "regression"]
+
+
+def numbered(count: int):
+    return [np.full((2, 3), float(t)) for t in range(count)]
+
+
+@pytest.fixture(params=HEADS)
+def network(request, tmp_path):
+    pytest.importorskip("onnx")
+    return str(write_sequence_network(tmp_path / "tiny.onnx", head=request.param))
+
+
+@pytest.mark.parametrize("count", range(7))
+@pytest.mark.parametrize("length", range(1, 5))
+def test_what_gives_frames_back_gives_the_clip_back(count, length):
+    """Exactness: a run that returns its input makes both kinds of blending the identity, at any two lengths."""
+    frames = numbered(count)
+    all_of_window = list(blended(iter(frames), lambda window: window, length))
+    middle = list(middles(iter(frames), lambda window: window[length // 2][None], length))
+    for results in (all_of_window, middle):
+        assert len(results) == count
+        assert all(np.allclose(a, b, rtol=0, atol=1e-12) for a, b in zip(results, frames, strict=True))
+
+
+def test_every_window_of_a_clip_is_run_once():
+    starts = [window[0, 0, 0] for window, _ in windows(iter(numbered(6)), 3)]
+    assert starts == [0, 1, 2, 3]
+    assert [count for _, count in windows(iter(numbered(2)), 3)] == [2]
+    assert [w[:, 0, 0].tolist() for w, _ in windows(iter(numbered(2)), 4)] == [[0, 1, 1, 1]]
+
+
+def test_blending_is_a_triangle_over_the_window():
+    """Naive twin: window s says 10 s + offset; weights 1, 2, 1, whatever windows there are."""
+    runs = itertools.count()
+
+    def run(window):
+        s = next(runs)
+        return np.stack([np.full((2, 3), 10.0 * s + offset) for offset in range(3)])
+
+    found = [result[0, 0] for result in blended(iter(numbered(5)), run, 3)]
+    weights, said = (1, 2, 1), {(s, o): 10 * s + o for s in range(3) for o in range(3)}
+    for t in range(5):
+        there = [(weights[t - s], said[s, t - s]) for s in range(3) if 0 <= t - s < 3]
+        assert found[t] == pytest.approx(sum(w * x for w, x in there) / sum(w for w, _ in there))
+
+
+@pytest.mark.parametrize("head", HEADS)
+def test_memory_does_not_grow_with_the_clip(head):
+    alive: list[weakref.ref] = []
+
+    def frames():
+        for _ in range(40):
+            frame = np.zeros((2, 3))
+            alive.append(weakref.ref(frame))
+            assert sum(ref() is not None for ref in alive) <= 6
+            yield frame
+            del frame
+
+    blend = middles if head == "regression" else blended
+    results = blend(frames(), lambda window: window[:1] if head == "regression" else window, 3)
+    assert sum(1 for _ in results) == 40
+
+
+def test_the_file_says_which_kind_it_is(network):
+    method = find_method(network, ensemble=2, seed=3)
+    assert isinstance(method, Sequence)
+    assert (method.frames, method.ensemble, method.seed) == (3, 2, 3)
+
+
+def test_permuting_the_driving_clip_changes_no_bit_and_the_identity_only_the_order(network):
+    clip, identity = walk(frames=5, faces=600), person(0)
+    expected = animate(identity, clip, network).clip.vertices
+    order = np.random.default_rng(4).permutation(clip.vertices.shape[1])
+    shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
+    assert np.array_equal(animate(identity, shuffled, network).clip.vertices, expected)
+    own = np.random.default_rng(5).permutation(len(identity.vertices))
+    result = animate(permute_vertices(identity, own), clip, network).clip.vertices
+    assert np.array_equal(result, expected[:, own])
+
+
+def test_a_single_mesh_is_a_still_clip(network):
+    driving = person(1, 0)
+    single = transfer(person(0), driving, network).vertices
+    still = Clip(driving, np.repeat(driving.vertices[None], 3, axis=0))
+    assert np.allclose(animate(person(0), still, network).clip.vertices, single, atol=1e-6)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_clips_of_any_length_give_as_many_frames(network, count):
+    assert animate(person(0), walk(frames=count), network).clip.vertices.shape[0] == count
+
+
+def test_results_walk_where_the_driving_walks(network):
+    forward = animate(person(0), walk(frames=5), network).clip.vertices.mean(axis=1)[:, 2]
+    assert (np.diff(forward) > 0.05).all()
+
+
+def test_an_ensemble_is_the_mean_of_its_pairings(network):
+    method = find_method(network, ensemble=3)
+    assert isinstance(method, Sequence)
+    rng = np.random.default_rng(0)
+    identity, window = rng.normal(size=(30, 3)), rng.normal(size=(3, 50, 3))
+    pairings = [method._pairing(k, 30, 50) for k in range(3)]
+    singles = []
+    for own, theirs in pairings:
+        inputs = {"identity": identity[None, own], "driving": window[None][:, :, theirs]}
+        result = method.session.run(["result"], {k: v.astype(np.float32) for k, v in inputs.items()})[0][0]
+        singles.append(result[:, np.argsort(own)])
+    assert np.allclose(method._run(identity, window, pairings), np.mean(singles, axis=0), atol=1e-6)
+
+
+def test_seed_and_ensemble_change_the_result(network):
+    identity, driving = person(0), person(1, 0)
+    base = transfer(identity, driving, network).vertices
+    assert not np.array_equal(base, transfer(identity, driving, network, seed=1).vertices)
+    assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
+
+
+def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
+    pytest.importorskip("onnx")
+    method = find_method(str(write_sequence_network(tmp_path / "truth.onnx", target_scale="truth")))
+    identity, clip = person(0), walk(frames=4)
+    ranked = rank_vertices(identity.vertices)
+    still = ranked.merge(identity.vertices)
+    lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
+    results = list(method.prepare(identity, clip.mesh)(iter(clip.vertices.astype(float))))
+    assert len(results) == 4
+    assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(still)] * 4)
+
+
+def test_a_frame_that_collapses_is_told_by_its_number(network):
+    clip = walk(frames=5)
+    vertices = clip.vertices.copy()
+    vertices[3] = 0.5
+    with pytest.raises(InputError, match="frame 3"):
+        animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
+
+
+def test_point_clouds_pass(network):
+    cloud = Mesh(np.random.default_rng(0).normal(size=(60, 3)), np.zeros((0, 3), int))
+    for identity, driving in ((cloud, person(0)), (person(0), cloud)):
+        assert np.isfinite(transfer(identity, driving, network).vertices).all()
+
+
+@pytest.mark.parametrize(
+    "fact", [{"model": "other"}, {"head": "two"}, {"target_scale": "x"}, {"frames": 0}, {"frames": "3"}]
+)
+def test_unknown_metadata_is_told(tmp_path, fact):
+    pytest.importorskip("onnx")
+    path = write_sequence_network(tmp_path / "odd.onnx", said=fact)
+    with pytest.raises(InputError, match=next(iter(fact))):
+        find_method(str(path))

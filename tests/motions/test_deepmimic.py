@@ -1,0 +1,171 @@
+"""DeepMimic files: known poses and motions arrive where they should on our body; damage is told in one line."""
+
+import json
+
+import numpy as np
+import pytest
+from deepmimic_files import QUATERNIONS, still_rows, swaying_rows, write_folder, write_rows
+
+from mimesh.bodies import load_body
+from mimesh.mesh import InputError
+from mimesh.motions.deepmimic import CLIPS, deepmimic_folder, load_deepmimic, read_deepmimic
+from mimesh.motions.motion import joint_tracks, leg_length, lowest
+from mimesh.motions.retarget import BONES
+
+AXES = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+"""Their x front, y up, z right to our x left, y up, z front."""
+ROOT, CHEST, LEFT_SHOULDER, LEFT_KNEE, LEFT_ELBOW = 4, 8, 39, 34, 43
+
+
+@pytest.fixture(scope="module")
+def body():
+    return load_body()
+
+
+def turn(axis: int, degrees: float) -> np.ndarray:
+    """Quaternion w x y z about a coordinate axis of theirs."""
+    half = np.radians(degrees) / 2
+    return np.array([np.cos(half), *(np.sin(half) * np.eye(3)[axis])])
+
+
+def bone(body, motion, joint: str, tail: str) -> np.ndarray:
+    """Direction from a joint to another in every frame."""
+    place = joint_tracks(body, motion)[1]
+    way = place[:, body.joint(tail)] - place[:, body.joint(joint)]
+    return way / np.linalg.norm(way, axis=1, keepdims=True)
+
+
+def test_at_rest_all_limbs_hang_and_soles_are_on_the_floor(body, tmp_path):
+    motion = load_deepmimic(write_rows(tmp_path / "a.txt", still_rows()), body)
+    for joint, tail in BONES.items():
+        np.testing.assert_allclose(bone(body, motion, joint, tail), [[0, -1, 0]] * 3, atol=1e-9)
+    np.testing.assert_allclose(motion.rotmat[:, body.joint("Hips")], [np.eye(3)] * 3, atol=1e-12)
+    np.testing.assert_allclose(lowest(body, motion.rotmat, motion.root), 0, atol=0.01)
+    assert (motion.name, motion.fps) == ("a", pytest.approx(30))
+
+
+def test_known_turns_arrive_on_the_right_limb_and_way(body, tmp_path):
+    rows = still_rows()
+    rows[:, LEFT_SHOULDER : LEFT_SHOULDER + 4] = turn(0, 90)  # out to the left
+    rows[:, LEFT_ELBOW] = np.pi / 2  # then forward
+    rows[:, LEFT_KNEE] = -np.pi / 2  # heel to the back
+    motion = load_deepmimic(write_rows(tmp_path / "a.txt", rows), body)
+    np.testing.assert_allclose(bone(body, motion, "LeftArm", "LeftForeArm")[0], [1, 0, 0], atol=1e-9)
+    np.testing.assert_allclose(bone(body, motion, "LeftForeArm", "LeftHand")[0], [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(bone(body, motion, "LeftLeg", "LeftFoot")[0], [0, 0, -1], atol=1e-9)
+    np.testing.assert_allclose(bone(body, motion, "RightArm", "RightForeArm")[0], [0, -1, 0], atol=1e-9)
+    # An arm held out in the T-pose's way is the T-pose's arm.
+    np.testing.assert_allclose(motion.rotmat[0, body.joint("LeftArm")], np.eye(3), atol=1e-9)
+
+
+def test_path_and_heading(body, tmp_path):
+    rows = still_rows(4)
+    rows[:, 1] = np.arange(4) * 0.1
+    rows[:, 2] += [0, 0.3, 0, 0]
+    rows[-1, ROOT : ROOT + 4] = turn(1, 90)
+    motion = load_deepmimic(write_rows(tmp_path / "a.txt", rows), body)
+    scale = leg_length(body.joints, body.joint_names) / (0.421546 + 0.40987)
+    np.testing.assert_allclose(motion.root - motion.root[0], scale * rows[:, [3, 2, 1]] - scale * rows[0, [3, 2, 1]])
+    np.testing.assert_allclose(motion.rotmat[-1, 0][:, 2], [1, 0, 0], atol=1e-9)  # to the left
+
+
+def test_any_motion_keeps_limb_directions_trunk_and_feet(body, tmp_path):
+    path = write_rows(tmp_path / "a.txt", swaying_rows(0))
+    source, motion = read_deepmimic(path), load_deepmimic(path, body)
+    rotation, place = source.world()
+    for joint, tail in BONES.items():
+        way = (place[:, source.joint_names.index(tail)] - place[:, source.joint_names.index(joint)]) @ AXES.T
+        np.testing.assert_allclose(
+            bone(body, motion, joint, tail), way / np.linalg.norm(way, axis=1, keepdims=True), atol=1e-9
+        )
+    ours = joint_tracks(body, motion)[0]
+    for joint in ("Hips", "Spine1", "Head"):
+        theirs = AXES @ rotation[:, source.joint_names.index(joint)] @ AXES.T
+        np.testing.assert_allclose(ours[:, body.joint(joint)], theirs, atol=1e-9)
+
+
+def test_a_naive_twin_of_the_rotations(tmp_path):
+    """The chest's whole rotation is at the upper spine, and the arm's follows on it."""
+    from scipy.spatial.transform import Rotation
+
+    rows = swaying_rows(3, frames=5)
+    source = read_deepmimic(write_rows(tmp_path / "a.txt", rows))
+    world = source.world()[0]
+    root, chest, shoulder = (
+        Rotation.from_quat(rows[:, [k + 1, k + 2, k + 3, k]]) for k in (ROOT, CHEST, LEFT_SHOULDER)
+    )
+    elbow = Rotation.from_rotvec(rows[:, [LEFT_ELBOW]] * [0.0, 0.0, 1.0])
+    expected = (root * chest * shoulder * elbow).as_matrix()
+    np.testing.assert_allclose(world[:, source.joint_names.index("LeftForeArm")], expected, atol=1e-9)
+
+
+def test_frames_of_unequal_duration_are_played_at_one_rate(tmp_path):
+    rows = swaying_rows(1, frames=20)
+    gap = np.delete(rows, 7, axis=0)
+    gap[6, 0] *= 2
+    whole, filled = (read_deepmimic(write_rows(tmp_path / "a.txt", r)) for r in (rows, gap))
+    assert filled.fps == whole.fps
+    assert len(filled.rotmat) == len(whole.rotmat)
+    np.testing.assert_allclose(np.delete(filled.rotmat, 7, 0), np.delete(whole.rotmat, 7, 0), atol=1e-9)
+    np.testing.assert_allclose(filled.root, whole.root, atol=1e-12)
+    np.testing.assert_allclose(filled.rotmat[7], whole.rotmat[7], atol=0.02)
+
+
+def test_the_last_frame_may_last_nothing(tmp_path):
+    rows = still_rows()
+    rows[-1, 0] = 0.0
+    assert read_deepmimic(write_rows(tmp_path / "a.txt", rows)).fps == pytest.approx(30)
+
+
+def spoilt(column: int | slice, value: float):
+    rows = still_rows()
+    rows[1, column] = value
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (still_rows()[:, :20], "44 numbers, a person's, found 3 frames of 20"),
+        (still_rows(1), "two frames or more"),
+        ([], "found 0 frames of no"),
+        ([still_rows()[0].tolist(), [1.0]], "frames of 1 or 44"),
+        (spoilt(2, np.nan), "NaN or infinity in frame 1"),
+        (spoilt(0, 0.0), "found 0 s for frame 1"),
+        (spoilt(slice(8, 12), 0.0), r"found 0 in frame 1 \(LowerBack\)"),
+        ("text", "something else"),
+        ([["a"] * 44] * 2, "something else"),
+    ],
+)
+def test_damage_is_told_in_one_line(rows, message, tmp_path):
+    with pytest.raises(InputError, match=message) as told:
+        read_deepmimic(write_rows(tmp_path / "a.txt", rows))
+    assert "\n" not in str(told.value)
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(InputError, match="expected a DeepMimic motion file, found none"):
+        read_deepmimic(tmp_path / "gone.txt")
+    for text in ("not JSON", json.dumps([1, 2]), json.dumps({"Loop": "wrap"})):
+        (tmp_path / "a.txt").write_text(text)
+        with pytest.raises(InputError, match="something else"):
+            read_deepmimic(tmp_path / "a.txt")
+
+
+def test_the_folder_is_the_given_one_or_that_of_pybullet(tmp_path, monkeypatch):
+    assert len(CLIPS) == 20
+    assert len(QUATERNIONS) == 9
+    given = write_folder(tmp_path / "given")
+    assert deepmimic_folder(given) == given
+    (given / CLIPS["walk"]).unlink()
+    with pytest.raises(InputError, match=r"found no humanoid3d_walk\.txt; pip install"):
+        deepmimic_folder(given)
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(InputError, match="neither; pip install"):
+        deepmimic_folder()
+    monkeypatch.undo()
+    package = tmp_path / "site" / "pybullet_data"
+    write_folder(package / "data" / "motions")
+    (package / "__init__.py").write_text("raise RuntimeError('nobody imports it')")
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    assert deepmimic_folder() == package / "data" / "motions"
