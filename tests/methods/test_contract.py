@@ -87,8 +87,8 @@ CHANGES += [dict(rotation=rotation) for rotation in ROTATIONS]
 
 
 def skip_most_if_slow(model, number):
-    if model in SLOW and number not in (3, 9, 17, 22):
-        pytest.skip("seconds a mesh: four changes stand for all")
+    if model in SLOW and number not in (3, 17):
+        pytest.skip("seconds a mesh: two changes stand for all")
 
 
 def skip_copy(model):

@@ -51,7 +51,7 @@ class SPAdaIN(nn.Module):
         self.shift = PointConv(3, channels)
         self.normalise = normalise
 
-    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
+    def forward(self, h: Float[Tensor, "C *B V"], identity: Float[Tensor, "3 *I V"]) -> Float[Tensor, "C *B V"]:
         return self.scale(identity) * (instance_norm(h) if self.normalise else h) + self.shift(identity)
 
 
@@ -68,7 +68,7 @@ class Unit(nn.Module):
         self.order = order
         self.normalise = normalise
 
-    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
+    def forward(self, h: Float[Tensor, "C *B V"], identity: Float[Tensor, "3 *I V"]) -> Float[Tensor, "C *B V"]:
         if self.norm is not None:
             h = self.norm(h, identity)
         elif self.normalise:
@@ -98,5 +98,5 @@ class ResBlock(nn.Module):
         first, second, shortcut = (Unit(channels, order, modulated, there) for there in keep)
         self.first, self.second, self.shortcut = first, second, shortcut
 
-    def forward(self, h: Float[Tensor, "C *#B V"], identity: Float[Tensor, "3 *#B V"]) -> Float[Tensor, "C *#B V"]:
+    def forward(self, h: Float[Tensor, "C *B V"], identity: Float[Tensor, "3 *I V"]) -> Float[Tensor, "C *B V"]:
         return self.second(self.first(h, identity), identity) + self.shortcut(h, identity)
