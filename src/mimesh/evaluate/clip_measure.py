@@ -12,10 +12,11 @@ from jaxtyping import Float
 from ..frame import radius
 from ..mesh import Clip
 from ..methods import find_method
+from ..methods.limp import Limp
 from ..pipeline import animate
 from .clip_metrics import clip_pmd, foot_skate, jitter, path_error_mm, unrest_mm
-from .clip_protocols import ClipPair
-from .measure import AXES, NotApplicableError, helped, in_true_size, knows_no_size, shape_figures
+from .clip_protocols import ClipPair, on_template
+from .measure import AXES, GIVEN, NotApplicableError, helped, in_true_size, knows_no_size, shape_figures
 
 STILL = 5
 """Frames of the clip that stands still."""
@@ -47,7 +48,10 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
     """Figures of one clip, or {"why": ...} where the method cannot work on it.
 
     Those of shape are means over the frames (the worst, for stretch); `seconds` are those of a frame, all included.
+    LIMP knows its template alone, so it is measured on the trial's vertices that are the template's.
     """
+    if method not in GIVEN and isinstance(find_method(method), Limp):
+        trial = on_template(trial)
     started = time.perf_counter()
     try:
         result = moved_clip(trial, method, ensemble)

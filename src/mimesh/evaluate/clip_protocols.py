@@ -17,16 +17,17 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from ..mesh import Clip, InputError
+from ..mesh import Clip, InputError, Mesh
 from ..motions import Motion, load_deepmimic, mirror, motion_clip, resample, spline_motion, walk_motion
 from ..motions.clips import split_windows
 from ..motions.deepmimic import CLIPS, deepmimic_folder
 from .pairs import Pair, Person, Pose, human, random_orders, reordered, stage
 from .protocols import Protocol
+from .remesh import template
 
 FRAMES = 30
 FPS = 30.0
@@ -48,6 +49,8 @@ class ClipPair(Pair):
     truth_frames: Float[np.ndarray, "T V 3"]
     aligned_frames: Float[np.ndarray, "T V 3"]
     """The driving person with true correspondence."""
+    template: Int[np.ndarray, "N 2"]
+    """Identity and driving vertex of each vertex of LIMP's template."""
 
     def frame(self, t: int) -> Pair:
         """Frame t as a pair of meshes."""
@@ -123,20 +126,43 @@ class ClipsAniformer(Protocol):
             clip=dataclasses.replace(clip, mesh=known["driving"]),
             truth_frames=truth.vertices,
             aligned_frames=clip.vertices,
+            template=template().corners[:, :2],
         )
 
     def pair(self, split: str, kind: str, i: int) -> ClipPair:
         """Trial i as methods get it: shuffled, all frames alike."""
         rng = self.rng(split, kind, i)
         whole = self.whole(split, kind, i, rng)
-        order, driving_order = random_orders(whole, rng)
+        orders = order, driving_order = random_orders(whole, rng)
         first = reordered(whole, order, driving_order)
         return dataclasses.replace(
             first,
             clip=Clip(first.driving, whole.clip.vertices[:, driving_order], whole.clip.fps),
             truth_frames=whole.truth_frames[:, order],
             aligned_frames=whole.aligned_frames[:, order],
+            template=np.stack([np.argsort(o)[t] for o, t in zip(orders, whole.template.T, strict=True)], axis=1),
         )  # pyright: ignore[reportReturnType] (replace keeps the class)
+
+
+def on_template(trial: ClipPair) -> ClipPair:
+    """The same trial on the vertices that LIMP knows, in their order."""
+    mine, theirs = trial.template.T
+    faces, vertices = template().faces, trial.clip.vertices[:, theirs]
+    identity = Mesh(trial.identity.vertices[mine], faces, name=trial.identity.name)
+    driving = Mesh(vertices[0].astype(np.float64), faces, name=trial.driving.name)
+    truth, aligned = trial.truth_frames[:, mine], trial.aligned_frames[:, mine]
+    known = {field.name: None for field in dataclasses.fields(Pair) if field.default is None}
+    return dataclasses.replace(
+        trial,
+        **known,
+        identity=identity,
+        driving=driving,
+        clip=Clip(driving, vertices, trial.clip.fps),
+        truth=truth[0],
+        truth_frames=truth,
+        aligned_frames=aligned,
+        template=np.repeat(np.arange(len(mine))[:, None], 2, axis=1),
+    )
 
 
 def clips_aniformer(data: Path | None = None) -> ClipsAniformer:

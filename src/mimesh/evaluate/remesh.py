@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..geometry import at_barycentric, closest_on_mesh, edges, face_vectors, sample_surface
+from ..geometry import at_barycentric, closest_on_mesh, edges, face_vectors, sample_surface, spatial_order
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +40,31 @@ def decimated() -> Remesh:
     """The human body with a fifth of its triangles, by quadric simplification."""
     body = load_body()
     return _projected(body, *_simplify(body.vertices, body.faces, len(body.faces) // 5))
+
+
+@cache
+def template(count: int = 2100) -> Remesh:
+    """As many of the human body's own vertices as LIMP's meshes have, spread evenly, and triangles between them.
+
+    Every vertex of the body belongs to the nearest chosen one along its edges; three that meet in a triangle of the
+    body are a triangle here.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import dijkstra
+
+    body = load_body()
+    size, pairs = len(body.vertices), edges(body.faces)
+    cells = np.array_split(spatial_order(body.vertices), count)
+    chosen = np.array([cell[len(cell) // 2] for cell in cells])
+    lengths = np.linalg.norm(np.diff(body.vertices[pairs], axis=1)[:, 0], axis=1)
+    graph = coo_matrix((lengths, pairs.T), (size, size))
+    nearest = dijkstra(graph, directed=False, indices=chosen, return_predecessors=True, min_only=True)[2]
+    rank = np.full(size, -1)
+    rank[chosen] = np.arange(count)
+    corners = rank[nearest[body.faces]]
+    apart = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
+    first = np.unique(np.sort(corners[apart], axis=1), axis=0, return_index=True)[1]
+    return Remesh(corners[apart][first], np.repeat(chosen[:, None], 3, axis=1), np.tile([1.0, 0, 0], (count, 1)))
 
 
 @cache

@@ -18,7 +18,9 @@ from .. import geometry
 from ..bodies import RiggedBody
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
+from ..evaluate.remesh import template
 from ..motions import pose_bank
 from .bodies import TorchBody, rotvec_to_rotmat
 
@@ -40,6 +42,8 @@ class DataConfig:
     """`wide` only: the driving mesh looks up to this many degrees to either side."""
 
 
+TABLES = ("table6", "clips80")
+"""Kinds with few people and poses."""
 IDENTITY_MIX = (0.40, 0.80, 0.85)
 """`wide`: identities up to these shares are at rest (arms anywhere from T to lowered), in Table 6, within joint limits;
 the others are frames of motions."""
@@ -78,24 +82,25 @@ class PairSource:
 
     def _load(self, body: RiggedBody) -> None:
         """What people and poses are drawn from."""
-        device = self.device
-        if self.config.kind == "table6":
-            people, poses = HUMAN_NPT.train_people(body), HUMAN_NPT.train_poses(body)
-            self.people = torch.from_numpy(people).float().to(device)
-            self.poses = torch.from_numpy(numpy_rotmat(poses)).float().to(device)
+        kind = self.config.kind
+        if kind in TABLES:
+            clips = kind == "clips80"
+            self.people = self._tensor((CLIPS_ANIFORMER if clips else HUMAN_NPT).train_people(body))
+            self.stands = self._tensor(numpy_rotmat(HUMAN_NPT.train_poses(body)))
+            self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body)) if clips else self.stands[:, None]
         else:
-            self.table6 = torch.from_numpy(limits_rotvec(body, TABLE_6)).float().to(device)
-            self.limits = torch.from_numpy(limits_rotvec(body, JOINT_LIMITS)).float().to(device)
-            self.bank = torch.from_numpy(pose_bank("train")).float().to(device)
-            self.lowered = torch.from_numpy(lowered_arms(body)).float().to(device)
+            self.table6 = self._tensor(limits_rotvec(body, TABLE_6))
+            self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
+            self.bank = self._tensor(pose_bank("train"))
+            self.lowered = self._tensor(lowered_arms(body))
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.from_numpy(array).float().to(self.device)
 
     def batch(self, size: int, step: int) -> Batch:
         """The pairs of training step `step`."""
         rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
-        if self.config.kind == "table6":
-            shapes, poses = self._from_table(size, rng)
-        else:
-            shapes, poses = self._endless(size, rng)
+        shapes, poses = (self._from_table if self.config.kind in TABLES else self._endless)(size, rng)
         identity_shape, driving_shape = shapes
         identity_pose, driving_pose = poses
         index, driving_index, edges, share = self._vertices(size, rng)
@@ -106,10 +111,10 @@ class PairSource:
         return Batch(identity, driving, truth, edges, share)
 
     def _from_table(self, size: int, rng: torch.Generator):
-        """Two of the 16 x 400 meshes of the paper for each pair."""
-        who = torch.randint(len(self.people), (2, size), generator=rng, device=self.device)
-        pose = torch.randint(len(self.poses), (2, size), generator=rng, device=self.device)
-        return self.people[who], self.poses[pose]
+        """Two of the 16 people for each pair, the identity in a Table 6 pose, the driving in that or in a frame."""
+        who = self._below(len(self.people), (2, size), rng)
+        stand, frames = self._below(len(self.stands), (size,), rng), self.motions.flatten(0, 1)
+        return self.people[who], (self.stands[stand], frames[self._below(len(frames), (size,), rng)])
 
     def _endless(self, size: int, rng: torch.Generator):
         """Fresh people; identities mostly near a rest pose, driving meshes in all that people do."""
@@ -130,6 +135,9 @@ class PairSource:
             rotmat[:, 0] = self._headings(size, turn, rng) @ rotmat[:, 0]
             poses.append(rotmat)
         return shapes, torch.stack(poses)
+
+    def _below(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
+        return torch.randint(count, shape, generator=rng, device=self.device)
 
     def _within(self, bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
         part = torch.rand(size, *bounds.shape[1:], generator=rng, device=self.device)
@@ -187,6 +195,20 @@ class PairSource:
         if radius is None:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
+
+
+class TemplateSource(PairSource):
+    """Pairs on LIMP's template: its vertices, in its order, for all meshes."""
+
+    def _load(self, body: RiggedBody) -> None:
+        super()._load(body)
+        mesh = template(self.config.vertices)
+        self.index = torch.from_numpy(mesh.corners[:, 0]).to(self.device)
+        self.edges = torch.from_numpy(geometry.edges(mesh.faces)).to(self.device)
+
+    def _vertices(self, size: int, rng: torch.Generator):
+        index = self.index.expand(size, -1)
+        return index, index, self.edges.expand(size, -1, -1), 1.0
 
 
 def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:

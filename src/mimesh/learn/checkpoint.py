@@ -18,6 +18,7 @@ from ..mesh import InputError
 from ..provenance import commit
 from .aniformer import AniFormer, AniFormerConfig
 from .config import TrainConfig, config_from
+from .limp import LIMP, LIMPConfig
 from .npt import NPT
 
 
@@ -100,12 +101,14 @@ def unpack(state: State, model: nn.Module, ema: dict[str, Tensor], optimizers: l
         optimizer.load_state_dict({"state": fields, "param_groups": groups})
 
 
-def make_model(config: TrainConfig) -> NPT | AniFormer:
+def make_model(config: TrainConfig) -> NPT | AniFormer | LIMP:
     """A fresh network of a configuration."""
-    return AniFormer(config.model) if isinstance(config.model, AniFormerConfig) else NPT(config.model)
+    if isinstance(config.model, AniFormerConfig):
+        return AniFormer(config.model)
+    return LIMP(config.model) if isinstance(config.model, LIMPConfig) else NPT(config.model)
 
 
-def load_model(path: Path) -> tuple[NPT | AniFormer, State]:
+def load_model(path: Path) -> tuple[NPT | AniFormer | LIMP, State]:
     """The model of a checkpoint in float32, ready to infer."""
     state = load(path)
     model = make_model(state.config)

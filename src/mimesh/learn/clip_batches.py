@@ -14,12 +14,9 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from ..bodies import RiggedBody
-from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER
-from ..evaluate.protocols import HUMAN_NPT
 from ..motions.clips import split_windows
 from ..motions.motion import mirror, rotmat_to_rotvec
-from .batches import DataConfig, PairSource
+from .batches import TABLES, DataConfig, PairSource
 from .bodies import rotvec_to_rotmat
 
 FASTEST = 3
@@ -49,12 +46,9 @@ class ClipSource(PairSource):
         super().__init__(config, body, device, seed)
 
     def _load(self, body: RiggedBody) -> None:
-        if self.config.kind == "clips80":
-            self.people = self._tensor(CLIPS_ANIFORMER.train_people(body))
-            self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body))
-            self.poses = self._tensor(numpy_rotmat(HUMAN_NPT.train_poses(body)))
-            return
         super()._load(body)
+        if self.config.kind in TABLES:
+            return
         takes = [m for take in split_windows("train") for m in (take, mirror(take))]
         self.captured = self._tensor(np.concatenate([rotmat_to_rotvec(m.rotmat) for m in takes]))
         ends = np.cumsum([len(m) for m in takes])
@@ -62,13 +56,10 @@ class ClipSource(PairSource):
         starts = [np.arange(end - len(m), end - reach) for end, m in zip(ends, takes, strict=True)]
         self.starts = torch.from_numpy(np.concatenate(starts)).to(self.device)
 
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float().to(self.device)
-
     def batch(self, size: int, step: int) -> ClipBatch:  # type: ignore[override]
         """The windows of training step `step`."""
         rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
-        make = self._from_motions if self.config.kind == "clips80" else self._endless_windows
+        make = self._from_motions if self.config.kind in TABLES else self._endless_windows
         (identity_shape, driving_shape), identity_pose, poses = make(size, rng)
         index, driving_index, edges, share = self._vertices(size, rng)
         identity, radius = self._mesh(identity_shape, identity_pose, index)
@@ -82,7 +73,7 @@ class ClipSource(PairSource):
         which = self._below(len(self.motions), (size, 1), rng)
         first = self._below(self.motions.shape[1] - self.frames + 1, (size, 1), rng)
         window = self.motions[which, first + torch.arange(self.frames, device=self.device)]
-        return self.people[who], self.poses[self._below(len(self.poses), (size,), rng)], window
+        return self.people[who], self.stands[self._below(len(self.stands), (size,), rng)], window
 
     def _endless_windows(self, size: int, rng: torch.Generator):
         """Fresh people as `wide` has them; windows of captures at some speed, or a way between two poses; a heading."""
@@ -99,9 +90,6 @@ class ClipSource(PairSource):
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
         window[:, :, 0] = turn @ window[:, :, 0]
         return shapes, poses[0], window
-
-    def _below(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
-        return torch.randint(count, shape, generator=rng, device=self.device)
 
     def _window(self, shape, rotmat, index, radius=None) -> Float[Tensor, "B T V 3"]:
         """Chosen vertices of every frame, each frame centred and divided by `radius`, or by its own."""

@@ -17,9 +17,10 @@ import yaml
 from ..mesh import InputError
 from .aniformer import AniFormerConfig
 from .batches import DataConfig
+from .limp import LIMPConfig, LIMPLossConfig
 from .npt import NPTConfig
 
-MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig}
+MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig, "limp": LIMPConfig}
 """What `network` of a configuration may be, and the switches of each."""
 
 
@@ -37,16 +38,16 @@ class ClipLossConfig:
 class TrainConfig:
     """Everything a training depends on besides the code; the defaults are NPT's paper."""
 
-    network: Literal["npt", "aniformer"] = "npt"
-    model: NPTConfig | AniFormerConfig = field(default_factory=NPTConfig)
+    network: Literal["npt", "aniformer", "limp"] = "npt"
+    model: NPTConfig | AniFormerConfig | LIMPConfig = field(default_factory=NPTConfig)
     data: DataConfig = field(default_factory=DataConfig)
     batch: int = 8
     """Pairs a step; AniFormer's pairs are windows of T frames."""
     pairs: int = 800_000
     """Length of the training: 200 epochs of 4,000 pairs."""
     minutes: float = 0.0
-    """Length in minutes of steps instead (0: `pairs` counts), for trainings that are compared at equal time. Resuming
-    continues the schedule by the time already spent; how many pairs fit into it is the machine's."""
+    """Length in CPU-minutes of steps instead (minutes with a GPU; 0: `pairs` counts), for trainings that are compared
+    at equal time. Resuming continues the schedule by the time spent; how many pairs fit into it is the machine's."""
     optimizer: Literal["adam", "muon"] = "adam"
     """`muon` for the matrices between features (Adam for the rest); the papers use Adam."""
     learning_rate: float = 5e-5
@@ -64,6 +65,8 @@ class TrainConfig:
     """This and `edge` are NPT's."""
     losses: ClipLossConfig = field(default_factory=ClipLossConfig)
     """AniFormer's."""
+    metrics: LIMPLossConfig = field(default_factory=LIMPLossConfig)
+    """LIMP's."""
     precision: Literal["fp32", "bf16"] = "fp32"
     compile: bool = False
     """Fuse element-wise work with torch.compile (needs a C++ compiler on a CPU)."""
@@ -121,6 +124,11 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     single = isinstance(config.model, AniFormerConfig) and config.model.head == "regression"
     if single and config.losses.motion != "off":
         raise InputError(f"{where}: expected losses.motion off with the head regression, which gives one frame; set it")
+    if isinstance(config.model, LIMPConfig) and config.data.vertices != config.model.vertices:
+        raise InputError(
+            f"{where}: expected data.vertices as model.vertices, the template's {config.model.vertices}, "
+            f"found {config.data.vertices}; set one of them"
+        )
     return config
 
 

@@ -18,7 +18,17 @@ from ..io.atomic import whole_file
 from ..mesh import InputError
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
+from .limp import LIMP, LIMPConfig
 from .npt import NPT, NPTConfig
+
+DATA = {
+    "table6": "16 people x 400 poses of NPT Table 6",
+    "wide": "endless people of the shipped body; rest, Table 6, joint limits, frames of the shipped motions; headings",
+    "clips80": "16 people x 80 motions of 30 frames: seconds of the shipped motions, walks and splines",
+    "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
+    "between poses within the joint limits; headings",
+}
+"""Kinds of training data as the card says them."""
 
 
 def export_command(path: Path, out: Path) -> Path:
@@ -38,11 +48,12 @@ def export_command(path: Path, out: Path) -> Path:
     return out
 
 
-def to_onnx(model: NPT | AniFormer, half: bool) -> onnx.ModelProto:
+def to_onnx(model: NPT | AniFormer | LIMP, half: bool) -> onnx.ModelProto:
     """Export with inputs `identity` and `driving` and output `result`, all float32 and of any vertex count.
 
     NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or
-    (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small.
+    (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small. LIMP: (B, V, 3) and
+    (B, U, 3) give the W vertices of its template, (B, W, 3).
 
     Args:
         half: store large weights as float16 behind a cast; arithmetic stays in float32.
@@ -64,9 +75,9 @@ def to_onnx(model: NPT | AniFormer, half: bool) -> onnx.ModelProto:
     return with_half_weights(network) if half else network
 
 
-def _pair(config: NPTConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
-    """Example inputs of NPT, and which of their axes may have any length."""
-    pooled = config.pose_code == "global_max"
+def _pair(config: NPTConfig | LIMPConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
+    """Example inputs of a network of pairs, and which of their axes may have any length."""
+    pooled = isinstance(config, LIMPConfig) or config.pose_code == "global_max"
     batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
     u = torch.export.Dim("driving_vertices", min=2) if pooled else v
     return (torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3)), ({0: batch, 1: v}, {0: batch, 1: u})
@@ -95,10 +106,12 @@ def with_half_weights(network: onnx.ModelProto, smallest: int = 256) -> onnx.Mod
     return network
 
 
-def describe(network: onnx.ModelProto, config: NPTConfig | AniFormerConfig, target_scale: str) -> None:
+def describe(network: onnx.ModelProto, config: NPTConfig | AniFormerConfig | LIMPConfig, target_scale: str) -> None:
     """Write into the file what a runner must know."""
     if isinstance(config, AniFormerConfig):
         facts: dict[str, Any] = {"model": "aniformer", "frames": config.frames, "head": config.head}
+    elif isinstance(config, LIMPConfig):
+        facts = {"model": "limp", "vertices": config.vertices}
     else:
         facts = {"model": "npt", "pose_code": config.pose_code}
     facts |= {"target_scale": target_scale, "config": dataclasses.asdict(config)}
@@ -109,14 +122,11 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
     """The model card: provenance and validation figures of the exported weights."""
     header = checkpoint.read_header(path)
     config = header["config"]
-    bodies = "16 people x 400 poses of NPT Table 6" if config["data"]["kind"] == "table6" else (
-        "endless people of the shipped body; rest, Table 6, joint limits and frames of the shipped motions; headings"
-    )  # fmt: skip
     return {
         "name": out.stem,
         "file": out.name,
         "license": "Apache-2.0",
-        "data": bodies,
+        "data": DATA[config["data"]["kind"]],
         "config": config,
         "seed": config["seed"],
         "commit": header["commit"],

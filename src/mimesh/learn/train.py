@@ -17,15 +17,16 @@ from torch.utils.tensorboard import SummaryWriter
 from ..bodies import load_body
 from ..mesh import InputError
 from . import checkpoint
-from .aniformer import AniFormer, AniFormerConfig
+from .aniformer import AniFormer
 from .batches import Batch, PairSource
 from .clip_batches import ClipBatch
 from .clip_losses import aniformer_loss
 from .config import MODELS, TrainConfig, load_config
+from .limp import LIMP, limp_loss
 from .losses import npt_loss
 from .npt import NPT
 from .optimizers import make_optimizers
-from .validation import ClipValidation, PairValidation, make_source
+from .validation import PairValidation, make_source, make_validation
 
 LOG_SECONDS = 20.0
 SAVE_SECONDS = 120.0
@@ -65,8 +66,7 @@ def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -
     """Train to the end of the schedule or the time limit; continue if the folder holds a checkpoint."""
     folder.mkdir(parents=True, exist_ok=True)
     run = Run.start(config, folder)
-    clips = isinstance(config.model, AniFormerConfig)
-    validation = (ClipValidation if clips else PairValidation)(config, load_body(), run.device)
+    validation = make_validation(config, load_body(), run.device)
     deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
     with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
         log = Log(lines, board, config, run)
@@ -88,7 +88,7 @@ class Run:
     """A training in motion."""
 
     config: TrainConfig
-    model: NPT | AniFormer
+    model: NPT | AniFormer | LIMP
     step_model: nn.Module
     """The model, or its compiled form; both share weights."""
     ema: dict[str, Tensor]
@@ -120,6 +120,10 @@ class Run:
             run.step, run.seconds, run.best = state.step, state.seconds, state.best
         return run
 
+    def clock(self) -> float:
+        """Seconds of this process on all cores, which other processes do not lengthen; with a GPU those of the wall."""
+        return time.process_time() if self.device.type == "cpu" else time.perf_counter()
+
     def share(self) -> float:
         """How much of the training is done: 0 at the start, 1 at its end."""
         if self.config.minutes:
@@ -128,7 +132,7 @@ class Run:
 
     def advance(self) -> Tensor:
         """One optimizer step; the loss stays on the device."""
-        started = time.perf_counter()
+        started = self.clock()
         config = self.config
         batch = self.source.batch(config.batch, self.step)
         for optimizer in self.optimizers:
@@ -147,12 +151,17 @@ class Run:
                 average.lerp_(current[name], 1.0 - config.ema)
         self.step += 1
         self.metrics = None
-        self.seconds += time.perf_counter() - started
+        self.seconds += self.clock() - started
         return loss.detach()
 
     def loss(self, batch: Batch | ClipBatch) -> Tensor:
-        """NPT Eq. 4 or AniFormer Eq. 6 over V, in the configured width."""
+        """NPT Eq. 4 or AniFormer Eq. 6 over V, or LIMP's, in the configured width."""
         config = self.config
+        if isinstance(self.model, LIMP):
+            rng = torch.Generator(self.device).manual_seed(config.seed * 1_000_003 + self.step)
+            meshes = (batch.identity, batch.truth, batch.driving)
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
+                return limp_loss(self.model, *meshes, batch.edges[0], config.metrics, rng)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
             result = self.step_model(batch.identity, batch.driving)
         share = batch.edges_of_mesh
@@ -163,7 +172,7 @@ class Run:
         truth = batch.truth[:, batch.truth.shape[1] // 2, None] if result.shape[1] == 1 else batch.truth
         return aniformer_loss(result, truth, batch.identity, batch.driving, batch.edges, **weights, edges_of_mesh=share)
 
-    def validate(self, validation: PairValidation | ClipValidation, folder: Path) -> dict[str, float]:
+    def validate(self, validation: PairValidation, folder: Path) -> dict[str, float]:
         """Measure on `val`; keep the checkpoint if it is the best so far."""
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:

@@ -8,17 +8,20 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..bodies import RiggedBody
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import HUMAN_NPT
 from ..frame import bbox_centre, radius
 from .aniformer import AniFormer, AniFormerConfig
-from .batches import PairSource
+from .batches import PairSource, TemplateSource
 from .clip_batches import ClipSource
 from .config import TrainConfig
+from .limp import LIMP, LIMPConfig
 from .npt import NPT
 
+WINDOW = 3
+"""Frames of each clip that networks of pairs are judged by."""
 FRESH_SEED = 1_000_003
 """Added to the seed of a training: batches that it never sees."""
 
@@ -27,7 +30,14 @@ def make_source(config: TrainConfig, body: RiggedBody, device: torch.device, see
     """Where a training's batches come from."""
     if isinstance(config.model, AniFormerConfig):
         return ClipSource(config.data, config.model.frames, body, device, seed)
-    return PairSource(config.data, body, device, seed)
+    kind = TemplateSource if isinstance(config.model, LIMPConfig) else PairSource
+    return kind(config.data, body, device, seed)
+
+
+def make_validation(config: TrainConfig, body: RiggedBody, device: torch.device) -> PairValidation:
+    """Clips for what is trained on motions, pairs for the rest."""
+    clips = config.data.kind in ("clips", "clips80")
+    return (ClipValidation if clips else PairValidation)(config, body, device)
 
 
 class PairValidation:
@@ -39,7 +49,7 @@ class PairValidation:
         self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
 
     @torch.no_grad()
-    def measure(self, model: NPT | AniFormer) -> dict[str, float]:
+    def measure(self, model: NPT | AniFormer | LIMP) -> dict[str, float]:
         """PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of the last two."""
         model.eval()
         figures = {kind: sum(self.pmd(model, t) for t in trials) / len(trials) for kind, trials in self.trials.items()}
@@ -51,7 +61,7 @@ class PairValidation:
         model.train()
         return figures
 
-    def pmd(self, model: NPT | AniFormer, trial: Pair) -> float:
+    def pmd(self, model: NPT | AniFormer | LIMP, trial: Pair) -> float:
         """Of one trial, result and truth in metres and then in the truth's unit sphere."""
         identity, own = self._sphere(trial.identity.vertices)
         driving, _ = self._sphere(trial.driving.vertices)
@@ -68,7 +78,7 @@ class PairValidation:
         centred = points - bbox_centre(points)
         return torch.from_numpy(centred / radius(centred)).float().to(self.device), radius(centred)
 
-    def _infer(self, model: NPT | AniFormer, identity: Tensor, driving: Tensor) -> Tensor:
+    def _infer(self, model: NPT | AniFormer | LIMP, identity: Tensor, driving: Tensor) -> Tensor:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
             return model(identity, driving)
 
@@ -77,7 +87,7 @@ class PairValidation:
 
 
 class ClipValidation(PairValidation):
-    """The same on windows from the middle of clips of `clips-aniformer`."""
+    """The same on windows from the middle of clips of `clips-aniformer`; frame by frame for networks of pairs."""
 
     def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
         self.config, self.device = config, device
@@ -86,14 +96,17 @@ class ClipValidation(PairValidation):
         }
         self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
 
-    def pmd(self, model: NPT | AniFormer, trial: ClipPair) -> float:  # type: ignore[override]
+    def pmd(self, model: NPT | AniFormer | LIMP, trial: ClipPair) -> float:  # type: ignore[override]
         """Mean over the frames of one window."""
-        assert isinstance(model, AniFormer)
-        frames = model.config.frames
+        trial = on_template(trial) if isinstance(model, LIMP) else trial
+        frames = model.config.frames if isinstance(model, AniFormer) else WINDOW
         start = (len(trial.clip) - frames) // 2
         identity, own = self._sphere(trial.identity.vertices)
-        window = [self._sphere(v)[0] for v in trial.clip.vertices[start : start + frames].astype(np.float64)]
-        results = self._infer(model, identity[None], torch.stack(window)[None])[0]
+        clip = trial.clip.vertices[start : start + frames].astype(np.float64)
+        driving = torch.stack([self._sphere(v)[0] for v in clip])
+        driving = driving[None] if isinstance(model, AniFormer) else driving
+        results = self._infer(model, identity.expand(len(driving), -1, -1), driving)
+        results = results[0] if isinstance(model, AniFormer) else results
         truths = trial.truth_frames[start : start + frames].astype(np.float64)
         truths = truths if len(results) == frames else truths[frames // 2, None]
         return float(np.mean([self._pmd_in_metres(r, own, t) for r, t in zip(results, truths, strict=True)]))

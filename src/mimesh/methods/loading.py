@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..mesh import InputError
+from . import Method
+from .limp import Limp
 from .network import Network
 from .sequence import Sequence
 
@@ -16,13 +18,14 @@ if TYPE_CHECKING:
 KNOWN = {
     "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth")},
     "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
+    "limp": {"target_scale": ("identity", "truth")},
 }
 """What the metadata of each kind say, and what they may say."""
 LONGEST = 64
 """Most driving frames of a window."""
 
 
-def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2) -> Network | Sequence:
+def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2) -> Method:
     """Open an ONNX file written by `mimesh export`.
 
     Raises:
@@ -34,6 +37,8 @@ def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, thr
     card = _card(session, path)
     if card["model"] == "aniformer":
         return Sequence(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
+    if card["model"] == "limp":
+        return Limp(name, session, card["vertices"], card["target_scale"])
     return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 
