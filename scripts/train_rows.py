@@ -1,4 +1,4 @@
-"""Train the learned rows of NPT's Tables 2 and 7: one configuration, one time for each, one change a row.
+"""Train the learned rows of the papers' tables: in one table one time and the same people and motions for each.
 
     python scripts/train_rows.py -o runs/rows [--minutes 20] [ROW ...]
 
@@ -10,20 +10,38 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
 from mimesh.learn.export import export_command
 from mimesh.learn.train import train
 
+
+class Row(NamedTuple):
+    """A network, and what is changed in its configuration `table`."""
+
+    network: str
+    changes: tuple[str, ...] = ()
+
+
+ON_CLIPS = ("data.kind=clips80", "data.vertices=128", "batch=32")
+"""NPT on AniFormer's data: frames of its motions as pairs, with as many vertices."""
 ROWS = {
-    "npt-equal": [],
-    "npt-no-edge": ["edge=off"],
-    "npt-no-spadain": ["model.blocks=resblock"],
-    "npt-concat1": ["model.blocks=conv"],
-    "npt-maxpool-equal": ["model.pose_code=global_max"],
+    "npt-equal": Row("npt"),
+    "npt-no-edge": Row("npt", ("edge=off",)),
+    "npt-no-spadain": Row("npt", ("model.blocks=resblock",)),
+    "npt-concat1": Row("npt", ("model.blocks=conv",)),
+    "npt-maxpool-equal": Row("npt", ("model.pose_code=global_max",)),
+    "aniformer-equal": Row("aniformer"),
+    "aniformer-motion": Row("aniformer", ("losses.appearance=off",)),
+    "aniformer-appearance": Row("aniformer", ("losses.motion=off",)),
+    "aniformer-plain": Row("aniformer", ("losses.motion=off", "losses.appearance=off")),
+    "aniformer-regression": Row("aniformer", ("model.head=regression", "losses.motion=off", "losses.appearance=off")),
+    "npt-frames": Row("npt", ON_CLIPS),
+    "npt-maxpool-frames": Row("npt", ("model.pose_code=global_max", *ON_CLIPS)),
+    "limp": Row("limp"),
 }
-"""What makes a row on top of configuration `table`."""
 
 
 def main() -> None:
@@ -34,7 +52,8 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=20.0)
     args = parser.parse_args()
     for row in args.rows or ROWS:
-        config = load_config("table", "npt", [f"minutes={args.minutes}", *ROWS[row]])
+        network, changes = ROWS[row]
+        config = load_config("table", network, [f"minutes={args.minutes}", *changes])
         folder = args.output / row
         last = folder / "last.safetensors"
         if last.exists() and checkpoint.load(last).config != config:

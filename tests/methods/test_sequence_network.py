@@ -30,11 +30,11 @@ def network(request, tmp_path):
 
 
 @pytest.mark.parametrize("count", range(7))
-@pytest.mark.parametrize("length", range(1, 5))
-def test_what_gives_frames_back_gives_the_clip_back(count, length):
+@pytest.mark.parametrize(("length", "stride"), [(k, s) for k in range(1, 5) for s in range(1, k + 1)])
+def test_what_gives_frames_back_gives_the_clip_back(count, length, stride):
     """Exactness: a run that returns its input makes both kinds of blending the identity, at any two lengths."""
     frames = numbered(count)
-    all_of_window = list(blended(iter(frames), lambda window: window, length))
+    all_of_window = list(blended(iter(frames), lambda window: window, length, stride))
     middle = list(middles(iter(frames), lambda window: window[length // 2][None], length))
     for results in (all_of_window, middle):
         assert len(results) == count
@@ -42,10 +42,12 @@ def test_what_gives_frames_back_gives_the_clip_back(count, length):
 
 
 def test_every_window_of_a_clip_is_run_once():
-    starts = [window[0, 0, 0] for window, _ in windows(iter(numbered(6)), 3)]
-    assert starts == [0, 1, 2, 3]
-    assert [count for _, count in windows(iter(numbered(2)), 3)] == [2]
-    assert [w[:, 0, 0].tolist() for w, _ in windows(iter(numbered(2)), 4)] == [[0, 1, 1, 1]]
+    for stride, wanted in {1: [0, 1, 2, 3], 2: [0, 2, 3], 3: [0, 3]}.items():
+        found = list(windows(iter(numbered(6)), 3, stride))
+        assert [start for start, _, _ in found] == wanted
+        assert [window[0, 0, 0] for _, window, _ in found] == wanted
+    assert [count for _, _, count in windows(iter(numbered(2)), 3)] == [2]
+    assert [w[:, 0, 0].tolist() for _, w, _ in windows(iter(numbered(2)), 4)] == [[0, 1, 1, 1]]
 
 
 def test_blending_is_a_triangle_over_the_window():

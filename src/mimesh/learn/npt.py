@@ -72,7 +72,7 @@ class NPT(nn.Module):
         h = driving.permute(2, 0, 1)
         for conv in self.encoder:
             h = instance_norm(conv(h)).relu()
-        return h.amax(dim=2, keepdim=True) if self.config.pose_code == "global_max" else h
+        return h.max(dim=2, keepdim=True).values if self.config.pose_code == "global_max" else h
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "B V 3"]:
         """Identity vertices in the driving pose, vertex i paired with driving vertex i (U = V unless pooled)."""

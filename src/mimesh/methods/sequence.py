@@ -3,7 +3,7 @@
 Inputs "identity" (1, V, 3) and "driving" (1, T, V, 3); output "result" (1, T, V, 3), or (1, 1, V, 3), the window's
 middle frame, with the regression head. Each input mesh is centred on its bounding box and divided by its largest
 distance from there, each driving frame by its own; every frame of the result is centred on its own bounding box.
-Driving frame t must be followed by T - 1 others before the result of t is known: that many are read ahead and held.
+Driving frame t must be followed by T - 1 others before the result of t is known: about as many are read ahead and held.
 """
 
 from __future__ import annotations
@@ -28,6 +28,8 @@ from .travel import sized, travelling
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
+STRIDE = 1
+"""Frames from the start of one window to that of the next."""
 Window = Float[np.ndarray, "T N 3"]
 Run = Callable[[Window], Float[np.ndarray, "R V 3"]]
 """Driving frames of a window to results: one for each, or one for the middle."""
@@ -57,15 +59,21 @@ class Sequence:
         points = surface_points(driving, len(ranked), generator(self.seed, 0))
         pairings = [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
         lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
-        blend = middles if self.head == "regression" else blended
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
             centred = vertices - bbox_centre(vertices)
             return points.at(centred / radius(centred))
 
+        def run(window: Window) -> Float[np.ndarray, "R V 3"]:
+            return self._run(still, window, pairings)
+
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
             ahead, now = itertools.tee(sized(frames, driving.name))
-            results = blend(map(points_of, ahead), lambda window: self._run(still, window, pairings), self.frames)
+            points = map(points_of, ahead)
+            if self.head == "regression":
+                results = middles(points, run, self.frames)
+            else:
+                results = blended(points, run, self.frames, min(STRIDE, self.frames))
 
             def pose(_: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
                 result = next(results)
@@ -91,23 +99,25 @@ class Sequence:
         return total / len(pairings)
 
 
-def blended(frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int) -> Iterator[Float[np.ndarray, "V 3"]]:
+def blended(
+    frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int, stride: int = 1
+) -> Iterator[Float[np.ndarray, "V 3"]]:
     """One result a frame: the mean over all windows that hold it, weighted by a triangle over the window.
 
-    A clip shorter than a window is filled up with its last frame.
+    A clip shorter than a window is filled up with its last frame. `stride` is at most `length`.
     """
     weights = np.minimum(np.arange(length) + 1, length - np.arange(length))
     sums: deque[tuple[Float[np.ndarray, "V 3"], int]] = deque()  # of results and of weights, one pair a frame
-    left = 0
-    for window, count in windows(frames, length):
-        left = count - 1
+    first = left = 0  # the frame of sums[0], and how many frames are the clip's own from there on
+    for start, window, left in windows(frames, length, stride):
+        for total, weight in [sums.popleft() for _ in range(start - first)]:
+            yield total / weight
+        first = start
         for offset, (result, weight) in enumerate(zip(run(window), weights, strict=True)):
             if offset < len(sums):
                 sums[offset] = sums[offset][0] + weight * result, sums[offset][1] + weight
             else:
                 sums.append((weight * result, weight))
-        total, weight = sums.popleft()
-        yield total / weight
     for total, weight in itertools.islice(sums, left):
         yield total / weight
 
@@ -115,7 +125,7 @@ def blended(frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int) -
 def middles(frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int) -> Iterator[Float[np.ndarray, "V 3"]]:
     """One result a frame: that of the window around it, its first and last frames repeated past the ends."""
     before, after = length // 2, length - 1 - length // 2
-    for window, _ in windows(_lengthened(frames, before, after), length):
+    for _, window, _ in windows(_lengthened(frames, before, after), length):
         yield run(window)[0]
 
 
@@ -129,13 +139,21 @@ def _lengthened(frames: Iterable[np.ndarray], before: int, after: int) -> Iterat
         yield from itertools.repeat(frame, after)
 
 
-def windows(frames: Iterable[Float[np.ndarray, "N 3"]], length: int) -> Iterator[tuple[Window, int]]:
-    """Every `length` successive frames, and how many of them are the clip's own: fewer only if it is shorter."""
+def windows(
+    frames: Iterable[Float[np.ndarray, "N 3"]], length: int, stride: int = 1
+) -> Iterator[tuple[int, Window, int]]:
+    """The first frame of a window, its `length` successive frames, and how many of them are the clip's own.
+
+    One window every `stride` frames, and one at the clip's end. Only in a clip shorter than a window are frames not its
+    own: then the last one is repeated.
+    """
     held: deque[np.ndarray] = deque(maxlen=length)
     read = 0
     for read, frame in enumerate(frames, 1):
         held.append(frame)
-        if read >= length:
-            yield np.stack(held), length
+        if read >= length and (read - length) % stride == 0:
+            yield read - length, np.stack(held), length
     if 0 < read < length:
-        yield np.stack([*held, *itertools.repeat(held[-1], length - read)]), read
+        yield 0, np.stack([*held, *itertools.repeat(held[-1], length - read)]), read
+    elif read > length and (read - length) % stride:
+        yield read - length, np.stack(held), length
