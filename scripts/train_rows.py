@@ -3,7 +3,7 @@
     python scripts/train_rows.py -o runs/rows [--minutes 20] [ROW ...]
 
 Rows that are there are continued or left alone, so the command may be stopped and given again. Each ends as
-`<folder>/<row>.onnx` with its card beside it.
+`<folder>/<row>.onnx` with its card beside it; those measured in docs/results lie in `rows/`.
 """
 
 from __future__ import annotations
@@ -50,6 +50,7 @@ def main() -> None:
     parser.add_argument("rows", nargs="*", choices=[*ROWS, []], metavar="ROW", help=", ".join(ROWS))
     parser.add_argument("-o", "--output", type=Path, default=Path("runs/rows"))
     parser.add_argument("--minutes", type=float, default=20.0)
+    parser.add_argument("--bits", type=int, default=8, help="that a weight is stored in")
     args = parser.parse_args()
     for row in args.rows or ROWS:
         network, changes = ROWS[row]
@@ -60,7 +61,7 @@ def main() -> None:
             parser.error(f"{folder}: holds a training of another configuration; choose another folder with -o")
         train(config, folder)
         # The last weights, not the best ones: every row has had the same time and the same schedule.
-        export_command(last, args.output / f"{row}.onnx")
+        export_command(last, args.output / f"{row}.onnx", args.bits)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import torch
 from torch.nn import functional
 
 from mimesh.learn.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
-from mimesh.learn.export import infer_onnx, to_onnx, with_half_weights
+from mimesh.learn.export import infer_onnx, smaller, to_onnx
 
 TINY = {"encoder": (8, 16, 24), "layers": (24, 16, 16, 8), "heads": 2}
 VARIANTS = [
@@ -224,13 +224,13 @@ def exported(request):
     """The exporter takes a minute on one busy core: one variant stands for all."""
     pytest.importorskip("onnx")
     model = tiny(keys=KEYS, **EXPORTED[request.param])
-    return model, to_onnx(model, half=False)
+    return model, to_onnx(model)
 
 
 @torch.no_grad()
 def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(exported):
     model, network = exported
-    half = with_half_weights(network)
+    half = smaller(network)
     for vertices in (2, KEYS - 1, KEYS, KEYS + 1, 400):
         identity, driving = clip(1, vertices, model.config.frames)
         expected = model(identity, driving).numpy()

@@ -9,7 +9,7 @@ import torch
 from test_train import TINY
 
 from mimesh.learn import checkpoint
-from mimesh.learn.export import export_command, infer_onnx, to_onnx, with_half_weights
+from mimesh.learn.export import export_command, infer_onnx, smaller, to_onnx
 from mimesh.learn.npt import NPT, NPTConfig
 from mimesh.learn.train import Run
 from mimesh.mesh import InputError
@@ -19,8 +19,8 @@ from mimesh.mesh import InputError
 def test_parity_with_torch(pose_code):
     torch.manual_seed(0)
     model = NPT(NPTConfig((16, 32, 64), (67, 32, 16), pose_code=pose_code)).eval()
-    network = to_onnx(model, half=False)
-    half = with_half_weights(network)
+    network = to_onnx(model)
+    half, eighth = smaller(network), smaller(network, bits=8)
     for batch, v, u in ((1, 500, 500), (3, 57, 57), (2, 40, 90)):
         if u != v and pose_code == "per_vertex":
             continue
@@ -29,8 +29,9 @@ def test_parity_with_torch(pose_code):
             expected = model(identity, driving).numpy()
         assert np.abs(infer_onnx(network, identity.numpy(), driving.numpy()) - expected).max() < 1e-4
         assert np.abs(infer_onnx(half, identity.numpy(), driving.numpy()) - expected).max() < 2e-2
-    sizes = [sum(len(t.raw_data) for t in n.graph.initializer) for n in (half, network)]
-    assert sizes[0] < 0.65 * sizes[1]
+        assert np.abs(infer_onnx(eighth, identity.numpy(), driving.numpy()) - expected).max() < 0.2
+    sizes = [sum(len(t.raw_data) for t in n.graph.initializer) for n in (eighth, half, network)]
+    assert sizes[0] < 0.65 * sizes[1] < 0.65**2 * sizes[2]
 
 
 def test_export_writes_network_and_card(tmp_path):
@@ -50,6 +51,11 @@ def test_export_writes_network_and_card(tmp_path):
     with torch.no_grad():
         expected = model(*points).numpy()
     assert np.abs(infer_onnx(network, *points.numpy()) - expected).max() < 2e-2
+
+
+def test_export_knows_two_sizes(tmp_path):
+    with pytest.raises(InputError, match="--bits: expected 16 or 8, found 4"):
+        export_command(tmp_path / "best.safetensors", tmp_path / "mine.onnx", bits=4)
 
 
 def test_export_wants_an_onnx_name(tmp_path):

@@ -54,12 +54,6 @@ WHAT = {
     "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
     "npt": "Neural Pose Transfer, trained on endless people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
-    "npt-table": "a row of the paper's tables: NPT on its 16 people x 400 poses, longest training",
-    "npt-equal": "a row of the paper's tables: NPT, trained as long as the rows below",
-    "npt-no-edge": "a row of the paper's tables: without the edge loss",
-    "npt-no-spadain": "a row of the paper's tables: ResBlocks with InstanceNorm in place of SPAdaIN",
-    "npt-concat1": "a row of the paper's tables: 1x1 convolutions and InstanceNorm alone",
-    "npt-maxpool-equal": "a row of the paper's tables: max-pool, trained as long as the rows above",
 }
 MISSING = "its weights are missing here; install mimesh again"
 

@@ -11,7 +11,7 @@ from .terminal import Json, print_json, print_next, require
 
 
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: npt.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: npt, aniformer or limp.")],
     config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
@@ -40,6 +40,7 @@ def train(
 def export(
     checkpoint: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="A .safetensors file of `mimesh train`.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .onnx file to write.")],
+    bits: Annotated[int, typer.Option(help="Bits a weight is stored in: 16 or 8.")] = 16,
     json: Json = False,
 ) -> None:
     """Turn a checkpoint into an .onnx file that -m takes.
@@ -49,7 +50,7 @@ def export(
     require("train", "torch", "onnx", "onnxscript")
     from ..learn.export import export_command
 
-    export_command(checkpoint, output)
+    export_command(checkpoint, output, bits)
     if json:
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:

@@ -57,20 +57,22 @@ def evaluate(
 
 
 def table(
-    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2 or npt-7.")],
+    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2.")],
     output: Kept = None,
     pairs: Pairs = 0,
+    data: Data = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Print a table of a paper with its figures beside ours.
 
-    Measures every row first: give -o to be able to stop and go on.
+    Measures every row first: give -o to be able to stop and go on. The rows' own
+    networks lie in the repository's folder rows, so run this in a checkout of it.
     """
     from ..evaluate.tables import table_command
 
     with progress("pairs", quiet or json) as advance:
-        figures, text = table_command(name, output, pairs, advance)
+        figures, text = table_command(name, output, pairs, advance, data)
     if json:
         print_json(figures)
     elif not quiet:

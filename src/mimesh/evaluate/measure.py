@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..frame import Frame, bbox_centre, radius
 from ..mesh import Clip, InputError, Mesh
-from ..methods import SHIPPED_NETWORKS, Method, find_method, shipped_path
+from ..methods import Method, find_method, weights_path
 from ..pipeline import transfer
 from .metrics import (
     chamfer,
@@ -64,7 +63,7 @@ def given(method: str) -> str:
 
 def trained(method: str) -> str:
     """The training behind a method, from the card beside its weights."""
-    path = shipped_path(method) if method in SHIPPED_NETWORKS else Path(method)
+    path = weights_path(method)
     if method in GIVEN:
         return "none"
     if not path.with_suffix(".json").exists():

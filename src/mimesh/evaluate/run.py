@@ -12,7 +12,7 @@ from typing import Any
 
 from ..io.atomic import whole_file
 from ..mesh import InputError
-from ..methods import MODELS, SHIPPED_NETWORKS, shipped_path
+from ..methods import MODELS, ROWS, weights_path
 from ..provenance import code_fingerprint, commit, libraries, machine
 from .clip_measure import measure_clip
 from .clip_protocols import ClipPair, clips_aniformer
@@ -148,14 +148,14 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
 
 def fingerprint(method: str) -> int:
     """Of a network's weights, so that figures of others are never taken for its own; 0 for methods without."""
-    path = shipped_path(method) if method in SHIPPED_NETWORKS else Path(method)
+    path = weights_path(method)
     return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
 
 
 def check_method(method: str) -> None:
     """Raise InputError, with the names there are, for a method that cannot be measured."""
     names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
-    if method not in names and not (method.endswith(".onnx") and Path(method).is_file()):
+    if method not in (*names, *ROWS) and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
 
 

@@ -15,12 +15,12 @@ class Row(NamedTuple):
 
     label: str
     method: str
-    seen: float | None
-    unseen: float | None
+    seen: float | None = None
+    unseen: float | None = None
 
 
 class Table(NamedTuple):
-    """A table of a paper: what it is, the protocol it is measured on, its rows."""
+    """A table of a paper: what it is, the protocol it is measured on (whose first kinds are seen, unseen), its rows."""
 
     title: str
     protocol: str
@@ -43,7 +43,8 @@ LAST = {
 """Further columns of a report, for its last kind of pair alone."""
 LONGEST = Row("NPT, the paper's 16 people x 400 poses, longest training", "npt-table", 1.1, 9.3)
 SHIPPED = Row("NPT as shipped: endless people and poses, none *seen*", "npt", 1.1, 9.3)
-COPY = Row("the driving vertices themselves, true correspondence", "copy", None, None)
+COPY = Row("the driving vertices themselves, true correspondence", "copy")
+DENSE = Row("DT, true dense correspondence", "deformation-transfer-dense")
 TABLES = {
     "npt-1": Table(
         "NPT Table 1: against deformation transfer",
@@ -51,7 +52,7 @@ TABLES = {
         (
             Row("DT, 5 control points", "deformation-transfer-5", 7.3, 7.2),
             Row("DT, 13 control points", "deformation-transfer-13", 7.7, 6.7),
-            Row("DT, true dense correspondence", "deformation-transfer-dense", None, None),
+            DENSE,
             LONGEST,
             SHIPPED,
             COPY,
@@ -83,15 +84,46 @@ TABLES = {
             COPY,
         ),
     ),
+    "aniformer-1": Table(
+        "AniFormer Table 1: ablations (the paper prints one figure, and not whether of seen or unseen motions)",
+        "clips-aniformer",
+        (
+            Row("regression head (vanilla)", "aniformer-regression", 15.31),
+            Row("without that head", "aniformer-plain", 3.84),
+            Row("with the motion constraint", "aniformer-motion", 1.37),
+            Row("with the appearance constraint", "aniformer-appearance", 0.31),
+            Row("with both (AniFormer)", "aniformer-equal", 0.12),
+            COPY,
+        ),
+    ),
+    "aniformer-2": Table(
+        "AniFormer Table 2: against other methods, which go frame by frame (LIMP on its 2,100 vertices)",
+        "clips-aniformer",
+        (
+            Row("LIMP", "limp", 5.44, 7.11),
+            Row("NPT-MP (max-pool)", "npt-maxpool-frames", 4.51, 6.69),
+            Row("NPT", "npt-frames", 4.37, 5.31),
+            Row("AniFormer", "aniformer-equal", 0.12, 3.95),
+            Row("DT, 13 control points", "deformation-transfer-13"),
+            DENSE,
+            COPY,
+        ),
+    ),
 }
 
 
-def table_command(name: str, out: Path | None = None, pairs: int = 0, progress: Progress | None = None):
+def table_command(
+    name: str,
+    out: Path | None = None,
+    pairs: int = 0,
+    progress: Progress | None = None,
+    data: Path | None = None,
+) -> tuple[dict[str, Any], str]:
     """What `mimesh table` does: measure the rows of a paper's table (resumable with `out`); report and text."""
     if name not in TABLES:
         raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
     methods = list(dict.fromkeys(row.method for row in TABLES[name].rows))
-    report = evaluate_command(TABLES[name].protocol, methods, out, pairs=pairs, progress=progress)
+    report = evaluate_command(TABLES[name].protocol, methods, out, pairs=pairs, progress=progress, data=data)
     return report, paper_table(name, report)
 
 
@@ -104,10 +136,10 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
         cells = [_mean_and_interval(ours.get((row.method, kind))) for kind in ("seen", "unseen")]
         mine = ours.get((row.method, "unseen"))
         seconds = _figure(mine, "seconds_per_frame")
-        paper = [f"{value:.1f}" if value is not None else "-" for value in (row.seen, row.unseen)]
+        paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
         facts = [mine.get("given", "-"), mine.get("trained", "-")] if mine else ["-", "-"]
         lines.append([row.label, f"`{row.method}`", *paper, *cells, seconds, *facts])
-    head = ["row", "ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "s a pair", "given", "trained"]
+    head = ["row", "ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "s a mesh", "given", "trained"]
     return f"{table.title}. PMD (Eq. 7) x1e-4; the paper on SMPL, ours on our body.\n\n" + grid(head, lines)
 
 

@@ -31,15 +31,17 @@ DATA = {
 """Kinds of training data as the card says them."""
 
 
-def export_command(path: Path, out: Path) -> Path:
+def export_command(path: Path, out: Path, bits: int = 16) -> Path:
     """What `mimesh export` does: the network, and a card (`.json`) with data, config, time, hardware and metrics.
 
-    The card's `metrics.test` is filled by `mimesh evaluate`, never here.
+    Weights are stored in so many bits, 16 or 8. The card's `metrics.test` is filled by `mimesh evaluate`, never here.
     """
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
+    if bits not in (8, 16):
+        raise InputError(f"--bits: expected 16 or 8, found {bits}; leave it out for 16")
     model, state = checkpoint.load_model(path)
-    network = to_onnx(model, half=True)
+    network = smaller(to_onnx(model), bits)
     describe(network, model.config, state.config.data.target_scale)
     with whole_file(out) as temporary:
         onnx.save(network, str(temporary))
@@ -48,15 +50,12 @@ def export_command(path: Path, out: Path) -> Path:
     return out
 
 
-def to_onnx(model: NPT | AniFormer | LIMP, half: bool) -> onnx.ModelProto:
+def to_onnx(model: NPT | AniFormer | LIMP) -> onnx.ModelProto:
     """Export with inputs `identity` and `driving` and output `result`, all float32 and of any vertex count.
 
     NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or
     (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small. LIMP: (B, V, 3) and
     (B, U, 3) give the W vertices of its template, (B, W, 3).
-
-    Args:
-        half: store large weights as float16 behind a cast; arithmetic stays in float32.
     """
     example, shapes = _window(model.config) if isinstance(model, AniFormer) else _pair(model.config)
     with warnings.catch_warnings():
@@ -71,8 +70,7 @@ def to_onnx(model: NPT | AniFormer | LIMP, half: bool) -> onnx.ModelProto:
             verbose=False,
         )
     assert program is not None
-    network = program.model_proto
-    return with_half_weights(network) if half else network
+    return program.model_proto
 
 
 def _pair(config: NPTConfig | LIMPConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
@@ -89,18 +87,30 @@ def _window(config: AniFormerConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict,
     return (torch.randn(1, 300, 3), torch.randn(1, config.frames, 300, 3)), ({1: v}, {2: v})
 
 
-def with_half_weights(network: onnx.ModelProto, smallest: int = 256) -> onnx.ModelProto:
-    """A copy whose float32 initializers of at least `smallest` numbers are float16, each behind a Cast to float32."""
+def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> onnx.ModelProto:
+    """A copy that stores its weights in fewer bits; arithmetic stays in float32.
+
+    Args:
+        bits: 16 casts float16; 8 scales int8 by a number for each row of a matrix, and is 16 for the rest.
+        smallest: fewer numbers than these are left alone.
+    """
     network = onnx.ModelProto.FromString(network.SerializeToString())
-    casts = []
-    for tensor in network.graph.initializer:
+    nodes = []
+    for tensor in list(network.graph.initializer):
         if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < smallest:
             continue
-        name = tensor.name
-        values = onnx.numpy_helper.to_array(tensor).astype(np.float16)
-        tensor.CopyFrom(onnx.numpy_helper.from_array(values, f"{name}.half"))
-        casts.append(onnx.helper.make_node("Cast", [f"{name}.half"], [name], to=onnx.TensorProto.FLOAT))
-    nodes = [*casts, *network.graph.node]
+        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
+        if bits == 8 and values.ndim == 2:
+            scale = (np.abs(values).max(axis=1) / 127).clip(1e-12).astype(np.float32)
+            stored = np.round(values / scale[:, None]).astype(np.int8)
+            network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
+            inputs = [f"{name}.stored", f"{name}.scale"]
+            nodes.append(onnx.helper.make_node("DequantizeLinear", inputs, [name], axis=0))
+        else:
+            stored = values.astype(np.float16)
+            nodes.append(onnx.helper.make_node("Cast", [f"{name}.stored"], [name], to=onnx.TensorProto.FLOAT))
+        tensor.CopyFrom(onnx.numpy_helper.from_array(stored, f"{name}.stored"))
+    nodes += network.graph.node
     del network.graph.node[:]
     network.graph.node.extend(nodes)
     return network

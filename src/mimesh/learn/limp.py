@@ -61,7 +61,7 @@ class LIMP(nn.Module):
         self.config = config
         code = config.style + config.pose
         self.points = _layers(3, *config.encoder)
-        self.code = PointConv(config.encoder[-1], code)
+        self.to_code = PointConv(config.encoder[-1], code)
         self.hidden = _layers(code, *config.decoder)
         self.head = PointConv(config.decoder[-1], 3 * config.vertices)
 
@@ -70,14 +70,15 @@ class LIMP(nn.Module):
         h = mesh.permute(2, 0, 1)
         for conv in self.points:
             h = instance_norm(conv(h)).relu()
-        code = self.code(h.max(dim=2).values)  # the gradient of amax costs twenty times as much
+        code = self.to_code(h.max(dim=2).values)  # the gradient of amax costs twenty times as much
         return code[: self.config.style], code[self.config.style :]
 
     def decode(self, style: Float[Tensor, "S B"], pose: Float[Tensor, "P B"]) -> Float[Tensor, "B V 3"]:
         """The template's vertices."""
         h = torch.cat([style, pose])
         for conv in self.hidden:
-            h = F.layer_norm(conv(h).mT, conv.bias.shape).mT.relu()
+            h = conv(h).mT
+            h = F.layer_norm(h, h.shape[-1:]).mT.relu()
         return self.head(h).float().unflatten(0, (-1, 3)).permute(2, 0, 1)
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "B W 3"]:
@@ -87,7 +88,7 @@ class LIMP(nn.Module):
     def estimate_flops(self, vertices: int, driving_vertices: int) -> float:
         """Floating-point operations of one pair's forward pass: two for each use of a weight."""
         each, hidden = (sum(p.numel() for p in part.parameters() if p.ndim == 2) for part in (self.points, self.hidden))
-        whole = 2 * self.code.weight.numel() + hidden + self.head.weight.numel()
+        whole = 2 * self.to_code.weight.numel() + hidden + self.head.weight.numel()
         return 2.0 * (each * (vertices + driving_vertices) + whole)
 
 

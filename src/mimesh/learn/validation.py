@@ -112,7 +112,7 @@ class ClipValidation(PairValidation):
         return float(np.mean([self._pmd_in_metres(r, own, t) for r, t in zip(results, truths, strict=True)]))
 
     def _error(self, result: Tensor, truth: Tensor) -> Tensor:
-        return super()._error(result, middle_of(truth, result.shape[1]))
+        return super()._error(result, truth if truth.ndim == 3 else middle_of(truth, result.shape[1]))
 
 
 def middle_of(truth: Float[Tensor, "B T V 3"], frames: int) -> Float[Tensor, "B R V 3"]:

@@ -18,15 +18,21 @@ from ..mesh import InputError, Mesh
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
 
-ROWS = ("npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal")
-"""Lines of the papers' tables: trained on the papers' poses alone, to be compared rather than used."""
-SHIPPED_NETWORKS = {name: f"{name}.onnx" for name in ("npt", "npt-maxpool", *ROWS)}
+SHIPPED_NETWORKS = ("npt", "npt-maxpool")
+ROWS = (
+    *("npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
+    *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
+    *("npt-frames", "npt-maxpool-frames", "limp"),
+)
+"""Lines of the papers' tables, to be compared rather than used: not shipped, but in a checkout's folder `rows`."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 
-def shipped_path(model: str) -> Path:
-    """Where the weights of a shipped network lie."""
-    return Path(str(resources.files("mimesh") / "zoo" / SHIPPED_NETWORKS[model]))
+def weights_path(model: str) -> Path:
+    """Where the weights of a network lie: one that is shipped, one of ROWS, or the path of an `.onnx` file."""
+    if model in SHIPPED_NETWORKS:
+        return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
+    return Path("rows", f"{model}.onnx") if model in ROWS else Path(model)
 
 
 @runtime_checkable
@@ -49,7 +55,7 @@ def find_method(
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
 ) -> Method:
-    """The method of a name in MODELS, or of the path of an `.onnx` file written by `mimesh export`.
+    """The method of a name in MODELS or ROWS, or of the path of an `.onnx` file written by `mimesh export`.
 
     Args:
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
@@ -76,8 +82,12 @@ def find_method(
         from .skeleton import Skeleton
 
         return Skeleton(seed=seed)
-    if model in SHIPPED_NETWORKS:
-        return load_network(shipped_path(model), name=model, ensemble=ensemble, seed=seed)
-    if model.endswith(".onnx"):
-        return load_network(Path(model), name=Path(model).stem, ensemble=ensemble, seed=seed)
+    path = weights_path(model)
+    if model in ROWS and not path.is_file():
+        raise InputError(
+            f"{model}: expected its weights in {path}, found no file; run this in a checkout of the repository, "
+            "or train them with scripts/train_rows.py"
+        )
+    if path.suffix == ".onnx":
+        return load_network(path, name=path.stem, ensemble=ensemble, seed=seed)
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

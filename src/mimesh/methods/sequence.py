@@ -109,10 +109,10 @@ def blended(
     weights = np.minimum(np.arange(length) + 1, length - np.arange(length))
     sums: deque[tuple[Float[np.ndarray, "V 3"], int]] = deque()  # of results and of weights, one pair a frame
     first = left = 0  # the frame of sums[0], and how many frames are the clip's own from there on
-    for start, window, left in windows(frames, length, stride):
+    for start, window, own in windows(frames, length, stride):
         for total, weight in [sums.popleft() for _ in range(start - first)]:
             yield total / weight
-        first = start
+        first, left = start, own
         for offset, (result, weight) in enumerate(zip(run(window), weights, strict=True)):
             if offset < len(sums):
                 sums[offset] = sums[offset][0] + weight * result, sums[offset][1] + weight
