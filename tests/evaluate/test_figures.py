@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from networks import write_network
+from networks import write_network, write_sequence_network
 from PIL import Image
 
 from mimesh.bodies import load_body
@@ -30,6 +30,13 @@ def test_a_figure_is_a_page_of_rows(name, network, people, tmp_path):
     picture = np.asarray(Image.open(out))
     assert picture.shape[1] >= 3 * 300
     assert picture.std() > 5
+
+
+@pytest.mark.parametrize("name", ["aniformer-5", "aniformer-noise"])
+def test_a_figure_of_motion_has_rows_of_frames(name, people, tmp_path):
+    network = str(write_sequence_network(tmp_path / "tiny.onnx"))
+    assert figure_command(name, tmp_path / "figure.png", (network,), 1, people) == 2
+    assert Image.open(tmp_path / "figure.png").size[0] >= 6 * 300
 
 
 def test_colours_follow_the_vertices_through_a_shuffle(network):

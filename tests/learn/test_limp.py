@@ -141,5 +141,5 @@ def test_a_trial_on_the_template_is_the_trial_with_fewer_vertices():
 
 
 def test_the_template_is_as_large_as_the_data():
-    with pytest.raises(InputError, match="data.vertices as model.vertices"):
+    with pytest.raises(InputError, match=r"data\.vertices as model\.vertices"):
         load_config("table", "limp", ["data.vertices=128"])

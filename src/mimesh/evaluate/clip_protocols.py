@@ -75,10 +75,13 @@ class ClipsAniformer(Protocol):
 
     def check(self, split: str) -> None:
         """Raise InputError for `train`, and for `test` where the DeepMimic clips are not there."""
-        if split not in ("val", "test"):
-            raise InputError(f"{split}: expected val or test of {self.name}, found a split without trials; choose one")
+        self._check_name(split)
         if split == "test":
             deepmimic_folder(self.data)
+
+    def _check_name(self, split: str) -> None:
+        if split not in ("val", "test"):
+            raise InputError(f"{split}: expected val or test of {self.name}, found a split without trials; choose one")
 
     def train_people(self, body: RiggedBody) -> Float[np.ndarray, "P K"]:
         """Shape coefficients of the 16 training people."""
@@ -110,7 +113,7 @@ class ClipsAniformer(Protocol):
 
     def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> ClipPair:
         """Trial i with its vertices in the order of the body; all is drawn by seeds, nothing from `rng`."""
-        self.check(split)
+        self._check_name(split)
         motion, target = self.motion(split, kind, i), i % self.targets
         mover = Person(human(), sample_shape(human(), self.seed(split), target, self.spread), str(target))
         number = 1000 * self.kinds.index(kind) + i

@@ -1,4 +1,4 @@
-"""The figures of NPT with our people and methods: one page each, a row a trial."""
+"""The figures of both papers with our people and methods: one page each. NPT's have a row a trial."""
 
 from __future__ import annotations
 
@@ -7,32 +7,23 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..mesh import InputError, Mesh
 from ..pipeline import transfer
-from .cross_body import SUFFIXES
+from .clip_figures import clips_compared, clips_noisy, others_in_motion
 from .measure import moved
 from .pairs import Pair, shuffled
 from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE
 from .run import Progress, check_method
+from .tiles import Tile, drawn, folder_of_people
 
-if TYPE_CHECKING:
-    from PIL import Image
-
-TILE = (300, 360)
 ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
 
-
-class Tile(NamedTuple):
-    """One mesh of a page; `colors` a vertex instead of its materials."""
-
-    label: str
-    mesh: Mesh
-    colors: Float[np.ndarray, "V 3"] | None = None
+IN_MOTION = ("aniformer-regression", "aniformer-plain", "aniformer-motion", "aniformer-appearance", "aniformer-equal")
 
 
 class Figure(NamedTuple):
@@ -63,7 +54,7 @@ def figure_command(
         check_method(model)
     count, pages = rows or figure.count, []
     for tiles in figure.rows(models or figure.models, count, data):
-        pages.append(_row(tiles))
+        pages.append(drawn(tiles))
         if progress is not None:
             progress(len(pages), max(count, len(pages)))
     save_picture(stack(pages), out)
@@ -100,7 +91,7 @@ def noisy(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[li
 
 def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Identities from other makers in poses of our people (Fig. 10, 17, 18)."""
-    for i, path in enumerate(_others(data)[:count]):
+    for i, path in enumerate(folder_of_people(data)[:count]):
         driving = HUMAN_WIDE.pair("test", "clips", i).driving
         tiles = [Tile("driving", driving)]
         for model in models:
@@ -110,7 +101,7 @@ def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iter
 
 def others_driving(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Poses from other makers on our people (Fig. 11)."""
-    for i, path in enumerate(_others(data)[:count]):
+    for i, path in enumerate(folder_of_people(data)[:count]):
         identity = HUMAN_WIDE.pair("test", "clips", i).identity
         results = [Tile(m, transfer(identity, path, m, up="+y", front="+z").mesh) for m in models]
         yield [Tile("identity", identity), Tile(path.stem, _read(path)), *results]
@@ -136,44 +127,24 @@ FIGURES = {
     "npt-17": Figure("more identities from other makers (--data)", others_moved, ("npt",), 12),
     "npt-19": Figure("more seen poses", partial(compared, kind="seen"), ("npt",), 8),
     "npt-20": Figure("more unseen poses", partial(compared, kind="unseen"), ("npt",), 8),
+    "aniformer-3": Figure(
+        "unseen motions, beside methods that go frame by frame (--data)",
+        partial(clips_compared, kind="unseen"),
+        ("npt-frames", "limp", "aniformer-equal"),
+        1,
+    ),
+    "aniformer-4": Figure("ablations in motion (--data)", partial(clips_compared, kind="unseen"), IN_MOTION, 1),
+    "aniformer-5": Figure("identities from other makers in motion (--data)", others_in_motion, ("aniformer-equal",), 3),
+    "aniformer-noise": Figure("noise on the driving clip", clips_noisy, ("aniformer-equal",), 3),
 }
-"""Figures 14 (animals) and 18 (a registered data set) wait for their data; 17 takes any folder of people."""
+"""NPT's figures 14 (animals) and 18 (a registered data set) wait for their data; 17 takes any folder of people. The
+last row of AniFormer's figure 5, noise, is a figure of its own."""
 
 
 def _trial(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
     results = [Tile(model, Mesh(moved(pair, model), faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
-
-
-def _row(tiles: list[Tile]) -> Image.Image:
-    from ..view.camera import fit
-    from ..view.raster import render, render_mesh
-    from ..view.sheet import captioned, page
-
-    pictures = []
-    for tile in tiles:
-        camera = fit(tile.mesh.vertices, TILE, "three-quarter")
-        if tile.colors is None:
-            picture = render_mesh(tile.mesh, TILE, camera)
-        else:
-            picture = render(tile.mesh.vertices, tile.mesh.faces, camera, TILE, tile.colors)
-        pictures.append(captioned(picture, tile.label))
-    return page(pictures, len(pictures))
-
-
-def _others(data: Path | None) -> list[Path]:
-    """Mesh files of a folder.
-
-    Raises:
-        InputError: no folder given, or none with meshes.
-    """
-    if data is None or not data.is_dir():
-        raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
-    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in (*SUFFIXES, ".obj", ".ply"))
-    if not paths:
-        raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
-    return paths
 
 
 def _read(path: Path) -> Mesh:

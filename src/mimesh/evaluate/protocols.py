@@ -208,11 +208,15 @@ class Noise(Spoilt):
 
     def noisy(self, pair: Pair, share: float, rng: np.random.Generator) -> Pair:
         """Uniform noise on the driving's coordinates, and alike on the driving as `copy` gets it."""
-        vertices = pair.driving.vertices
-        radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
-        moved = vertices + share * radius * rng.uniform(-1, 1, vertices.shape)
+        moved = shaken(pair.driving.vertices, share, rng)
         spoilt = dataclasses.replace(pair.driving, vertices=moved)
         return dataclasses.replace(pair, driving=spoilt, aligned=moved)
+
+
+def shaken(vertices: Float[np.ndarray, "V 3"], share: float, rng: np.random.Generator) -> Float[np.ndarray, "V 3"]:
+    """Points with uniform noise on their coordinates, up to a share of their radius."""
+    radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
+    return vertices + share * radius * rng.uniform(-1, 1, vertices.shape)
 
 
 MESHINGS = {

@@ -3,7 +3,7 @@
 Inputs "identity" (1, V, 3) and "driving" (1, T, V, 3); output "result" (1, T, V, 3), or (1, 1, V, 3), the window's
 middle frame, with the regression head. Each input mesh is centred on its bounding box and divided by its largest
 distance from there, each driving frame by its own; every frame of the result is centred on its own bounding box.
-Driving frame t must be followed by T - 1 others before the result of t is known: about as many are read ahead and held.
+The result of a frame is known when its windows are: up to T - 1 driving frames are read ahead and held.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ from .travel import sized, travelling
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-STRIDE = 1
-"""Frames from the start of one window to that of the next."""
+OVERLAP = 1
+"""Frames that a window shares with the next one. More cost more and change nothing: on `val` the PMD is the same
+to three digits, the jitter 1 % less with two of three frames and 5 to 20 % more with none."""
 Window = Float[np.ndarray, "T N 3"]
 Run = Callable[[Window], Float[np.ndarray, "R V 3"]]
 """Driving frames of a window to results: one for each, or one for the middle."""
@@ -73,7 +74,7 @@ class Sequence:
             if self.head == "regression":
                 results = middles(points, run, self.frames)
             else:
-                results = blended(points, run, self.frames, min(STRIDE, self.frames))
+                results = blended(points, run, self.frames, max(1, self.frames - OVERLAP))
 
             def pose(_: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
                 result = next(results)

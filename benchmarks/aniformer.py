@@ -1,0 +1,129 @@
+"""AniFormer at the paper's width against the public code's arithmetic, in one run; memory and seams of long clips.
+
+    python benchmarks/aniformer.py [-m MODEL] [-o FILE]
+
+The public code attends from every vertex of a frame to every other, with one head (V x V products, 73 % of its
+arithmetic). Both are exported and run by onnxruntime at 6,890 vertices with untrained weights, as `animate` runs them:
+windows of T = 3 frames that share one. MODEL (a name or an .onnx file) then moves through 30 and 300 frames: the peak
+memory of each, and the error of accelerations where two windows meet over that within windows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from mimesh.bodies import load_body
+from mimesh.io import save_clip, save_mesh
+from mimesh.io.atomic import whole_file
+from mimesh.mesh import Clip
+from mimesh.methods.sequence import OVERLAP
+from mimesh.motions import motion_clip, walk_motion
+from mimesh.provenance import commit, libraries, machine
+
+VERTICES = 6890
+REPEATS = 3
+SECONDS = 10.0
+
+
+def main() -> None:
+    """Print the figures and keep them if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-m", "--model", help="of the long clips; left out, only arithmetic is timed")
+    parser.add_argument("-o", "--output", type=Path)
+    args = parser.parse_args()
+    figures = {"speed": speed(), **(long_clips(args.model) if args.model else {})}
+    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "seed": 0, **figures}
+    print(json.dumps(report, indent=2))
+    if args.output:
+        with whole_file(args.output) as temporary:
+            temporary.write_text(json.dumps(report, indent=2) + "\n")
+
+
+def speed() -> dict[str, dict[str, float]]:
+    """Seconds and operations of a frame of the result, ours and the public code's, and how many times faster we are."""
+    from mimesh.learn.aniformer import AniFormerConfig
+
+    public = AniFormerConfig(frames=1, attention="vertices", heads=1, scaled=False, keys=VERTICES)
+    ours = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
+    found = {name: frame_cost(config) for name, config in {"public": public, **ours}.items()}
+    for cost in found.values():
+        cost["times_faster_than_public"] = round(found["public"]["seconds"] / cost["seconds"], 2)
+    return found
+
+
+def frame_cost(config) -> dict[str, float]:
+    """Fastest of a few runs of a window, over the frames that it adds to the result."""
+    import onnxruntime
+    import torch
+
+    from mimesh.learn.aniformer import AniFormer
+    from mimesh.learn.export import to_onnx
+
+    torch.manual_seed(0)
+    model = AniFormer(config)
+    session = onnxruntime.InferenceSession(to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"])
+    rng = np.random.default_rng(0)
+    inputs = {
+        "identity": rng.uniform(-1, 1, (1, VERTICES, 3)).astype(np.float32),
+        "driving": rng.uniform(-1, 1, (1, config.frames, VERTICES, 3)).astype(np.float32),
+    }
+    new = max(1, config.frames - OVERLAP)
+    times = []
+    for _ in range(REPEATS):
+        started = time.perf_counter()
+        session.run(["result"], inputs)
+        times.append(time.perf_counter() - started)
+    return {
+        "seconds": round(min(times) / new, 3),
+        "seconds_without_overlap": round(min(times) / config.frames, 3),
+        "gflop": round(model.estimate_flops(VERTICES) * config.frames / new / 1e9, 1),
+    }
+
+
+def long_clips(model: str) -> dict[str, float]:
+    """Peak memory at 30 and 300 frames through the command line, and what windows do to the smoothness."""
+    body = load_body()
+    motion = walk_motion(body, 0, 0, seconds=SECONDS, fps=30.0)
+    driving, truth = (motion_clip(body, shape, motion) for shape in (np.full(1, 1.5), np.zeros(1)))
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        save_mesh(truth.mesh, folder / "identity.obj")
+        peaks = {}
+        for frames in (30, 300):
+            save_clip(Clip(driving.mesh, driving.vertices[:frames], 30.0), folder / f"driving{frames}")
+            axes = ["--up", "+y", "--front", "+z", "--driving-up", "+y", "--driving-front", "+z"]
+            names = [str(folder / name) for name in ("identity.obj", f"driving{frames}", f"moved{frames}.npz")]
+            command = ["mimesh", "animate", *names[:2], "-m", model, "-o", names[2], "-q", *axes]
+            peaks[frames] = peak_mb(command)
+        moved = np.load(folder / "moved300.npz")["vertices"].astype(np.float64)
+    error = np.linalg.norm(np.diff(moved - truth.vertices, 2, axis=0), axis=-1).mean(axis=1)
+    middle = np.arange(1, len(error) + 1)
+    borders = middle % 2 == 0  # T = 3 frames, one shared: windows begin and end on even frames
+    return {
+        "peak_mb_30_frames": round(peaks[30]),
+        "peak_mb_300_frames": round(peaks[300]),
+        "peak_ratio": round(peaks[300] / peaks[30], 3),
+        "jitter_at_borders_over_inside": round(float(error[borders].mean() / error[~borders].mean()), 3),
+    }
+
+
+def peak_mb(command: list[str]) -> float:
+    """Peak memory of a command in a process of its own."""
+    watch = (
+        "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True); "
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", watch, *command], check=True, capture_output=True, text=True)
+    return int(done.stdout.split()[-1]) / 1024
+
+
+if __name__ == "__main__":
+    main()
