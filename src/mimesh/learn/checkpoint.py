@@ -21,6 +21,9 @@ from .config import TrainConfig, config_from
 from .limp import LIMP, LIMPConfig
 from .npt import NPT
 
+Network = NPT | AniFormer | LIMP
+"""Whatever can be trained."""
+
 
 @dataclass(frozen=True)
 class State:
@@ -101,14 +104,14 @@ def unpack(state: State, model: nn.Module, ema: dict[str, Tensor], optimizers: l
         optimizer.load_state_dict({"state": fields, "param_groups": groups})
 
 
-def make_model(config: TrainConfig) -> NPT | AniFormer | LIMP:
+def make_model(config: TrainConfig) -> Network:
     """A fresh network of a configuration."""
     if isinstance(config.model, AniFormerConfig):
         return AniFormer(config.model)
     return LIMP(config.model) if isinstance(config.model, LIMPConfig) else NPT(config.model)
 
 
-def load_model(path: Path) -> tuple[NPT | AniFormer | LIMP, State]:
+def load_model(path: Path) -> tuple[Network, State]:
     """The model of a checkpoint in float32, ready to infer."""
     state = load(path)
     model = make_model(state.config)

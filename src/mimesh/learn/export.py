@@ -18,8 +18,8 @@ from ..io.atomic import whole_file
 from ..mesh import InputError
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
-from .limp import LIMP, LIMPConfig
-from .npt import NPT, NPTConfig
+from .limp import LIMPConfig
+from .npt import NPTConfig
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
@@ -50,7 +50,7 @@ def export_command(path: Path, out: Path, bits: int = 16) -> Path:
     return out
 
 
-def to_onnx(model: NPT | AniFormer | LIMP) -> onnx.ModelProto:
+def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
     """Export with inputs `identity` and `driving` and output `result`, all float32 and of any vertex count.
 
     NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or

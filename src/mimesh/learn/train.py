@@ -24,7 +24,6 @@ from .clip_losses import aniformer_loss
 from .config import MODELS, TrainConfig, load_config
 from .limp import LIMP, limp_loss
 from .losses import npt_loss
-from .npt import NPT
 from .optimizers import make_optimizers
 from .validation import PairValidation, make_source, make_validation
 
@@ -88,7 +87,7 @@ class Run:
     """A training in motion."""
 
     config: TrainConfig
-    model: NPT | AniFormer | LIMP
+    model: checkpoint.Network
     step_model: nn.Module
     """The model, or its compiled form; both share weights."""
     ema: dict[str, Tensor]

@@ -15,10 +15,10 @@ from ..evaluate.protocols import HUMAN_NPT
 from ..frame import bbox_centre, radius
 from .aniformer import AniFormer, AniFormerConfig
 from .batches import PairSource, TemplateSource
+from .checkpoint import Network
 from .clip_batches import ClipSource
 from .config import TrainConfig
 from .limp import LIMP, LIMPConfig
-from .npt import NPT
 
 WINDOW = 3
 """Frames of each clip that networks of pairs are judged by."""
@@ -49,7 +49,7 @@ class PairValidation:
         self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
 
     @torch.no_grad()
-    def measure(self, model: NPT | AniFormer | LIMP) -> dict[str, float]:
+    def measure(self, model: Network) -> dict[str, float]:
         """PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of the last two."""
         model.eval()
         figures = {kind: sum(self.pmd(model, t) for t in trials) / len(trials) for kind, trials in self.trials.items()}
@@ -61,7 +61,7 @@ class PairValidation:
         model.train()
         return figures
 
-    def pmd(self, model: NPT | AniFormer | LIMP, trial: Pair) -> float:
+    def pmd(self, model: Network, trial: Pair) -> float:
         """Of one trial, result and truth in metres and then in the truth's unit sphere."""
         identity, own = self._sphere(trial.identity.vertices)
         driving, _ = self._sphere(trial.driving.vertices)
@@ -78,7 +78,7 @@ class PairValidation:
         centred = points - bbox_centre(points)
         return torch.from_numpy(centred / radius(centred)).float().to(self.device), radius(centred)
 
-    def _infer(self, model: NPT | AniFormer | LIMP, identity: Tensor, driving: Tensor) -> Tensor:
+    def _infer(self, model: Network, identity: Tensor, driving: Tensor) -> Tensor:
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
             return model(identity, driving)
 
@@ -96,7 +96,7 @@ class ClipValidation(PairValidation):
         }
         self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
 
-    def pmd(self, model: NPT | AniFormer | LIMP, trial: ClipPair) -> float:  # type: ignore[override]
+    def pmd(self, model: Network, trial: ClipPair) -> float:  # type: ignore[override]
         """Mean over the frames of one window."""
         trial = on_template(trial) if isinstance(model, LIMP) else trial
         frames = model.config.frames if isinstance(model, AniFormer) else WINDOW
