@@ -166,18 +166,18 @@ def test_arguments_are_left_alone(model):
 
 
 def test_frames_are_taken_one_at_a_time(model):
-    """Constant memory: the result of a frame is there before the next is asked for, or the rest of its last window."""
-    asked, trial, last = [], trials(model)[0], 5
-    stride, length = (WINDOW - OVERLAP, WINDOW) if model.endswith("sequence.onnx") else (1, 1)
+    """Constant memory: the result of a frame is there before the next is asked for, or two windows."""
+    asked, trial = [], trials(model)[0]
+    ahead = 2 * WINDOW - OVERLAP - 1 if model.endswith("sequence.onnx") else 0
 
     def frames():
-        for t in range(last):
+        for t in range(5 + ahead):
             asked.append(t)
             yield trial.driving.vertices
 
     drive = find_method(model, **trial.given(model)).prepare(IDENTITY, trial.driving)
     for t, vertices in enumerate(drive(frames())):
-        assert asked == list(range(min(t // stride * stride + length, last)))
+        assert len(asked) <= t + 1 + ahead
         assert vertices.shape == IDENTITY.vertices.shape
 
 
