@@ -1,40 +1,44 @@
-"""Ship a trained checkpoint: export it into the zoo, measure it on `test` and fill its card.
+"""Ship a trained checkpoint: export it into the zoo, and fill the cards with what was measured in docs/results.
 
 A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower.
 
-    python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors npt-maxpool=runs/...  [--report FILE]
+    python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
+    python scripts/measure_all.py human-npt clips-aniformer --clips DIR
+    python scripts/ship_weights.py
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import zlib
 from pathlib import Path
 
-from mimesh.evaluate.run import evaluate_command
-from mimesh.evaluate.tables import markdown
+import write_results
+
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.export import export_command
 from mimesh.mesh import InputError
 
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
+ON_CLIPS = ("aniformer",)
+"""Networks of clips; the others are measured on pairs of meshes."""
 
 
 def main() -> None:
-    """Export what improves, then measure everything that is shipped."""
+    """Export what improves; then each card takes the figures of its own weights."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("weights", nargs="*", metavar="NAME=CHECKPOINT")
-    parser.add_argument("--report", type=Path, help="figures of `mimesh evaluate human-npt` to fill the cards with")
     args = parser.parse_args()
     for entry in args.weights:
         name, _, path = entry.partition("=")
         ship(name, Path(path))
-    names = sorted(path.stem for path in ZOO.glob("*.onnx"))
-    report = json.loads(args.report.read_text()) if args.report else evaluate_command("human-npt", [*names, "copy"])
-    for name in names:
-        fill_card(ZOO / f"{name}.json", report)
-    print(markdown(report))
+    for path in sorted(ZOO.glob("*.onnx")):
+        protocol = "clips-aniformer" if path.stem in ON_CLIPS else "human-npt"
+        report = json.loads((write_results.RESULTS / f"{protocol}.json").read_text())
+        if not fill_card(path, report):
+            print(f"{path.stem}: not measured yet on {protocol}; its card holds no test figures")
 
 
 def ship(name: str, path: Path) -> None:
@@ -53,17 +57,22 @@ def ship(name: str, path: Path) -> None:
     export_command(path, ZOO / f"{name}.onnx")
 
 
-def fill_card(card: Path, report: dict) -> None:
-    """Write the test figures of a model, and of `copy` in the same run, into its card."""
-    rows = {(row["method"], row["split"]): row["pmd_e4"] for row in report["results"]}
+def fill_card(weights: Path, report: dict) -> bool:
+    """Write the test figures of these weights, and of `copy` in the same report, into their card; False if none."""
+    rows = {(row["method"], row["split"]): row for row in report["results"]}
+    mine = rows.get((weights.stem, "unseen"), {})
+    measured = mine.get("weights") == zlib.crc32(weights.read_bytes())
+    card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
     facts["metrics"]["test"] = {
-        f"{prefix}{split}_pmd_e4": rows[method, split]
-        for prefix, method in (("", card.stem), ("copy_", "copy"))
+        f"{prefix}{split}_pmd_e4": rows[method, split]["pmd_e4"]
+        for prefix, method in (("", weights.stem), ("copy_", "copy"))
         for split in ("seen", "unseen")
+        if measured
     }
     with whole_file(card) as temporary:
         temporary.write_text(json.dumps(facts, indent=2) + "\n")
+    return measured
 
 
 if __name__ == "__main__":
