@@ -50,9 +50,10 @@ def export(
     require("train", "torch", "onnx", "onnxscript")
     from ..learn.export import export_command
 
-    export_command(checkpoint, output, bits)
+    card = export_command(checkpoint, output, bits)
     if json:
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:
         print(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
-        print_next("evaluate", "human-npt", "-m", f"{output},copy")
+        protocol = "human-npt" if card["config"]["network"] == "npt" else "clips-aniformer"
+        print_next("evaluate", protocol, "-m", f"{output},copy")

@@ -31,10 +31,10 @@ DATA = {
 """Kinds of training data as the card says them."""
 
 
-def export_command(path: Path, out: Path, bits: int = 16) -> Path:
-    """What `mimesh export` does: the network, and a card (`.json`) with data, config, time, hardware and metrics.
+def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
+    """What `mimesh export` does: write the network and its card (`.json`: data, config, time, hardware, metrics).
 
-    Weights are stored in so many bits, 16 or 8. The card's `metrics.test` is filled by `mimesh evaluate`, never here.
+    Weights are stored in so many bits, 16 or 8. `metrics.test` is left out: it is for those who measure. Gives the card.
     """
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
@@ -45,9 +45,10 @@ def export_command(path: Path, out: Path, bits: int = 16) -> Path:
     describe(network, model.config, state.config.data.target_scale)
     with whole_file(out) as temporary:
         onnx.save(network, str(temporary))
+    facts = card(out, path, state)
     with whole_file(out.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(card(out, path, state), indent=2) + "\n")
-    return out
+        temporary.write_text(json.dumps(facts, indent=2) + "\n")
+    return facts
 
 
 def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
