@@ -34,7 +34,7 @@ DATA = {
 def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     """What `mimesh export` does: write the network and its card (`.json`: data, config, time, hardware, metrics).
 
-    Weights are stored in so many bits, 16 or 8. `metrics.test` is left out: it is for those who measure. Gives the card.
+    Weights are stored in so many bits, 16 or 8. `metrics.test` is left out: those who measure fill it. Gives the card.
     """
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
