@@ -85,7 +85,7 @@ class ClipSource(PairSource):
         start, stop = (self._within(self.limits, size, rng)[:, None] for _ in range(2))
         step = REACH * torch.rand(size, 1, 1, 1, generator=rng, device=self.device)
         straight = rotvec_to_rotmat(start + step * at[:, None, None] * (stop - start))
-        turn = self._headings(size, np.pi, rng)[:, None]
+        turn = self._headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
         window[:, :, 0] = turn @ window[:, :, 0]
