@@ -10,9 +10,9 @@ from mimesh.learn import clip_batches
 from mimesh.learn.aniformer import AniFormerConfig
 from mimesh.learn.batches import DataConfig
 from mimesh.learn.clip_batches import ClipSource
+from mimesh.learn.clip_losses import middle_of
 from mimesh.learn.config import ClipLossConfig, TrainConfig, load_config
 from mimesh.learn.train import Run, train
-from mimesh.learn.validation import middle_of
 from mimesh.mesh import InputError
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]

@@ -34,6 +34,8 @@ class ClipBatch:
     identity: Float[Tensor, "B V 3"]
     driving: Float[Tensor, "B T V 3"]
     truth: Float[Tensor, "B T V 3"]
+    unit: Float[Tensor, "B T"]
+    """Radii by which the frames of `truth` were divided, over that of `identity`."""
     edges: Int[Tensor, "B E 2"]
     edges_of_mesh: float
 
@@ -64,8 +66,9 @@ class ClipSource(PairSource):
         index, driving_index, edges, share = self._vertices(size, rng)
         identity, radius = self._mesh(identity_shape, identity_pose, index)
         scale = radius if self.config.target_scale == "identity" else None
-        driving = self._window(driving_shape, poses, driving_index)
-        return ClipBatch(identity, driving, self._window(identity_shape, poses, index, scale), edges, share)
+        driving, _ = self._window(driving_shape, poses, driving_index)
+        truth, radii = self._window(identity_shape, poses, index, scale)
+        return ClipBatch(identity, driving, truth, radii / radius[:, :, 0], edges, share)
 
     def _from_motions(self, size: int, rng: torch.Generator):
         """Two of the 16 people, one of the 80 motions, a window of its 30 frames, a Table 6 pose for the identity."""
@@ -91,9 +94,10 @@ class ClipSource(PairSource):
         window[:, :, 0] = turn @ window[:, :, 0]
         return shapes, poses[0], window
 
-    def _window(self, shape, rotmat, index, radius=None) -> Float[Tensor, "B T V 3"]:
-        """Chosen vertices of every frame, each frame centred and divided by `radius`, or by its own."""
+    def _window(self, shape, rotmat, index, radius=None) -> tuple[Float[Tensor, "B T V 3"], Float[Tensor, "B T"]]:
+        """Chosen vertices of every frame, each frame centred and divided by `radius`, or by its own; those radii."""
         frames = rotmat.shape[1]
         many = [x.repeat_interleave(frames, dim=0) for x in (shape, index)]
         scale = None if radius is None else radius.repeat_interleave(frames, dim=0)
-        return self._mesh(many[0], rotmat.flatten(0, 1), many[1], scale)[0].unflatten(0, (-1, frames))
+        points, radii = self._mesh(many[0], rotmat.flatten(0, 1), many[1], scale)
+        return points.unflatten(0, (-1, frames)), radii.view(-1, frames)

@@ -8,7 +8,7 @@ on sets that hold more than the truth, so neither may stand alone (zero sets: se
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Shaped
 from torch import Tensor
 
 from . import losses
@@ -73,10 +73,11 @@ def appearance_ratio(
 
 def aniformer_loss(
     result: Float[Tensor, "B T V 3"],
-    truth: Float[Tensor, "B T V 3"],
+    truth: Float[Tensor, "B W V 3"],
     identity: Float[Tensor, "B V 3"],
     driving: Float[Tensor, "B W U 3"],
     edges: Int[Tensor, "B E 2"],
+    unit: Float[Tensor, "B W"] | None = None,
     motion: str = "paper",
     motion_weight: float = 1e-3,
     appearance: str = "paper",
@@ -85,25 +86,34 @@ def aniformer_loss(
 ) -> Float[Tensor, ""]:
     """Eq. 6 with distances and velocities divided by the number of vertices, as Eq. 5 is: L_r is then PMD (Eq. 7).
 
-    Motion needs two frames (`velocity`) or three (`paper`): the one frame (T = 1) that the regression head gives of a
-    driving window (W frames) is held to the same frame of the truth by the other terms.
+    The one frame (T = 1) that the regression head gives of a window (W frames) is held to the middle one of the truth;
+    motion asks for two frames (`velocity`) or three (`paper`).
 
     Args:
+        unit: radii by which the frames of the truth were divided, over that of the identity. Eq. 5 compares lengths of
+            the two, so the result is taken to the identity's unit. None: they have one.
         motion: `paper` (Eq. 4 with absolute values), `velocity` (public code) or `off`.
         appearance: `paper` (Eq. 5 with absolute values), `ratio` (public code) or `off`.
         edges_of_mesh: edges a vertex that the whole mesh has, over those given here, when `edges` is a sample.
     """
-    frames, count = result.shape[1:3]
+    count = result.shape[2]
+    truth = middle_of(truth, result.shape[1])
     loss = reconstruction(result, truth) / count
-    if motion == "paper" and frames > 2:
+    if motion == "paper":
         loss = loss + motion_weight * motion_paper(result, driving)
-    elif motion == "velocity" and frames > 1:
+    elif motion == "velocity":
         loss = loss + motion_weight * motion_velocity(result, truth) / count
     if appearance == "paper":
-        loss = loss + appearance_weight * edges_of_mesh * appearance_paper(result, identity, edges)
+        sized = result if unit is None else result * middle_of(unit, result.shape[1])[..., None, None]
+        loss = loss + appearance_weight * edges_of_mesh * appearance_paper(sized, identity, edges)
     elif appearance == "ratio":
         loss = loss + appearance_weight * appearance_ratio(result, truth, edges)
     return loss
+
+
+def middle_of(truth: Shaped[Tensor, "B W ..."], frames: int) -> Shaped[Tensor, "B T ..."]:
+    """What a result is held to: all frames of a window, or the middle one where the head gives one."""
+    return truth if frames == truth.shape[1] else truth[:, truth.shape[1] // 2, None]
 
 
 def _change_of_ratio(result: Float[Tensor, "B T V 3"], driving: Float[Tensor, "B T U 3"]) -> Float[Tensor, "B S"]:

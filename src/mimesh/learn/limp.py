@@ -48,7 +48,7 @@ class LIMPLossConfig:
     """Weights of the metric terms beside the reconstruction, whose unit is PMD."""
 
     edges: float = 5e-3
-    """Of changes of edge lengths over their mean length."""
+    """Of changes of edge lengths, these in units of a mesh's mean length."""
     distances: float = 1.0
     """Of squared changes of distances through space."""
 
@@ -120,7 +120,7 @@ def limp_loss(
     # Half-way to somebody else edges are half-way too, wherever on that way.
     share = torch.rand(len(person), generator=rng, device=person.device)
     between = model.decode(style + share * (style_other - style), pose + share * (pose_other - pose))
-    wanted = lengths[0] + share[:, None] * (lengths[1] - lengths[0])
+    wanted = torch.lerp(*lengths, share[:, None])
     growth = _growth(swapped, lengths[0]) + _growth(_lengths(between, edges), wanted)
     # The style of the same person in another pose is as good as their own.
     pairs = torch.randint(person.shape[1], (PAIRS, 2), generator=rng, device=person.device)
@@ -137,7 +137,8 @@ def _pmd(result: Float[Tensor, "B V 3"], truth: Float[Tensor, "B V 3"]) -> Float
 
 
 def _growth(lengths: Float[Tensor, "B E"], wanted: Float[Tensor, "B E"]) -> Float[Tensor, ""]:
-    return (lengths - wanted).abs().mean() / wanted.mean()
+    """Each mesh in its own mean length: one person in two poses is divided by the radii of two unit spheres."""
+    return (lengths / lengths.mean(1, keepdim=True) - wanted / wanted.mean(1, keepdim=True)).abs().mean()
 
 
 def _lengths(mesh: Float[Tensor, "B V 3"], pairs: Int[Tensor, "E 2"]) -> Float[Tensor, "B E"]:

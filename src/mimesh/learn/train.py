@@ -167,9 +167,8 @@ class Run:
         if isinstance(batch, Batch):
             edge = (config.edge, config.edge_weight)
             return npt_loss(result, batch.truth, batch.identity, batch.edges, *edge, share)
-        weights = dataclasses.asdict(config.losses)
-        truth = batch.truth[:, batch.truth.shape[1] // 2, None] if result.shape[1] == 1 else batch.truth
-        return aniformer_loss(result, truth, batch.identity, batch.driving, batch.edges, **weights, edges_of_mesh=share)
+        given = (batch.truth, batch.identity, batch.driving, batch.edges, batch.unit)
+        return aniformer_loss(result, *given, **dataclasses.asdict(config.losses), edges_of_mesh=share)
 
     def validate(self, validation: PairValidation, folder: Path) -> dict[str, float]:
         """Measure on `val`; keep the checkpoint if it is the best so far."""

@@ -17,6 +17,7 @@ from .aniformer import AniFormer, AniFormerConfig
 from .batches import PairSource, TemplateSource
 from .checkpoint import Network
 from .clip_batches import ClipSource
+from .clip_losses import middle_of
 from .config import TrainConfig
 from .limp import LIMP, LIMPConfig
 
@@ -108,13 +109,8 @@ class ClipValidation(PairValidation):
         results = self._infer(model, identity.expand(len(driving), -1, -1), driving)
         results = results[0] if isinstance(model, AniFormer) else results
         truths = trial.truth_frames[start : start + frames].astype(np.float64)
-        truths = truths if len(results) == frames else truths[frames // 2, None]
+        truths = middle_of(torch.from_numpy(truths)[None], len(results))[0].numpy()
         return float(np.mean([self._pmd_in_metres(r, own, t) for r, t in zip(results, truths, strict=True)]))
 
     def _error(self, result: Tensor, truth: Tensor) -> Tensor:
         return super()._error(result, truth if truth.ndim == 3 else middle_of(truth, result.shape[1]))
-
-
-def middle_of(truth: Float[Tensor, "B T V 3"], frames: int) -> Float[Tensor, "B R V 3"]:
-    """The truth of a result: all frames, or the middle one where the head gives one."""
-    return truth if frames == truth.shape[1] else truth[:, truth.shape[1] // 2, None]
