@@ -6,13 +6,18 @@ import pytest
 import torch
 
 from mimesh.bodies import load_body
+from mimesh.evaluate.clip_protocols import on_template
 from mimesh.learn import clip_batches
 from mimesh.learn.aniformer import AniFormerConfig
 from mimesh.learn.batches import DataConfig
+from mimesh.learn.checkpoint import make_model
 from mimesh.learn.clip_batches import ClipSource
-from mimesh.learn.clip_losses import middle_of
+from mimesh.learn.clip_losses import aniformer_loss, middle_of
 from mimesh.learn.config import ClipLossConfig, TrainConfig, load_config
+from mimesh.learn.limp import LIMPConfig
+from mimesh.learn.npt import NPTConfig
 from mimesh.learn.train import Run, train
+from mimesh.learn.validation import make_validation
 from mimesh.mesh import InputError
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]
@@ -64,6 +69,20 @@ def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
     torch.testing.assert_close(whole.driving.norm(dim=-1).amax(-1), torch.ones(2, 3))
 
 
+def test_the_truth_keeps_the_identitys_edges_however_it_is_normalised():
+    """Eq. 5 at the truth is what skinning does to edges, and not a change of unit."""
+    found, as_given = [], []
+    for scale in ("truth", "identity"):
+        config = DataConfig("clips80", target_scale=scale)
+        batch = ClipSource(config, 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
+        given = (batch.truth, batch.truth, batch.identity, batch.driving, batch.edges)
+        weights = {"motion": "off", "appearance_weight": 1.0}
+        found.append(float(aniformer_loss(*given, batch.unit, **weights)))
+        as_given.append(float(aniformer_loss(*given, **weights)))
+    assert found[0] == pytest.approx(found[1], rel=1e-4) == as_given[1]
+    assert as_given[0] > 1.5 * found[0]
+
+
 def test_a_still_clip_stays_still(monkeypatch):
     monkeypatch.setattr(clip_batches, "REACH", 0.0)
     monkeypatch.setattr(clip_batches, "CAPTURED", 0.0)
@@ -113,3 +132,32 @@ def test_shipped_configurations_load(name):
     config = load_config(name, "aniformer")
     assert isinstance(config.model, AniFormerConfig)
     assert config.data.kind.startswith("clips")
+
+
+@pytest.mark.parametrize("network", ["npt", "aniformer", "regression", "limp"])
+def test_validation_holds_each_frame_to_its_own_truth(network, monkeypatch):
+    """A network that knows the truth makes no error, and one that is a frame late makes some."""
+    models = {"npt": NPTConfig(), "limp": LIMPConfig(), "aniformer": AniFormerConfig()}
+    model = models.get(network, AniFormerConfig(head="regression"))
+    config = TrainConfig(model=model, data=DataConfig("clips80", 2100), validation_pairs=1)
+    validation = make_validation(config, load_body(), torch.device("cpu"))
+    trial = validation.trials["unseen"][0]
+    known = on_template(trial) if network == "limp" else trial
+    first = (len(trial.clip) - 3) // 2
+
+    def spheres(frames, start):
+        return torch.stack([validation._sphere(v.astype(float))[0] for v in frames[start : start + 3]])
+
+    def knows(late):
+        def infer(model, identity, driving):
+            assert torch.equal(driving.view(3, -1, 3), spheres(known.clip.vertices, first))
+            answer = spheres(known.truth_frames, first - late)
+            return {"aniformer": answer[None], "regression": answer[None, 1:2]}.get(network, answer)
+
+        return infer
+
+    errors = []
+    for late in (0, 1):
+        monkeypatch.setattr(validation, "_infer", knows(late))
+        errors.append(validation.pmd(make_model(config), trial))
+    assert errors[0] < 1e-9 < 1e-6 < errors[1]

@@ -1,6 +1,5 @@
 """Windows of a clip: what is read when, how results are blended; an exported AniFormer is found by its file."""
 
-import itertools
 import weakref
 
 import numpy as np
@@ -13,7 +12,7 @@ from mimesh.mesh import Clip, InputError, Mesh, permute_vertices
 from mimesh.methods import find_method
 from mimesh.methods.network import Lengths
 from mimesh.methods.pairing import rank_vertices
-from mimesh.methods.sequence import Sequence, blended, middles, windows
+from mimesh.methods.sequence import OVERLAP, Sequence, blended, middles, windows
 from mimesh.pipeline import animate, transfer
 
 HEADS = ["frames", "regression"]
@@ -46,22 +45,23 @@ def test_every_window_of_a_clip_is_run_once():
         found = list(windows(iter(numbered(6)), 3, stride))
         assert [start for start, _, _ in found] == wanted
         assert [window[0, 0, 0] for _, window, _ in found] == wanted
-    assert [count for _, _, count in windows(iter(numbered(2)), 3)] == [2]
-    assert [w[:, 0, 0].tolist() for _, w, _ in windows(iter(numbered(2)), 4)] == [[0, 1, 1, 1]]
+    assert [count for _, _, count in windows(iter(numbered(2)), 3, 2)] == [2]
+    assert [w[:, 0, 0].tolist() for _, w, _ in windows(iter(numbered(2)), 4, 3)] == [[0, 1, 1, 1]]
 
 
-def test_blending_is_a_triangle_over_the_window():
-    """Naive twin: window s says 10 s + offset; weights 1, 2, 1, whatever windows there are."""
-    runs = itertools.count()
+@pytest.mark.parametrize(("stride", "starts"), [(1, (0, 1, 2, 3)), (2, (0, 2, 3)), (3, (0, 3))])
+def test_blending_is_a_triangle_over_the_window(stride, starts):
+    """Naive twin: the window from s on says 10 s + offset; weights 1, 2, 1, whatever windows there are."""
+    runs = iter(starts)
 
     def run(window):
         s = next(runs)
         return np.stack([np.full((2, 3), 10.0 * s + offset) for offset in range(3)])
 
-    found = [result[0, 0] for result in blended(iter(numbered(5)), run, 3)]
-    weights, said = (1, 2, 1), {(s, o): 10 * s + o for s in range(3) for o in range(3)}
-    for t in range(5):
-        there = [(weights[t - s], said[s, t - s]) for s in range(3) if 0 <= t - s < 3]
+    found = [result[0, 0] for result in blended(iter(numbered(6)), run, 3, stride)]
+    weights, said = (1, 2, 1), {(s, o): 10 * s + o for s in starts for o in range(3)}
+    for t in range(6):
+        there = [(weights[t - s], said[s, t - s]) for s in starts if 0 <= t - s < 3]
         assert found[t] == pytest.approx(sum(w * x for w, x in there) / sum(w for w, _ in there))
 
 
@@ -77,8 +77,10 @@ def test_memory_does_not_grow_with_the_clip(head):
             yield frame
             del frame
 
-    blend = middles if head == "regression" else blended
-    results = blend(frames(), lambda window: window[:1] if head == "regression" else window, 3)
+    if head == "regression":
+        results = middles(frames(), lambda window: window[:1], 3)
+    else:
+        results = blended(frames(), lambda window: window, 3, 3 - OVERLAP)
     assert sum(1 for _ in results) == 40
 
 

@@ -28,7 +28,7 @@ BARE = (".npz", ".off", ".ply", ".stl")
 """Formats whose new files hold little more than the shape."""
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
-Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (NPT).")]
+Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
 Reference = Annotated[
     Path | None, typer.Option(help="The driving mesh in IDENTITY's pose (deformation-transfer).", metavar="MESH")
 ]

@@ -11,12 +11,9 @@ from jaxtyping import Float, Int
 
 from ..io import load_mesh
 from ..mesh import Clip, Mesh
-from ..methods import find_method
-from ..methods.limp import Limp
 from ..pipeline import animate
-from .clip_measure import moved_clip
-from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer, on_template
-from .measure import GIVEN
+from .clip_measure import as_known, moved_clip
+from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer
 from .protocols import shaken
 from .tiles import Tile, folder_of_people
 
@@ -56,7 +53,7 @@ def _trial(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:
     identity, faces = Tile("identity", trial.identity), trial.identity.faces
     yield [identity, *_frames(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
     for model in models:
-        known = on_template(trial) if model not in GIVEN and isinstance(find_method(model), Limp) else trial
+        known = as_known(trial, model)
         yield [Tile(model, known.identity), *_frames(model, moved_clip(known, model), known.identity.faces)]
     yield [identity, *_frames("truth", trial.truth_frames, faces)]
 

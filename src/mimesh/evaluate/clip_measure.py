@@ -50,8 +50,7 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
     Those of shape are means over the frames (the worst, for stretch); `seconds` are those of a frame, all included.
     LIMP knows its template alone, so it is measured on the trial's vertices that are the template's.
     """
-    if method not in GIVEN and isinstance(find_method(method), Limp):
-        trial = on_template(trial)
+    trial = as_known(trial, method)
     started = time.perf_counter()
     try:
         result = moved_clip(trial, method, ensemble)
@@ -70,6 +69,11 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
         "seconds": seconds,
     }
+
+
+def as_known(trial: ClipPair, method: str) -> ClipPair:
+    """The trial on all vertices, or on those of the template that LIMP knows."""
+    return on_template(trial) if method not in GIVEN and isinstance(find_method(method), Limp) else trial
 
 
 def standing_still(trial: ClipPair) -> ClipPair:

@@ -90,9 +90,8 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
         return transfer(pair.identity, driving, "deformation-transfer", **AXES, **helps).vertices
     network = find_method(method, ensemble=ensemble)
     if knows_no_size(network):
-        return in_true_size(network, pair.identity, Clip(pair.driving, pair.driving.vertices[None]), pair.truth[None])[
-            0
-        ]
+        clip = Clip(pair.driving, pair.driving.vertices[None])
+        return in_true_size(network, pair.identity, clip, pair.truth[None])[0]
     return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble).vertices
 
 

@@ -42,6 +42,7 @@ def motion_velocity(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T 
 
     Zero for the truth, wherever it stands.
     """
+    assert result.shape[1] == truth.shape[1] > 1, "velocities are of at least two frames"
     return reconstruction(result.diff(dim=1), truth.diff(dim=1))
 
 

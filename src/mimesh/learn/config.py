@@ -22,6 +22,8 @@ from .npt import NPTConfig
 
 MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig, "limp": LIMPConfig}
 """What `network` of a configuration may be, and the switches of each."""
+LONGEST_WINDOW = 30
+"""Frames of the motions that windows are cut from."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,8 @@ class TrainConfig:
     """Pairs over which the learning rate rises from zero."""
     decay: float = 0.0
     """Share of the training, at its end, over which the learning rate falls linearly to zero."""
+    milestones: tuple[float, ...] = ()
+    """Shares of the training after each of which the learning rate is a tenth."""
     beta2: float = 0.999
     clip: float = 0.0
     """Largest norm of the gradient of the loss divided by V; 0 does not clip."""
@@ -121,15 +125,33 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     if network not in MODELS:
         raise InputError(f"{where}, network: expected {' or '.join(MODELS)}, found {network!r}")
     config = _build(TrainConfig, {"model": {}, **values}, where, {"model": MODELS[network]})
-    single = isinstance(config.model, AniFormerConfig) and config.model.head == "regression"
-    if single and config.losses.motion != "off":
-        raise InputError(f"{where}: expected losses.motion off with the head regression, which gives one frame; set it")
+    if isinstance(config.model, AniFormerConfig):
+        _check_windows(config, config.model, where)
     if isinstance(config.model, LIMPConfig) and config.data.vertices != config.model.vertices:
         raise InputError(
             f"{where}: expected data.vertices as model.vertices, the template's {config.model.vertices}, "
             f"found {config.data.vertices}; set one of them"
         )
     return config
+
+
+def _check_windows(config: TrainConfig, model: AniFormerConfig, where: str) -> None:
+    """Raise InputError for windows that cannot be cut, attended to or held to the losses."""
+    if config.data.kind not in ("clips", "clips80"):
+        raise InputError(
+            f"{where}: expected data.kind clips or clips80 with aniformer, found {config.data.kind}; set it"
+        )
+    if not 1 <= model.frames <= LONGEST_WINDOW:
+        raise InputError(f"{where}, frames: expected 1 to {LONGEST_WINDOW}, found {model.frames}")
+    undivided = [width for width in model.layers if model.heads < 1 or width % model.heads]
+    if undivided and model.attention != "off":
+        raise InputError(f"{where}: expected heads that divide every layer, found {model.heads} for {undivided[0]}")
+    held, least = 1 if model.head == "regression" else model.frames, {"off": 1, "velocity": 2, "paper": 3}
+    if held < least[config.losses.motion]:
+        raise InputError(
+            f"{where}: expected results of {least[config.losses.motion]} frames or more for losses.motion "
+            f"{config.losses.motion}, found {held}; set losses.motion to off"
+        )
 
 
 def _build(kind: type, values: Any, where: str, known: dict[str, type] | None = None) -> Any:
@@ -149,7 +171,7 @@ def _value(hint: Any, value: Any, where: str) -> Any:
     if origin is Literal:
         fits = value in typing.get_args(hint)
     elif origin is tuple:
-        value, fits = tuple(value), len(value) == len(typing.get_args(hint))
+        value, fits = tuple(value), ... in typing.get_args(hint) or len(value) == len(typing.get_args(hint))
     elif hint is float:
         fits = isinstance(value, (int, float)) and not isinstance(value, bool)
         value = float(value) if fits else value

@@ -85,11 +85,11 @@ class LIMP(nn.Module):
         """The identity in the driving pose, as the template's W vertices."""
         return self.decode(self.encode(identity)[0], self.encode(driving)[1])
 
-    def estimate_flops(self, vertices: int, driving_vertices: int) -> float:
-        """Floating-point operations of one pair's forward pass: two for each use of a weight."""
+    def estimate_flops(self, *vertices: int, decodings: int = 1) -> float:
+        """Floating-point operations of coding meshes of so many vertices and decoding: two for each use of a weight."""
         each, hidden = (sum(p.numel() for p in part.parameters() if p.ndim == 2) for part in (self.points, self.hidden))
-        whole = 2 * self.to_code.weight.numel() + hidden + self.head.weight.numel()
-        return 2.0 * (each * (vertices + driving_vertices) + whole)
+        whole = len(vertices) * self.to_code.weight.numel() + decodings * (hidden + self.head.weight.numel())
+        return 2.0 * (each * sum(vertices) + whole)
 
 
 def limp_loss(

@@ -35,6 +35,15 @@ def weights_path(model: str) -> Path:
     return Path("rows", f"{model}.onnx") if model in ROWS else Path(model)
 
 
+def check_row(model: str) -> None:
+    """Raise InputError if this is one of ROWS whose weights are not here."""
+    if model in ROWS and not weights_path(model).is_file():
+        raise InputError(
+            f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
+            "repository, or train them with scripts/train_rows.py"
+        )
+
+
 @runtime_checkable
 class Method(Protocol):
     """A way to move an identity."""
@@ -82,12 +91,8 @@ def find_method(
         from .skeleton import Skeleton
 
         return Skeleton(seed=seed)
+    check_row(model)
     path = weights_path(model)
-    if model in ROWS and not path.is_file():
-        raise InputError(
-            f"{model}: expected its weights in {path}, found no file; run this in a checkout of the repository, "
-            "or train them with scripts/train_rows.py"
-        )
     if path.suffix == ".onnx":
         return load_network(path, name=path.stem, ensemble=ensemble, seed=seed)
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -3,7 +3,7 @@
 Inputs "identity" (1, V, 3) and "driving" (1, T, V, 3); output "result" (1, T, V, 3), or (1, 1, V, 3), the window's
 middle frame, with the regression head. Each input mesh is centred on its bounding box and divided by its largest
 distance from there, each driving frame by its own; every frame of the result is centred on its own bounding box.
-The result of a frame is known when its windows are: up to T - 1 driving frames are read ahead and held.
+The result of a frame is known when it is known which windows hold it: up to two windows of driving frames are held.
 """
 
 from __future__ import annotations
@@ -101,7 +101,7 @@ class Sequence:
 
 
 def blended(
-    frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int, stride: int = 1
+    frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int, stride: int
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     """One result a frame: the mean over all windows that hold it, weighted by a triangle over the window.
 
@@ -126,7 +126,7 @@ def blended(
 def middles(frames: Iterable[Float[np.ndarray, "N 3"]], run: Run, length: int) -> Iterator[Float[np.ndarray, "V 3"]]:
     """One result a frame: that of the window around it, its first and last frames repeated past the ends."""
     before, after = length // 2, length - 1 - length // 2
-    for _, window, _ in windows(_lengthened(frames, before, after), length):
+    for _, window, _ in windows(_lengthened(frames, before, after), length, 1):
         yield run(window)[0]
 
 
@@ -140,9 +140,7 @@ def _lengthened(frames: Iterable[np.ndarray], before: int, after: int) -> Iterat
         yield from itertools.repeat(frame, after)
 
 
-def windows(
-    frames: Iterable[Float[np.ndarray, "N 3"]], length: int, stride: int = 1
-) -> Iterator[tuple[int, Window, int]]:
+def windows(frames: Iterable[Float[np.ndarray, "N 3"]], length: int, stride: int) -> Iterator[tuple[int, Window, int]]:
     """The first frame of a window, its `length` successive frames, and how many of them are the clip's own.
 
     One window every `stride` frames, and one at the clip's end. Only in a clip shorter than a window are frames not its
