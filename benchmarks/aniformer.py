@@ -4,8 +4,8 @@
 
 The public code attends from every vertex of a frame to every other, with one head (V x V products, 73 % of its
 arithmetic). Both are exported and run by onnxruntime at 6,890 vertices with untrained weights, as `animate` runs them:
-windows of T = 3 frames that share one. MODEL (a name or an .onnx file) then moves through 30 and 300 frames: the peak
-memory of each, and the error of accelerations where two windows meet over that within windows.
+windows of T = 3 frames that share one. MODEL (an AniFormer: a name or an .onnx file) then moves through 30 and 300
+frames: the peak memory of each, and the error of accelerations where two windows meet over that within windows.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from mimesh.bodies import load_body
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.mesh import Clip
-from mimesh.methods.sequence import OVERLAP
+from mimesh.methods import find_method
+from mimesh.methods.sequence import OVERLAP, Sequence
 from mimesh.motions import motion_clip, walk_motion
 from mimesh.provenance import commit, libraries, machine
 
@@ -105,8 +106,9 @@ def long_clips(model: str) -> dict[str, float]:
             peaks[frames] = peak_mb(command)
         moved = np.load(folder / "moved300.npz")["vertices"].astype(np.float64)
     error = np.linalg.norm(np.diff(moved - truth.vertices, 2, axis=0), axis=-1).mean(axis=1)
-    middle = np.arange(1, len(error) + 1)
-    borders = middle % 2 == 0  # T = 3 frames, one shared: windows begin and end on even frames
+    method = find_method(model)
+    assert isinstance(method, Sequence), f"{model} has no windows"
+    borders = np.arange(1, len(error) + 1) % (method.frames - OVERLAP) == 0
     return {
         "peak_mb_30_frames": round(peaks[30]),
         "peak_mb_300_frames": round(peaks[300]),

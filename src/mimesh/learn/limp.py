@@ -120,7 +120,7 @@ def limp_loss(
     # Half-way to somebody else edges are half-way too, wherever on that way.
     share = torch.rand(len(person), generator=rng, device=person.device)
     between = model.decode(style + share * (style_other - style), pose + share * (pose_other - pose))
-    wanted = torch.lerp(*lengths, share[:, None])
+    wanted = torch.lerp(lengths[0], lengths[1], share[:, None])
     growth = _growth(swapped, lengths[0]) + _growth(_lengths(between, edges), wanted)
     # The style of the same person in another pose is as good as their own.
     pairs = torch.randint(person.shape[1], (PAIRS, 2), generator=rng, device=person.device)
