@@ -98,8 +98,8 @@ TABLES = {
         ),
     ),
     "aniformer-2": Table(
-        "AniFormer Table 2: against other methods, which go frame by frame (LIMP on its 2,100 vertices; the text of the "
-        "paper gives NPT 1.37 and 11.31)",
+        "AniFormer Table 2: against other methods, which go frame by frame (LIMP on its 2,100 vertices; the paper's "
+        "text gives NPT 1.37 and 11.31)",
         "clips-aniformer",
         (
             Row("LIMP", "limp", 5.44, 7.11),
