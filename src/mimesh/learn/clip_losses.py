@@ -82,7 +82,7 @@ def aniformer_loss(
     motion: str = "paper",
     motion_weight: float = 1e-3,
     appearance: str = "paper",
-    appearance_weight: float = 5e-4,
+    appearance_weight: float = 1e-2,
     edges_of_mesh: float = 1.0,
 ) -> Float[Tensor, ""]:
     """Eq. 6 with distances and velocities divided by the number of vertices, as Eq. 5 is: L_r is then PMD (Eq. 7).

@@ -33,7 +33,7 @@ class ClipLossConfig:
     motion: Literal["paper", "velocity", "off"] = "paper"
     motion_weight: float = 1e-3
     appearance: Literal["paper", "ratio", "off"] = "paper"
-    appearance_weight: float = 5e-4
+    appearance_weight: float = 1e-2
 
 
 @dataclass(frozen=True)
