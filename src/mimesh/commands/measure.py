@@ -81,12 +81,20 @@ def table(
 
 
 def figure(
-    name: Annotated[str, typer.Argument(metavar="FIGURE", help="npt-6 to npt-20, as the paper numbers them.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="FIGURE", help="npt-6 to npt-20, aniformer-3, -4, -5 or -noise, as the papers number them."
+        ),
+    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],
     model: Annotated[str, typer.Option("--model", "-m", help="Other models than the figure's own.")] = "",
     rows: Annotated[int, typer.Option(help="Rows to draw; 0 for the figure's own number.", min=0)] = 0,
     data: Annotated[
-        Path | None, typer.Option(help="Folder of other people's meshes, for npt-10, 11, 17.", metavar="DIR")
+        Path | None,
+        typer.Option(
+            help="Folder of people's meshes (npt-10, 11, 17, aniformer-5) or of DeepMimic's clips.", metavar="DIR"
+        ),
     ] = None,
     json: Json = False,
     quiet: Quiet = False,
