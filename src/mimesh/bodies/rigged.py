@@ -64,9 +64,11 @@ class RiggedBody:
         """
         vertices, joints = self.shaped(shape)
         rotation, translation = self.skinning_transforms(joints, rotmat, root)
-        blended = np.einsum("vj,...jkl->...vkl", self.weights, rotation)
-        offset = np.einsum("vj,...jk->...vk", self.weights, translation)
-        return np.einsum("...vkl,...vl->...vk", blended, vertices) + offset
+        many = rotation.shape[:-3]
+        transforms = np.concatenate([rotation, translation[..., None]], axis=-1).reshape(*many, -1, 12)
+        # One matrix product: einsum over joints takes three times as long.
+        blended = (self.weights @ transforms).reshape(*many, -1, 3, 4)
+        return np.einsum("...vkl,...vl->...vk", blended[..., :3], vertices) + blended[..., 3]
 
     def skinning_transforms(
         self, joints: Float[np.ndarray, "*#B J 3"], rotmat: Float[np.ndarray, "*#B J 3 3"], root=None
