@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..frame import radius
+from ..geometry import edges
 from ..mesh import Clip
 from ..methods import find_method
 from ..methods.limp import Limp
@@ -58,7 +59,9 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
         return {"why": str(error)}
     seconds = (time.perf_counter() - started) / len(result)
     truth, fps = trial.truth_frames, trial.clip.fps
-    shapes = [shape_figures(a, b, trial.identity.faces, trial.height) for a, b in zip(result, truth, strict=True)]
+    faces = trial.identity.faces
+    surface = (faces, edges(faces), trial.height)
+    shapes = [shape_figures(a, b, *surface) for a, b in zip(result, truth, strict=True)]
     figures = {name: float(np.mean([shape[name] for shape in shapes])) for name in shapes[0]}
     return figures | {
         "pmd_e4": 1e4 * clip_pmd(result, truth),

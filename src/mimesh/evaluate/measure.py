@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from .. import geometry
 from ..frame import Frame, bbox_centre, radius
 from ..mesh import Clip, InputError, Mesh
 from ..methods import Method, find_method, weights_path
@@ -143,11 +144,16 @@ def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
-    return {**shape_figures(result, pair.truth, pair.identity.faces, pair.height), "seconds": seconds}
+    faces = pair.identity.faces
+    return {**shape_figures(result, pair.truth, faces, geometry.edges(faces), pair.height), "seconds": seconds}
 
 
 def shape_figures(
-    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], height: float
+    result: Float[np.ndarray, "V 3"],
+    truth: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    edges: Int[np.ndarray, "E 2"],
+    height: float,
 ) -> dict[str, float]:
     """All figures of one mesh against its truth."""
     sized, true = in_unit_sphere_of(truth, result, truth)
@@ -156,8 +162,8 @@ def shape_figures(
         "pmd_mse_e4": 1e4 * pmd_public(result, truth),
         "chamfer_e4": 1e4 * chamfer(sized, true),
         "mm": mean_error_mm(result, truth, height),
-        "edge_score": edge_score(result, truth, faces),
-        "stretch": largest_stretch(result, truth, faces),
+        "edge_score": edge_score(result, truth, edges),
+        "stretch": largest_stretch(result, truth, edges),
         "flipped": flipped(result, truth, faces),
     }
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..frame import bbox_centre
-from ..geometry import edges, face_vectors
+from ..geometry import face_vectors
 
 
 def pmd(
@@ -63,24 +63,22 @@ def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 
 
 
 def edge_score(
-    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], edges: Int[np.ndarray, "E 2"]
 ) -> float:
     """Mean over edges of |length / true length - 1|: how rough or stretched the surface is. 0 is perfect.
 
     Edges without a true length are left out; a point cloud scores 0.
     """
-    pairs = edges(faces)
-    new, old = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (result, truth))
+    new, old = (np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (result, truth))
     real = old > 0
     return float(np.abs(new[real] / old[real] - 1.0).mean()) if real.any() else 0.0
 
 
 def largest_stretch(
-    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+    result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], edges: Int[np.ndarray, "E 2"]
 ) -> float:
     """How many times too long the worst edge is, among edges of at least a tenth of the mean length; 1 is perfect."""
-    pairs = edges(faces)
-    new, old = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (result, truth))
+    new, old = (np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (result, truth))
     real = old >= 0.1 * old.mean() if len(old) else np.zeros(0, bool)
     return float((new[real] / old[real]).max(initial=1.0))
 
