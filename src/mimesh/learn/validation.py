@@ -11,7 +11,7 @@ from ..bodies import RiggedBody
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
-from ..evaluate.protocols import HUMAN_NPT
+from ..evaluate.protocols import HUMAN_NPT, Protocol
 from ..frame import bbox_centre, radius
 from .aniformer import AniFormer, AniFormerConfig
 from .batches import PairSource, TemplateSource
@@ -44,9 +44,12 @@ def make_validation(config: TrainConfig, body: RiggedBody, device: torch.device)
 class PairValidation:
     """Pairs of the `val` split of human-npt (PMD of the papers), and of fresh training-like data with another seed."""
 
+    protocol: Protocol = HUMAN_NPT
+
     def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
         self.config, self.device = config, device
-        self.trials = {k: list(HUMAN_NPT.trials("val", k, config.validation_pairs)) for k in HUMAN_NPT.kinds}
+        kinds, count = self.protocol.kinds, config.validation_pairs
+        self.trials = {kind: list(self.protocol.trials("val", kind, count)) for kind in kinds}
         self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
 
     @torch.no_grad()
@@ -90,12 +93,7 @@ class PairValidation:
 class ClipValidation(PairValidation):
     """The same on windows from the middle of clips of `clips-aniformer`; frame by frame for networks of pairs."""
 
-    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
-        self.config, self.device = config, device
-        self.trials = {
-            kind: list(CLIPS_ANIFORMER.trials("val", kind, config.validation_pairs)) for kind in CLIPS_ANIFORMER.kinds
-        }
-        self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
+    protocol = CLIPS_ANIFORMER
 
     def pmd(self, model: Network, trial: ClipPair) -> float:  # type: ignore[override]
         """Mean over the frames of one window."""
