@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check -c constraints.txt
+# One process a core, so one thread each.
+TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
 CODE := src tests scripts benchmarks
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
@@ -13,13 +15,13 @@ demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 	$(BIN)/mimesh demo
 
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest -q
+	$(TESTS)
 
 check: $(VENV)/.dev
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/ruff check $(CODE)
 	$(BIN)/pyright
-	$(BIN)/python -m pytest -q
+	$(TESTS)
 
 smoke: $(VENV)/.dev
 	$(BIN)/python -m pytest -q tests/learn/test_smoke.py
