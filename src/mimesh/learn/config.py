@@ -127,11 +127,8 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
     config = _build(TrainConfig, {"model": {}, **values}, where, {"model": MODELS[network]})
     if isinstance(config.model, AniFormerConfig):
         _check_windows(config, config.model, where)
-    if isinstance(config.model, LIMPConfig) and config.data.vertices != config.model.vertices:
-        raise InputError(
-            f"{where}: expected data.vertices as model.vertices, the template's {config.model.vertices}, "
-            f"found {config.data.vertices}; set one of them"
-        )
+    if isinstance(config.model, LIMPConfig):
+        _check_template(config, config.model, where)
     return config
 
 
@@ -152,6 +149,17 @@ def _check_windows(config: TrainConfig, model: AniFormerConfig, where: str) -> N
             f"{where}: expected results of {least[config.losses.motion]} frames or more for losses.motion "
             f"{config.losses.motion}, found {held}; set losses.motion to off"
         )
+
+
+def _check_template(config: TrainConfig, model: LIMPConfig, where: str) -> None:
+    """Raise InputError for meshes that are not the template's, or whose lengths cannot be compared."""
+    if config.data.vertices != model.vertices:
+        raise InputError(
+            f"{where}: expected data.vertices as model.vertices, the template's {model.vertices}, "
+            f"found {config.data.vertices}; set one of them"
+        )
+    if config.data.target_scale != "identity":
+        raise InputError(f"{where}: expected data.target_scale identity with limp, which keeps lengths, found truth")
 
 
 def _build(kind: type, values: Any, where: str, known: dict[str, type] | None = None) -> Any:

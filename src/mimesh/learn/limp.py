@@ -48,13 +48,13 @@ class LIMPLossConfig:
     """Weights of the metric terms beside the reconstruction, whose unit is PMD."""
 
     edges: float = 5e-3
-    """Of changes of edge lengths, these in units of a mesh's mean length."""
+    """Of changes of edge lengths over their mean length."""
     distances: float = 1.0
     """Of squared changes of distances through space."""
 
 
 class LIMP(nn.Module):
-    """The network. Positions in, positions out: each mesh centred, in units of its unit sphere."""
+    """The network. Positions in, positions out, each mesh centred; a result is in the unit of the identity."""
 
     def __init__(self, config: LIMPConfig) -> None:
         super().__init__()
@@ -105,8 +105,8 @@ def limp_loss(
 
     Args:
         person: somebody in some pose, on the template's vertices.
-        moved: the same person in another pose.
-        other: somebody else in some pose.
+        moved: the same person in another pose, and in the same unit: lengths are what is to be kept.
+        other: somebody else in some pose, in a unit of their own.
         edges: of the template, each once.
         rng: of the pairs whose distances are compared, and of the ways between codes.
     """
@@ -137,8 +137,7 @@ def _pmd(result: Float[Tensor, "B V 3"], truth: Float[Tensor, "B V 3"]) -> Float
 
 
 def _growth(lengths: Float[Tensor, "B E"], wanted: Float[Tensor, "B E"]) -> Float[Tensor, ""]:
-    """Each mesh in its own mean length: one person in two poses is divided by the radii of two unit spheres."""
-    return (lengths / lengths.mean(1, keepdim=True) - wanted / wanted.mean(1, keepdim=True)).abs().mean()
+    return (lengths - wanted).abs().mean() / wanted.mean()
 
 
 def _lengths(mesh: Float[Tensor, "B V 3"], pairs: Int[Tensor, "E 2"]) -> Float[Tensor, "B E"]:
