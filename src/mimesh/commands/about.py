@@ -54,6 +54,7 @@ WHAT = {
     "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
     "npt": "Neural Pose Transfer, trained on endless people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
+    "aniformer": "AniFormer: three frames at once, trained on endless people and motions",
 }
 MISSING = "its weights are missing here; install mimesh again"
 
