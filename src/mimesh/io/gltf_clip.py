@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
-from .gltf_draft import VERTEX_DATA, Draft, bounds_of
+from .gltf_draft import VERTEX_DATA, Draft, Spool
 from .gltf_primitives import Placed
 from .gltf_scene import unit
 
@@ -23,11 +23,11 @@ from .gltf_scene import unit
 def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> None:
     """Add the frames of `clip` to a document that shows its frame 0; `mesh` is the clip's, with corner normals.
 
-    The only large arrays made are the float32 deltas that go into the file.
+    What goes into the file waits on disk: memory does not grow with the number of frames.
     """
     deltas = _frame_deltas(placed, mesh, clip)
-    for one, arrays in zip(placed, deltas, strict=True):
-        targets = _add_targets(draft, arrays)
+    for one, spools in zip(placed, deltas, strict=True):
+        targets = _add_targets(draft, spools)
         for primitive in one.primitives:
             primitive["targets"] = [dict(target) for target in targets]
     nodes = list(dict.fromkeys(one.node for one in placed))
@@ -36,14 +36,14 @@ def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> No
     draft.gltf["animations"] = [_animation(draft, nodes, clip)]
 
 
-def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str, Float[np.ndarray, "T N 3"]]]:
-    """For each placed group, what each frame after the first adds to the float32 attributes of frame 0."""
+def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str, Spool]]:
+    """For each placed group, what each frame after the first adds to the float32 attributes (N, 3) of frame 0."""
     turned = None
     if any(one.has_normals for one in placed):
         assert mesh.corner_normals is not None
         turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
     base: list[dict[str, np.ndarray]] = []
-    deltas: list[dict[str, np.ndarray]] = []
+    deltas: list[dict[str, Spool]] = []
     for frame in range(len(clip)):
         vertices = np.asarray(clip.vertices[frame], np.float64)
         normals = turned(vertices).reshape(-1, 3) if turned else None
@@ -51,10 +51,10 @@ def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str
             now = _local(one, vertices, normals)
             if frame == 0:
                 base.append({name: values.astype(np.float32).astype(np.float64) for name, values in now.items()})
-                deltas.append({name: np.empty((len(clip) - 1, *values.shape), "<f4") for name, values in now.items()})
+                deltas.append({name: Spool() for name in now})
             else:
                 for name, values in now.items():
-                    deltas[number][name][frame - 1] = values - base[number][name]
+                    deltas[number][name].append(values - base[number][name])
     return deltas
 
 
@@ -69,14 +69,15 @@ def _local(
     return local
 
 
-def _add_targets(draft: Draft, deltas: dict[str, Float[np.ndarray, "T N 3"]]) -> list[dict[str, int]]:
+def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]:
     """One view for all frames of an attribute, one accessor for each frame."""
-    targets: list[dict[str, int]] = [{} for _ in next(iter(deltas.values()))]
+    targets: list[dict[str, int]] = [{} for _ in next(iter(deltas.values())).bounds]
     for name, frames in deltas.items():
         view = draft.add_view(frames, target=VERTEX_DATA, byteStride=12)
-        for number, values in enumerate(frames):
-            accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * values.nbytes, "componentType": 5126}
-            accessor |= {"count": len(values), "type": "VEC3"} | (bounds_of(values) if name == "POSITION" else {})
+        size = frames.nbytes // max(len(frames.bounds), 1)
+        for number, bounds in enumerate(frames.bounds):
+            accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * size, "componentType": 5126}
+            accessor |= {"count": size // 12, "type": "VEC3"} | (bounds if name == "POSITION" else {})
             targets[number][name] = draft.add_accessor(accessor)
     return targets
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import base64
 import copy
+import io
 import json
+import shutil
 import struct
+import tempfile
+import weakref
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +23,39 @@ VERTEX_DATA, INDEX_DATA = 34962, 34963
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
+class Spool:
+    """Arrays of one shape, one after the other on disk: a clip's frames on their way into a file, never in memory."""
+
+    def __init__(self) -> None:
+        self.file = tempfile.TemporaryFile()  # noqa: SIM115 (closed with this)
+        weakref.finalize(self, self.file.close)
+        self.nbytes = 0
+        self.bounds: list[dict[str, list[float]]] = []
+        """`min` and `max` of each array."""
+
+    def append(self, values: Float[np.ndarray, "N C"]) -> None:
+        """Write one more array, as float32."""
+        values = np.ascontiguousarray(values, "<f4")
+        self.bounds.append(bounds_of(values))
+        self.nbytes += self.file.write(values.data)
+
+    def copy_to(self, file: io.BufferedIOBase) -> None:
+        """Write all arrays into a file."""
+        self.file.seek(0)
+        shutil.copyfileobj(self.file, file)
+
+
 class Draft:
     """JSON and byte chunks of a file to be; accessors and views are only ever appended."""
 
     def __init__(self, gltf: dict[str, Any]) -> None:
         self.gltf: dict[str, Any] = {**gltf, "accessors": [], "bufferViews": [], "buffers": []}
-        self.chunks: list[memoryview] = []
+        self.chunks: list[memoryview | Spool] = []
         self.size = 0
 
-    def add_view(self, content: bytes | np.ndarray, **properties: int | None) -> int:
-        """Append bytes, or an array without copying it, and a buffer view of them; each starts at a multiple of 4."""
-        chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
-        chunk = chunk.cast("B") if chunk.nbytes else memoryview(b"")
+    def add_view(self, content: bytes | np.ndarray | Spool, **properties: int | None) -> int:
+        """Append bytes, an array (not copied) or a spool, and a buffer view of them; each starts at a multiple of 4."""
+        chunk = content if isinstance(content, Spool) else _bytes(content)
         given = {name: value for name, value in properties.items() if value is not None}
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **given})
         self.chunks += [chunk, memoryview(bytes(-chunk.nbytes % 4))]
@@ -60,7 +85,9 @@ class Draft:
         """Write a .gltf with the buffer inside as base64, or a .glb for any other suffix."""
         gltf = {**self.gltf, "buffers": [{"byteLength": self.size}] if self.size else []}
         if path.suffix.lower() == ".gltf":
-            data = base64.b64encode(b"".join(self.chunks)).decode()
+            whole = io.BytesIO()
+            self._write(whole)
+            data = base64.b64encode(whole.getbuffer()).decode()
             gltf["buffers"] = [
                 {**buffer, "uri": f"data:application/octet-stream;base64,{data}"} for buffer in gltf["buffers"]
             ]
@@ -73,7 +100,14 @@ class Draft:
             file.write(struct.pack("<4sIIII", b"glTF", 2, total, len(text), JSON_CHUNK) + text)
             if self.size:
                 file.write(struct.pack("<II", self.size, BINARY_CHUNK))
-                file.writelines(self.chunks)
+                self._write(file)
+
+    def _write(self, file: io.BufferedIOBase) -> None:
+        for chunk in self.chunks:
+            if isinstance(chunk, Spool):
+                chunk.copy_to(file)
+            else:
+                file.write(chunk)
 
 
 class Carrier:
@@ -125,6 +159,11 @@ class Carrier:
             images.append({**kept, "mimeType": mime, "bufferView": self.draft.add_view(content)})
         if images:
             self.draft.gltf["images"] = images
+
+
+def _bytes(content: bytes | np.ndarray) -> memoryview:
+    chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
+    return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
 def bounds_of(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
