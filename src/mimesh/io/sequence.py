@@ -31,8 +31,11 @@ def read_sequence(folder: Path, fps: float, suffixes: Collection[str], read: Cal
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
-    frames = [first.vertices, *(_read_frame(path, first, paths[0], read) for path in paths[1:])]
-    return Clip(first, np.stack(frames), fps)
+    frames = np.empty((len(paths), *first.vertices.shape))
+    frames[0] = first.vertices
+    for t, path in enumerate(paths[1:], 1):
+        frames[t] = _read_frame(path, first, paths[0], read)
+    return Clip(first, frames, fps)
 
 
 def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
