@@ -142,3 +142,15 @@ def test_closest_points_of_faces_that_look_away_do_not_count():
     up = np.tile([0.0, 0, 1], (9, 1))
     assert (geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=up)[2] == 0).all()
     assert np.isinf(geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=-up)[2]).all()
+
+
+def test_near_pairs_are_near_along_edges_and_not_through_space():
+    """A hairpin: its ends touch almost, and are far apart on the surface."""
+    across = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0.05, 0], [1, 0.1, 0], [0, 0.1, 0]])
+    vertices = np.concatenate([across, across + [0, 0, 1]])
+    faces = np.array([t for k in range(4) for t in ((k, k + 1, k + 6), (k, k + 6, k + 5))])
+    pairs = {(int(a), int(b)) for a, b in geometry.near_pairs(vertices, faces, 1.01)}
+    assert (0, 4) not in pairs
+    assert {(0, 1), (1, 2), (2, 3), (3, 4), (0, 5)} <= pairs
+    assert len(geometry.near_pairs(vertices, faces, 0.5)) == 0
+    assert len(geometry.near_pairs(vertices, faces, 99.0)) == 10 * 9 // 2

@@ -58,6 +58,19 @@ def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     return np.unique(pairs, axis=0)
 
 
+def near_pairs(
+    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], reach: float
+) -> Int[np.ndarray, "N 2"]:
+    """Pairs of vertices no further apart than `reach` along edges, each once, smaller index first, sorted."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import dijkstra
+
+    first, second = edges(faces).T
+    lengths = np.linalg.norm(vertices[first] - vertices[second], axis=1)
+    apart = dijkstra(csr_array((lengths, (first, second)), shape=(len(vertices),) * 2), directed=False, limit=reach)
+    return np.argwhere(np.triu(np.isfinite(apart), k=1))
+
+
 def neighbours(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " S"], Int[np.ndarray, " N"]]:
     """Neighbours of each vertex by edges, as (first, index): those of vertex v are `index[first[v]:first[v + 1]]`."""
     both = edges(faces)

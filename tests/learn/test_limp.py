@@ -95,11 +95,11 @@ def test_the_loss_wants_lengths_kept():
     turn = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     # A rigid turn keeps the edges of a swapped pose; what lies straight between two headings is thinner.
     thinner = limp_loss(Knowing(), mesh, mesh, mesh @ turn.T, pairs, weights, rng)
-    assert 0 < thinner < weights.edges
+    assert 0 < thinner < weights.lengths
     # Somebody else's larger body, taken for a pose, stretches the edges by a tenth; between the two all is even.
     larger = limp_loss(Knowing(), mesh, mesh, 1.1 * mesh, pairs, weights, rng)
-    assert float(larger) == pytest.approx(0.1 * weights.edges, rel=1e-4)
-    assert limp_loss(Knowing(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(edges=0.0), rng) == 0
+    assert float(larger) == pytest.approx(0.1 * weights.lengths, rel=1e-4)
+    assert limp_loss(Knowing(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(lengths=0.0), rng) == 0
 
 
 def test_batches_hold_one_person_twice_on_the_templates_vertices():

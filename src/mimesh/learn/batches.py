@@ -197,6 +197,10 @@ class PairSource:
         return (points - centre) / radius, radius
 
 
+NEAR = 0.15
+"""Metres along the surface."""
+
+
 class TemplateSource(PairSource):
     """Pairs on LIMP's template: its vertices, in its order, for all meshes."""
 
@@ -204,7 +208,9 @@ class TemplateSource(PairSource):
         super()._load(body)
         mesh = template(self.config.vertices)
         self.index = torch.from_numpy(mesh.corners[:, 0]).to(self.device)
-        self.edges = torch.from_numpy(geometry.edges(mesh.faces)).to(self.device)
+        # Straight distances between vertices this near change little in any pose, as those along the surface do.
+        points = body.vertices[mesh.corners[:, 0]]
+        self.edges = torch.from_numpy(geometry.near_pairs(points, mesh.faces, NEAR)).to(self.device)
 
     def _vertices(self, size: int, rng: torch.Generator):
         index = self.index.expand(size, -1)

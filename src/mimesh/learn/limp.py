@@ -5,9 +5,9 @@ extrinsic part (pose) what the rest is. Fully connected layers turn a code into 
 the same ones in the same order. A pose is transferred by decoding the identity's style with the driving's pose.
 
 Nobody tells the network what that should give. It is trained to give meshes back, and that metrics are preserved: a
-pose, whoever's, must not change the lengths of the identity's edges, whose sums its geodesics are; a style taken from
+pose, whoever's, must not change short distances over the identity's surface, whose sums its geodesics are; a style from
 the same person in another pose must not change any distance through space; and between two codes lengths change
-evenly. The original's geodesics by heat flow are edge lengths here, and its code has no noise (it is variational).
+evenly. The original has geodesics by heat flow for short distances, and noise on the code (it is variational).
 """
 
 from __future__ import annotations
@@ -25,6 +25,8 @@ from .losses import edge_vectors
 
 PAIRS = 2100
 """Random pairs of vertices whose distances through space are compared."""
+NEAR_PAIRS = 8000
+"""Random pairs of near vertices whose distances are compared."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,8 @@ class LIMPConfig:
 class LIMPLossConfig:
     """Weights of the metric terms beside the reconstruction, whose unit is PMD."""
 
-    edges: float = 5e-3
-    """Of changes of edge lengths over their mean length."""
+    lengths: float = 5e-2
+    """Of changes of short distances over their mean."""
     distances: float = 1.0
     """Of squared changes of distances through space."""
 
@@ -97,7 +99,7 @@ def limp_loss(
     person: Float[Tensor, "B V 3"],
     moved: Float[Tensor, "B V 3"],
     other: Float[Tensor, "B V 3"],
-    edges: Int[Tensor, "E 2"],
+    near: Int[Tensor, "E 2"],
     weights: LIMPLossConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, ""]:
@@ -107,25 +109,26 @@ def limp_loss(
         person: somebody in some pose, on the template's vertices.
         moved: the same person in another pose, and in the same unit: lengths are what is to be kept.
         other: somebody else in some pose, in a unit of their own.
-        edges: of the template, each once.
+        near: vertices of the template that are near each other on its surface.
         rng: of the pairs whose distances are compared, and of the ways between codes.
     """
     meshes = (person, moved, other)
     codes = [model.encode(mesh) for mesh in meshes]
     loss = torch.stack([_pmd(model.decode(*code), mesh) for code, mesh in zip(codes, meshes, strict=True)]).mean()
     (style, pose), (style_again, _), (style_other, pose_other) = codes
-    lengths = [_lengths(mesh, edges) for mesh in (person, other)]
-    # Any pose keeps the edges of the person.
-    swapped = _lengths(model.decode(style, pose_other), edges)
-    # Half-way to somebody else edges are half-way too, wherever on that way.
+    near = near[torch.randint(len(near), (NEAR_PAIRS,), generator=rng, device=near.device)]
+    lengths = [_lengths(mesh, near) for mesh in (person, other)]
+    # Any pose keeps the lengths of the person.
+    swapped = _lengths(model.decode(style, pose_other), near)
+    # Half-way to somebody else lengths are half-way too, wherever on that way.
     share = torch.rand(len(person), generator=rng, device=person.device)
     between = model.decode(style + share * (style_other - style), pose + share * (pose_other - pose))
     wanted = torch.lerp(lengths[0], lengths[1], share[:, None])
-    growth = _growth(swapped, lengths[0]) + _growth(_lengths(between, edges), wanted)
+    growth = _growth(swapped, lengths[0]) + _growth(_lengths(between, near), wanted)
     # The style of the same person in another pose is as good as their own.
     pairs = torch.randint(person.shape[1], (PAIRS, 2), generator=rng, device=person.device)
     apart = _lengths(model.decode(style_again, pose), pairs) - _lengths(person, pairs)
-    return loss + weights.edges * growth + weights.distances * apart.square().mean()
+    return loss + weights.lengths * growth + weights.distances * apart.square().mean()
 
 
 def _layers(*channels: int) -> nn.ModuleList:
