@@ -115,7 +115,7 @@ def limp_loss(
     meshes = (person, moved, other)
     codes = [model.encode(mesh) for mesh in meshes]
     loss = torch.stack([_pmd(model.decode(*code), mesh) for code, mesh in zip(codes, meshes, strict=True)]).mean()
-    (style, pose), (style_again, _), (style_other, pose_other) = codes
+    (style, pose), (style_again, pose_again), (style_other, pose_other) = codes
     near = near[torch.randint(len(near), (NEAR_PAIRS,), generator=rng, device=near.device)]
     lengths = [_lengths(mesh, near) for mesh in (person, other)]
     # Any pose keeps the lengths of the person.
@@ -125,10 +125,11 @@ def limp_loss(
     between = model.decode(style + share * (style_other - style), pose + share * (pose_other - pose))
     wanted = torch.lerp(lengths[0], lengths[1], share[:, None])
     growth = _growth(swapped, lengths[0]) + _growth(_lengths(between, near), wanted)
-    # The style of the same person in another pose is as good as their own.
+    # The style of the same person in another pose is as good as their own, both ways.
     pairs = torch.randint(person.shape[1], (PAIRS, 2), generator=rng, device=person.device)
-    apart = _lengths(model.decode(style_again, pose), pairs) - _lengths(person, pairs)
-    return loss + weights.lengths * growth + weights.distances * apart.square().mean()
+    swaps = ((style_again, pose, person), (style, pose_again, moved))
+    apart = [_lengths(model.decode(*code), pairs) - _lengths(mesh, pairs) for *code, mesh in swaps]
+    return loss + weights.lengths * growth + weights.distances * torch.stack(apart).square().mean()
 
 
 def _layers(*channels: int) -> nn.ModuleList:

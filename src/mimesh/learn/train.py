@@ -206,7 +206,7 @@ class Log:
         if isinstance(run.model, AniFormer):
             self.flops = 3 * run.model.config.frames * run.model.estimate_flops(count)
         elif isinstance(run.model, LIMP):
-            self.flops = 3 * run.model.estimate_flops(count, count, count, decodings=6)
+            self.flops = 3 * run.model.estimate_flops(count, count, count, decodings=7)
         else:
             self.flops = 3 * run.model.estimate_flops(count, count)
 
