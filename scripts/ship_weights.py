@@ -11,19 +11,17 @@ from __future__ import annotations
 
 import argparse
 import json
-import zlib
 from pathlib import Path
 
 import write_results
 
+from mimesh.evaluate.run import fingerprint
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
-from mimesh.learn.export import export_command
+from mimesh.learn.export import export_command, test_set
 from mimesh.mesh import InputError
 
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
-ON_CLIPS = ("aniformer",)
-"""Networks of clips; the others are measured on pairs of meshes."""
 
 
 def main() -> None:
@@ -35,7 +33,7 @@ def main() -> None:
         name, _, path = entry.partition("=")
         ship(name, Path(path))
     for path in sorted(ZOO.glob("*.onnx")):
-        protocol = "clips-aniformer" if path.stem in ON_CLIPS else "human-npt"
+        protocol = test_set(json.loads(path.with_suffix(".json").read_text()))
         measured = write_results.RESULTS / f"{protocol}.json"
         report = json.loads(measured.read_text()) if measured.exists() else {"results": []}
         if not fill_card(path, report):
@@ -62,7 +60,7 @@ def fill_card(weights: Path, report: dict) -> bool:
     """Write the test figures of these weights, and of `copy` in the same report, into their card; False if none."""
     rows = {(row["method"], row["split"]): row for row in report["results"]}
     mine = rows.get((weights.stem, "unseen"), {})
-    measured = mine.get("weights") == zlib.crc32(weights.read_bytes())
+    measured = mine.get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
     facts["metrics"]["test"] = {

@@ -48,12 +48,11 @@ def export(
     Needs the [train] extra; writes a card (.json) beside it.
     """
     require("train", "torch", "onnx", "onnxscript")
-    from ..learn.export import export_command
+    from ..learn.export import export_command, test_set
 
     card = export_command(checkpoint, output, bits)
     if json:
         print_json({"output": str(output), "checkpoint": str(checkpoint), "bytes": output.stat().st_size})
     else:
         print(f"{output}: {output.stat().st_size / 2**20:.1f} MiB")
-        protocol = "human-npt" if card["config"]["network"] == "npt" else "clips-aniformer"
-        print_next("evaluate", protocol, "-m", f"{output},copy")
+        print_next("evaluate", test_set(card), "-m", f"{output},copy")

@@ -43,10 +43,11 @@ def others_in_motion(models: tuple[str, ...], count: int, data: Path | None) -> 
     for i, path in enumerate(folder_of_people(data)[:count]):
         clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
         yield _frames("driving", clip.vertices, clip.mesh.faces)
+        identity = load_mesh(path)
         for model in models:
-            result = animate(path, clip, model, driving_up="+y", driving_front="+z")
+            result = animate(identity, clip, model, driving_up="+y", driving_front="+z")
             tiles = [Tile(model, result.clip.mesh.with_vertices(result.clip.vertices[t])) for t in SHOWN]
-            yield [Tile(path.stem, load_mesh(path)), *tiles]
+            yield [Tile(path.stem, identity), *tiles]
 
 
 def _trial(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..io import load_mesh
 from ..mesh import InputError, Mesh
 from ..pipeline import transfer
 from .clip_figures import clips_compared, clips_noisy, others_in_motion
@@ -93,18 +94,19 @@ def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iter
     """Identities from other makers in poses of our people (Fig. 10, 17, 18)."""
     for i, path in enumerate(folder_of_people(data)[:count]):
         driving = HUMAN_WIDE.pair("test", "clips", i).driving
-        tiles = [Tile("driving", driving)]
+        identity = load_mesh(path)
         for model in models:
-            result = transfer(path, driving, model, driving_up="+y", driving_front="+z")
-            yield [Tile(path.stem, _read(path)), *tiles, Tile(model, result.mesh)]
+            result = transfer(identity, driving, model, driving_up="+y", driving_front="+z")
+            yield [Tile(path.stem, identity), Tile("driving", driving), Tile(model, result.mesh)]
 
 
 def others_driving(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
     """Poses from other makers on our people (Fig. 11)."""
     for i, path in enumerate(folder_of_people(data)[:count]):
         identity = HUMAN_WIDE.pair("test", "clips", i).identity
-        results = [Tile(m, transfer(identity, path, m, up="+y", front="+z").mesh) for m in models]
-        yield [Tile("identity", identity), Tile(path.stem, _read(path)), *results]
+        driving = load_mesh(path)
+        results = [Tile(m, transfer(identity, driving, m, up="+y", front="+z").mesh) for m in models]
+        yield [Tile("identity", identity), Tile(path.stem, driving), *results]
 
 
 def by_number(count: int) -> Float[np.ndarray, "V 3"]:
@@ -145,9 +147,3 @@ def _trial(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
     results = [Tile(model, Mesh(moved(pair, model), faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
-
-
-def _read(path: Path) -> Mesh:
-    from ..io import load_mesh
-
-    return load_mesh(path)

@@ -198,7 +198,7 @@ class PairSource:
 
 
 NEAR = 0.15
-"""Metres along the surface."""
+"""Metres along the surface up to which a batch of `TemplateSource` counts vertices as joined by an edge."""
 
 
 class TemplateSource(PairSource):

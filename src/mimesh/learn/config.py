@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import yaml
 
+from ..evaluate.clip_protocols import FRAMES
 from ..mesh import InputError
 from .aniformer import AniFormerConfig
 from .batches import DataConfig
@@ -22,8 +23,6 @@ from .npt import NPTConfig
 
 MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig, "limp": LIMPConfig}
 """What `network` of a configuration may be, and the switches of each."""
-LONGEST_WINDOW = 30
-"""Frames of the motions that windows are cut from."""
 
 
 @dataclass(frozen=True)
@@ -138,8 +137,8 @@ def _check_windows(config: TrainConfig, model: AniFormerConfig, where: str) -> N
         raise InputError(
             f"{where}: expected data.kind clips or clips80 with aniformer, found {config.data.kind}; set it"
         )
-    if not 1 <= model.frames <= LONGEST_WINDOW:
-        raise InputError(f"{where}, frames: expected 1 to {LONGEST_WINDOW}, found {model.frames}")
+    if not 1 <= model.frames <= FRAMES:
+        raise InputError(f"{where}, frames: expected 1 to {FRAMES}, found {model.frames}")
     undivided = [width for width in model.layers if model.heads < 1 or width % model.heads]
     if undivided and model.attention != "off":
         raise InputError(f"{where}: expected heads that divide every layer, found {model.heads} for {undivided[0]}")

@@ -148,6 +148,11 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
     }
 
 
+def test_set(facts: dict[str, Any]) -> str:
+    """The protocol whose figures belong into a card: pairs of meshes for NPT, clips for the rest."""
+    return "human-npt" if facts["config"].get("network", "npt") == "npt" else "clips-aniformer"
+
+
 def infer_onnx(
     network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
 ) -> Float[np.ndarray, "B *R V 3"]:
