@@ -1,0 +1,186 @@
+"""Endless people as surfaces for mime: points anywhere on skin and garments, with joints and skinning weights known.
+
+A person is the shipped human with a shape, garments, lengths and girths of each bone, and bumps. All of it is exact
+under linear blend skinning, so one person in two poses is a true transfer.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from .. import geometry
+from ..bodies import RiggedBody
+from ..bodies.dress import GARMENTS, dressed_body
+
+WAVES = 6
+"""Of which a person's bumps are the sum."""
+
+
+@dataclass(frozen=True)
+class People:
+    """Who B people are."""
+
+    shape: Float[Tensor, "B K"]
+    length: Float[Tensor, "B J"]
+    """Of each bone, over that of the shape."""
+    girth: Float[Tensor, "B J"]
+    """The same across the bone."""
+    bumps: Float[Tensor, "B W 5"]
+    """Waves over the surface at rest: direction times frequency (radians a metre), phase, height (metres)."""
+    worn: Bool[Tensor, "B G"]
+    """Garments, one column each after the skin, which all wear."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """Points of B people in poses, metres. Point i has the weights of its place on the surface, however it is posed."""
+
+    points: Float[Tensor, "B N 3"]
+    normals: Float[Tensor, "B N 3"]
+    weights: Float[Tensor, "B N J"]
+    """Skinning weights, rows sum to 1."""
+    rotation: Float[Tensor, "B J 3 3"]
+    """Of every joint in the world; at rest all are the unit matrix."""
+    joints: Float[Tensor, "B J 3"]
+
+
+class SurfaceBody(nn.Module):
+    """Points spread evenly over a rigged body in all its garments, to be posed in any number on any device."""
+
+    rest: Tensor
+    normals: Tensor
+    components: Tensor
+    weights: Tensor
+    joints: Tensor
+    joint_components: Tensor
+    bones: Tensor
+    branching: Tensor
+    piece: Tensor
+
+    def __init__(self, body: RiggedBody, count: int = 20_000) -> None:
+        super().__init__()
+        dressed = dressed_body(body, GARMENTS)
+        self.parents = body.parents
+        face, share = geometry.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
+        corners = dressed.faces[face]
+        starts = np.cumsum([len(body.vertices), *(len(dressed_body(body, (g,)).vertices) - len(body.vertices) for g in GARMENTS)])
+        bones, branching = _bones(body)
+        arrays = {
+            "rest": _mix(dressed.vertices, corners, share).T,
+            "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
+            "components": np.stack([_mix(c, corners, share).T for c in dressed.components]),
+            "weights": _mix(dressed.weights, corners, share).T,
+            "joints": body.joints,
+            "joint_components": body.joint_components,
+            "bones": bones,
+        }
+        for name, array in arrays.items():
+            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)).float())
+        self.register_buffer("branching", torch.from_numpy(branching))
+        self.register_buffer("piece", torch.from_numpy(np.searchsorted(starts, corners[:, 0], side="right")))
+
+    def choose(self, people: People, count: int, rng: torch.Generator, lost: float = 0.0) -> Int[Tensor, "B N"]:
+        """Random points of what each of the people wears, without those of a ball that is lost to a share of them."""
+        size, total = len(people.shape), self.rest.shape[1]
+        key = torch.rand(size, total, generator=rng, device=self.rest.device)
+        key = key + 2.0 * (~people.worn)[:, self.piece]
+        ball = torch.randint(total, (size,), generator=rng, device=self.rest.device)
+        reach = 0.35 * torch.rand(size, 1, generator=rng, device=self.rest.device)
+        reach = reach * (torch.rand(size, 1, generator=rng, device=self.rest.device) < lost)
+        apart = (self.rest[:, None] - self.rest[:, ball, None]).square().sum(0)
+        key = key + (apart < reach.square())
+        return key.topk(count, dim=1, largest=False, sorted=False).indices
+
+    def posed(self, people: People, rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> Surface:
+        """Chosen points of people under local joint rotations, the root joint where it rests."""
+        rotation, position, linear, back = self._joints(people, rotmat)
+        rest = self.rest[:, index].transpose(0, 1)
+        rest = rest + torch.einsum("bk,kcbn->bcn", people.shape, self.components[:, :, index])
+        normal = self.normals[:, index].transpose(0, 1)
+        rest = rest + self._bumps(people, index) * normal
+        weights = self.weights[:, index].permute(1, 2, 0)
+        offset = position - (linear @ self._rest_joints(people)[..., None])[..., 0]
+        blended = (weights @ torch.cat([linear, offset[..., None], back], -1).flatten(2)).unflatten(2, (3, 7))
+        points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
+        normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
+        return Surface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position)
+
+    def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
+        return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
+
+    def _joints(self, people: People, rotmat: Tensor):
+        """World rotation and place of each joint, what it does to its bone, and that for normals (inverse transpose)."""
+        rest = self._rest_joints(people)
+        length = torch.where(self.branching, people.girth, people.length)[..., None, None]
+        girth = people.girth[..., None, None]
+        along = self.bones[:, :, None] * self.bones[:, None]
+        eye = torch.eye(3, device=rest.device)
+        grown, shrunk = girth * eye + (length - girth) * along, eye / girth + (1 / length - 1 / girth) * along
+        rotation, position = [rotmat[:, 0]], [rest[:, 0]]
+        for j, parent in enumerate(self.parents[1:], 1):
+            bone = rotation[parent] @ (grown[:, parent] @ (rest[:, j] - rest[:, parent])[..., None])
+            position.append(position[parent] + bone[..., 0])
+            rotation.append(rotation[parent] @ rotmat[:, j])
+        turned = torch.stack(rotation, 1)
+        return turned, torch.stack(position, 1), turned @ grown, turned @ shrunk
+
+    def _bumps(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
+        place = self.rest[:, index].transpose(0, 1)
+        waves = people.bumps[..., :3] @ place + people.bumps[..., 3:4]
+        return (waves.sin() * people.bumps[..., 4:]).sum(1, keepdim=True)
+
+
+class Crowd:
+    """Draws people; each call is a pure function of its generator."""
+
+    def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
+        self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
+        self.group = torch.from_numpy(_groups(body)).to(device)
+
+    def draw(self, size: int, rng: torch.Generator) -> People:
+        """Mostly everyday people; a quarter have proportions of their own, bone by bone, alike on both sides."""
+        shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
+        strange = (self._uniform(rng, size, 1) < 0.25) * 0.3 + 0.06 * self._uniform(rng, size, 1)
+        groups = int(self.group.max()) + 1
+        length, girth = ((strange * self._normal(rng, size, groups).clamp(-2, 2)).exp()[:, self.group] for _ in range(2))
+        height = 0.02 * self._uniform(rng, size, 1, 1).square() * self._normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
+        direction = 25.0 * self._normal(rng, size, WAVES, 3) * self._uniform(rng, size, WAVES, 1)
+        bumps = torch.cat([direction, 2 * math.pi * self._uniform(rng, size, WAVES, 1), height], -1)
+        worn = self._uniform(rng, size, 1 + len(GARMENTS)) < 0.25
+        worn[:, 0] = True
+        return People(shape, length, girth, bumps, worn)
+
+    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.rand(*size, generator=rng, device=self.device)
+
+    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.randn(*size, generator=rng, device=self.device)
+
+
+def _mix(values: np.ndarray, corners: np.ndarray, share: np.ndarray) -> np.ndarray:
+    return (values[corners] * share[..., None]).sum(axis=1)
+
+
+def _bones(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np.ndarray, " J"]]:
+    """Direction of each joint's bone at rest, and which joints have several (these scale alike in all directions)."""
+    children = [[c for c, p in enumerate(body.parents) if p == j] for j in range(len(body.parents))]
+    ends = []
+    for j, below in enumerate(children):
+        own = body.weights[:, j]
+        ends.append(body.joints[below[0]] if len(below) == 1 else own @ body.vertices / max(own.sum(), 1e-9))
+    direction = np.stack(ends) - body.joints
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    return direction, np.array([len(below) > 1 for below in children])
+
+
+def _groups(body: RiggedBody) -> Int[np.ndarray, " J"]:
+    """Joints that are each other's mirror image share a number."""
+    names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in body.joint_names]
+    return np.unique(names, return_inverse=True)[1]
