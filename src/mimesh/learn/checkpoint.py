@@ -13,15 +13,17 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from ..bodies import load_body
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..provenance import commit
 from .aniformer import AniFormer, AniFormerConfig
 from .config import TrainConfig, config_from
 from .limp import LIMP, LIMPConfig
+from .mime import Mime, MimeConfig
 from .npt import NPT
 
-Network = NPT | AniFormer | LIMP
+Network = NPT | AniFormer | LIMP | Mime
 """Whatever can be trained."""
 
 
@@ -108,6 +110,8 @@ def make_model(config: TrainConfig) -> Network:
     """A fresh network of a configuration."""
     if isinstance(config.model, AniFormerConfig):
         return AniFormer(config.model)
+    if isinstance(config.model, MimeConfig):
+        return Mime(config.model, load_body())
     return LIMP(config.model) if isinstance(config.model, LIMPConfig) else NPT(config.model)
 
 

@@ -19,9 +19,11 @@ from ..mesh import InputError
 from .aniformer import AniFormerConfig
 from .batches import DataConfig
 from .limp import LIMPConfig, LIMPLossConfig
+from .mime import MimeConfig
+from .mime_loss import MimeLossConfig
 from .npt import NPTConfig
 
-MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig, "limp": LIMPConfig}
+MODELS = {"npt": NPTConfig, "aniformer": AniFormerConfig, "limp": LIMPConfig, "mime": MimeConfig}
 """What `network` of a configuration may be, and the switches of each."""
 
 
@@ -39,8 +41,8 @@ class ClipLossConfig:
 class TrainConfig:
     """Everything a training depends on besides the code; the defaults are NPT's paper."""
 
-    network: Literal["npt", "aniformer", "limp"] = "npt"
-    model: NPTConfig | AniFormerConfig | LIMPConfig = field(default_factory=NPTConfig)
+    network: Literal["npt", "aniformer", "limp", "mime"] = "npt"
+    model: NPTConfig | AniFormerConfig | LIMPConfig | MimeConfig = field(default_factory=NPTConfig)
     data: DataConfig = field(default_factory=DataConfig)
     batch: int = 8
     """Pairs a step; AniFormer's pairs are windows of T frames."""
@@ -70,6 +72,8 @@ class TrainConfig:
     """AniFormer's."""
     metrics: LIMPLossConfig = field(default_factory=LIMPLossConfig)
     """LIMP's."""
+    structure: MimeLossConfig = field(default_factory=MimeLossConfig)
+    """mime's."""
     precision: Literal["fp32", "bf16"] = "fp32"
     compile: bool = False
     """Fuse element-wise work with torch.compile (needs a C++ compiler on a CPU)."""

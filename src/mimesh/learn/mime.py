@@ -18,6 +18,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
+from .skinning import posed_joints, skinned
 
 OCTAVES = 5
 """Of sines and cosines that a position becomes."""
@@ -59,6 +60,11 @@ class Reading:
     scale: Float[Tensor, "B 1 1"]
     """Root mean square distance of the points from their mean."""
 
+    def part(self, which: slice) -> Reading:
+        """Of some of the meshes."""
+        rotations, joints = (tuple(found[which] for found in all_of) for all_of in (self.rotations, self.joints))
+        return Reading(self.tokens[which], rotations, joints, self.scale[which])
+
     @property
     def rotation(self) -> Float[Tensor, "B J 3 3"]:
         """The last one."""
@@ -87,7 +93,7 @@ class Mime(nn.Module):
         c, joints = config.width, len(body.parents)
         self.embed = nn.Linear(6 + 6 * OCTAVES, c)
         self.mix = nn.Linear(c, c)
-        self.tokens = nn.Parameter(0.5 * torch.randn(config.latents + joints, c))
+        self.tokens = nn.Parameter(0.5 * torch.randn(1, config.latents + joints, c))
         self.blocks = nn.ModuleList(Block(c, config.heads, looks=i % 2 == 0) for i in range(config.blocks))
         self.first = zero(nn.Linear(c, 9))
         self.mendings = nn.ModuleList(Mending(config) for _ in range(config.mendings))
@@ -121,17 +127,39 @@ class Mime(nn.Module):
         """Logarithms of the skinning weights of vertices of the meshes that were read, up to a constant a vertex."""
         return self.weigh(reading, vertices, normals)
 
+    def moved(
+        self,
+        vertices: Float[Tensor, "B V 3"],
+        scores: Float[Tensor, "B V J"],
+        own: Reading,
+        other: Reading,
+        root: Float[Tensor, "B 3"] | None = None,
+    ) -> Float[Tensor, "B V 3"]:
+        """Vertices of the meshes read as `own` in the pose of `other`, the root joint at `root` (None: where it is)."""
+        with torch.autocast(vertices.device.type, enabled=False):
+            root = own.place[:, 0] if root is None else root
+            place = posed_joints(own.rotation, own.place, other.rotation, root, self.parents)
+            held = scores.float().softmax(-1)
+            return skinned(vertices, held, own.rotation, own.place, other.rotation, place)
+
     def forward(
         self, identity: tuple[Tensor, Tensor], driving: tuple[Tensor, Tensor]
     ) -> tuple[Reading, Reading, Float[Tensor, "B N J"]]:
         """Read both (points and normals each) in one go, and weigh the identity's points."""
         both = self.read(*(torch.cat(pair) for pair in zip(identity, driving, strict=True)))
         size = len(identity[0])
-        own, other = (
-            Reading(both.tokens[part], *(tuple(t[part] for t in ts) for ts in (both.rotations, both.joints)), both.scale[part])
-            for part in (slice(size), slice(size, None))
-        )
+        own, other = both.part(slice(size)), both.part(slice(size, None))
         return own, other, self.weights(own, *identity)
+
+    def estimate_flops(self, vertices: int, points: int) -> float:
+        """Floating-point operations of a transfer with so many points of each mesh: two for each use of a weight."""
+        looks = [layer for block in self.blocks if block.look for layer in (block.look.key, block.look.value)]
+        of_points = _numbers(self.embed, self.mix, *looks, *(mending.seen for mending in self.mendings))
+        of_near = _numbers(*(layer for mending in self.mendings for layer in (mending.geometry, mending.score)))
+        of_tokens = _numbers(self.blocks, self.mendings) - _numbers(*looks) - of_near
+        joints, near = len(self.parents), min(self.config.near, points)
+        read = of_points * points + of_tokens * (self.config.latents + joints) + of_near * joints * near
+        return 2.0 * (2 * read + _numbers(self.weigh) * joints * vertices)
 
     def _seen(self, x: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N C"]:
         waves = (x[..., None] * self.octaves).flatten(-2)
@@ -200,7 +228,7 @@ class Weighing(nn.Module):
         h = config.weighing
         self.latents = config.latents
         self.geometry, self.token = nn.Linear(GEOMETRY, h, bias=False), nn.Linear(config.width, h)
-        self.joint = nn.Parameter(torch.zeros(joints, h))
+        self.joint = nn.Parameter(torch.zeros(1, joints, h))
         self.hidden, self.out = nn.Linear(h, h), nn.Linear(h, 1)
 
     def forward(self, reading: Reading, vertices: Tensor, normals: Tensor) -> Float[Tensor, "B V J"]:
@@ -245,6 +273,10 @@ class Attention(nn.Module):
         )
         scores = rms(q) @ rms(k).mT * (2.0 / math.sqrt(q.shape[-1]))
         return self.out((scores.softmax(-1) @ v).transpose(1, 2).flatten(2))
+
+
+def _numbers(*modules: nn.Module) -> int:
+    return sum(p.numel() for module in modules for p in module.parameters())
 
 
 def rms(h: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from .. import geometry
 from ..bodies import RiggedBody
-from ..bodies.dress import GARMENTS, dressed_body
+from ..bodies.dress import GARMENTS, dressed_body, load_garment
 
 WAVES = 6
 """Of which a person's bumps are the sum."""
@@ -70,7 +70,7 @@ class SurfaceBody(nn.Module):
         self.parents = body.parents
         face, share = geometry.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
         corners = dressed.faces[face]
-        starts = np.cumsum([len(body.vertices), *(len(dressed_body(body, (g,)).vertices) - len(body.vertices) for g in GARMENTS)])
+        starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
         bones, branching = _bones(body)
         arrays = {
             "rest": _mix(dressed.vertices, corners, share).T,
@@ -116,7 +116,7 @@ class SurfaceBody(nn.Module):
         return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
 
     def _joints(self, people: People, rotmat: Tensor):
-        """World rotation and place of each joint, what it does to its bone, and that for normals (inverse transpose)."""
+        """World rotation and place of each joint, what it does to its bone, and to normals (inverse transpose)."""
         rest = self._rest_joints(people)
         length = torch.where(self.branching, people.girth, people.length)[..., None, None]
         girth = people.girth[..., None, None]
@@ -149,7 +149,8 @@ class Crowd:
         shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
         strange = (self._uniform(rng, size, 1) < 0.25) * 0.3 + 0.06 * self._uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
-        length, girth = ((strange * self._normal(rng, size, groups).clamp(-2, 2)).exp()[:, self.group] for _ in range(2))
+        drawn = [strange * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        length, girth = (scale.exp()[:, self.group] for scale in drawn)
         height = 0.02 * self._uniform(rng, size, 1, 1).square() * self._normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
         direction = 25.0 * self._normal(rng, size, WAVES, 3) * self._uniform(rng, size, WAVES, 1)
         bumps = torch.cat([direction, 2 * math.pi * self._uniform(rng, size, WAVES, 1), height], -1)

@@ -24,6 +24,9 @@ from .clip_losses import aniformer_loss
 from .config import MODELS, TrainConfig, load_config
 from .limp import LIMP, limp_loss
 from .losses import npt_loss
+from .mime import Mime
+from .mime_batches import MimeBatch
+from .mime_loss import mime_loss
 from .optimizers import make_optimizers
 from .validation import PairValidation, make_source, make_validation
 
@@ -156,9 +159,12 @@ class Run:
         self.seconds += self.clock() - started
         return loss.detach()
 
-    def loss(self, batch: Batch | ClipBatch) -> Tensor:
-        """NPT Eq. 4 or AniFormer Eq. 6 over V, or LIMP's, in the configured width."""
+    def loss(self, batch: Batch | ClipBatch | MimeBatch) -> Tensor:
+        """NPT Eq. 4 or AniFormer Eq. 6 over V, LIMP's or mime's, in the configured width."""
         config = self.config
+        if isinstance(self.model, Mime):
+            with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
+                return mime_loss(self.model, batch, config.structure)
         if isinstance(self.model, LIMP):
             rng = torch.Generator(self.device).manual_seed(config.seed * 1_000_003 + self.step)
             meshes = (batch.identity, batch.truth, batch.driving)

@@ -7,12 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from .. import geometry
 from ..bodies import RiggedBody
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import HUMAN_NPT, Protocol
 from ..frame import bbox_centre, radius
+from ..mesh import Mesh
 from .aniformer import AniFormer, AniFormerConfig
 from .batches import PairSource, TemplateSource
 from .checkpoint import Network
@@ -20,7 +22,12 @@ from .clip_batches import ClipSource
 from .clip_losses import middle_of
 from .config import TrainConfig
 from .limp import LIMP, LIMPConfig
+from .mime import Mime, MimeConfig
+from .mime_batches import MimeBatch, MimeSource
+from .mime_loss import pmd
 
+READ = 512
+"""Points that mime reads of a mesh here."""
 WINDOW = 3
 """Frames of each clip that networks of pairs are judged by."""
 FRESH_SEED = 1_000_003
@@ -29,6 +36,8 @@ FRESH_SEED = 1_000_003
 
 def make_source(config: TrainConfig, body: RiggedBody, device: torch.device, seed: int) -> PairSource | ClipSource:
     """Where a training's batches come from."""
+    if isinstance(config.model, MimeConfig):
+        return MimeSource(config.data, body, device, seed)
     if isinstance(config.model, AniFormerConfig):
         return ClipSource(config.data, config.model.frames, body, device, seed)
     kind = TemplateSource if isinstance(config.model, LIMPConfig) else PairSource
@@ -37,6 +46,8 @@ def make_source(config: TrainConfig, body: RiggedBody, device: torch.device, see
 
 def make_validation(config: TrainConfig, body: RiggedBody, device: torch.device) -> PairValidation:
     """Clips for what is trained on motions, pairs for the rest."""
+    if isinstance(config.model, MimeConfig):
+        return MimeValidation(config, body, device)
     clips = config.data.kind in ("clips", "clips80")
     return (ClipValidation if clips else PairValidation)(config, body, device)
 
@@ -58,12 +69,15 @@ class PairValidation:
         model.eval()
         figures = {kind: sum(self.pmd(model, t) for t in trials) / len(trials) for kind, trials in self.trials.items()}
         batches = [self.fresh.batch(32, i) for i in range(8)]
-        errors = [self._error(self._infer(model, b.identity, b.driving), b.truth) for b in batches]
+        errors = [self._fresh_error(model, batch) for batch in batches]
         figures["fresh"] = float(torch.stack(errors).mean())
         figures = {kind: 1e4 * value for kind, value in figures.items()}
         figures["val"] = (figures["unseen"] + figures["fresh"]) / 2
         model.train()
         return figures
+
+    def _fresh_error(self, model: Network, batch) -> Tensor:
+        return self._error(self._infer(model, batch.identity, batch.driving), batch.truth)
 
     def pmd(self, model: Network, trial: Pair) -> float:
         """Of one trial, result and truth in metres and then in the truth's unit sphere."""
@@ -83,8 +97,11 @@ class PairValidation:
         return torch.from_numpy(centred / radius(centred)).float().to(self.device), radius(centred)
 
     def _infer(self, model: Network, identity: Tensor, driving: Tensor) -> Tensor:
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16"):
+        with self._cast():
             return model(identity, driving)
+
+    def _cast(self):
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16")
 
     def _error(self, result: Tensor, truth: Tensor) -> Tensor:
         return (result - truth).square().sum(-1).mean()
@@ -112,3 +129,32 @@ class ClipValidation(PairValidation):
 
     def _error(self, result: Tensor, truth: Tensor) -> Tensor:
         return super()._error(result, truth if truth.ndim == 3 else middle_of(truth, result.shape[1]))
+
+
+class MimeValidation(PairValidation):
+    """The same for mime, which reads points of the surface and moves all vertices."""
+
+    def pmd(self, model: Network, trial: Pair) -> float:
+        """Of one trial, result and truth in metres and then in the truth's unit sphere."""
+        assert isinstance(model, Mime)
+        mesh = trial.identity
+        vertices, normals = mesh.vertices, geometry.vertex_normals(mesh.vertices, mesh.faces)
+        with self._cast():
+            own, other = (model.read(*self._points(m)) for m in (mesh, trial.driving))
+            scores = model.weights(own, self._tensor(vertices), self._tensor(normals))
+        result = model.moved(self._tensor(vertices), scores, own, other)[0]
+        return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
+
+    def _points(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
+        face, share = geometry.sample_surface(mesh.vertices, mesh.faces, READ, np.random.default_rng(0))
+        points = geometry.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        return self._tensor(points), self._tensor(geometry.face_normals(mesh.vertices, mesh.faces)[face])
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.from_numpy(array).float()[None].to(self.device)
+
+    def _fresh_error(self, model: Network, batch: MimeBatch) -> Tensor:
+        assert isinstance(model, Mime)
+        with self._cast():
+            own, other, scores = model(*batch.given)
+        return pmd(model.moved(batch.identity.points, scores, own, other, batch.truth.joints[:, 0]), batch)
