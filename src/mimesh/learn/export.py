@@ -12,15 +12,19 @@ import numpy as np
 import onnx
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
+from ..bodies import load_body
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
 from .limp import LIMPConfig
+from .mime import Mime, MimeConfig
 from .npt import NPTConfig
 
+POINTS = 512
+"""That mime reads of a mesh."""
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
     "wide": "endless people of the shipped body; rest, Table 6, joint limits, frames of the shipped motions; headings",
@@ -56,22 +60,45 @@ def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
 
     NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or
     (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small. LIMP: (B, V, 3) and
-    (B, U, 3) give the W vertices of its template, (B, W, 3).
+    (B, U, 3) give the W vertices of its template, (B, W, 3). mime is another matter: see `methods/mime.py`.
     """
-    example, shapes = _window(model.config) if isinstance(model, AniFormer) else _pair(model.config)
+    inputs, outputs = ["identity", "driving"], ["result"]
+    if isinstance(model, Mime):
+        example, shapes = _surface()
+        inputs, outputs = ["points", "normals", "vertices", "vertex_normals"], ["rotation", "joints", "scores"]
+    else:
+        example, shapes = _window(model.config) if isinstance(model, AniFormer) else _pair(model.config)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter's own deprecations
         program = torch.onnx.export(
-            model.eval(),
+            ReadAndWeigh(model).eval() if isinstance(model, Mime) else model.eval(),
             example,
             dynamo=True,
-            input_names=["identity", "driving"],
-            output_names=["result"],
+            input_names=inputs,
+            output_names=outputs,
             dynamic_shapes=shapes,
             verbose=False,
         )
     assert program is not None
     return program.model_proto
+
+
+class ReadAndWeigh(nn.Module):
+    """All of mime that looks at one mesh; moving it is left to who runs it."""
+
+    def __init__(self, model: Mime) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, points: Tensor, normals: Tensor, vertices: Tensor, vertex_normals: Tensor):
+        reading = self.model.read(points, normals)
+        return reading.rotation, reading.place, self.model.weights(reading, vertices, vertex_normals)
+
+
+def _surface() -> tuple[tuple[Tensor, ...], tuple[dict, ...]]:
+    """Example inputs of mime: as many points as are read, any number of vertices."""
+    v = torch.export.Dim("vertices", min=1)
+    return (*torch.randn(2, 1, POINTS, 3), *torch.randn(2, 1, 300, 3)), ({}, {}, {1: v}, {1: v})
 
 
 def _pair(config: NPTConfig | LIMPConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
@@ -117,12 +144,16 @@ def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> on
     return network
 
 
-def describe(network: onnx.ModelProto, config: NPTConfig | AniFormerConfig | LIMPConfig, target_scale: str) -> None:
+def describe(
+    network: onnx.ModelProto, config: NPTConfig | AniFormerConfig | LIMPConfig | MimeConfig, target_scale: str
+) -> None:
     """Write into the file what a runner must know."""
     if isinstance(config, AniFormerConfig):
         facts: dict[str, Any] = {"model": "aniformer", "frames": config.frames, "head": config.head}
     elif isinstance(config, LIMPConfig):
         facts = {"model": "limp", "vertices": config.vertices}
+    elif isinstance(config, MimeConfig):
+        facts = {"model": "mime", "points": POINTS, "parents": load_body().parents}
     else:
         facts = {"model": "npt", "pose_code": config.pose_code}
     facts |= {"target_scale": target_scale, "config": dataclasses.asdict(config)}

@@ -13,8 +13,8 @@ def make_optimizers(model: nn.Module, config: TrainConfig, device: torch.device)
     """The optimizers that share a model's parameters; one learning rate is right for all of them.
 
     Muon (K. Jordan et al. 2024) makes every update of a matrix orthogonal before it takes it; scaled as in "Muon is
-    Scalable for LLM Training" (2025) its steps are as large as Adam's. Matrices from or to a few numbers, and biases, are
-    Adam's.
+    Scalable for LLM Training" (2025) its steps are as large as Adam's. Biases and matrices from or to a few numbers
+    are Adam's.
     """
     betas = (0.9, config.beta2)
     fused = device.type == "cuda"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ..mesh import InputError
 from . import Method
 from .limp import Limp
+from .mime import Mime
 from .network import Network
 from .sequence import Sequence
 
@@ -19,6 +20,7 @@ KNOWN = {
     "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth")},
     "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
     "limp": {"target_scale": ("identity", "truth")},
+    "mime": {},
 }
 """What the metadata of each kind say, and what they may say."""
 LONGEST = 64
@@ -39,6 +41,8 @@ def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, thr
         return Sequence(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
     if card["model"] == "limp":
         return Limp(name, session, card["vertices"], card["target_scale"])
+    if card["model"] == "mime":
+        return Mime(name, session, tuple(card["parents"]), card["points"], seed)
     return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 

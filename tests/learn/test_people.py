@@ -1,0 +1,109 @@
+"""Endless people: exact skinning, points that stay themselves, what is worn, and proportions."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from mimesh.bodies import load_body  # noqa: E402
+from mimesh.learn.batches import DataConfig  # noqa: E402
+from mimesh.learn.bodies import rotvec_to_rotmat  # noqa: E402
+from mimesh.learn.mime_batches import MimeSource, plain  # noqa: E402
+from mimesh.learn.people import Crowd, SurfaceBody  # noqa: E402
+
+BODY = load_body()
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def surface():
+    return SurfaceBody(BODY)
+
+
+def poses(size, reach=0.4):
+    torch.manual_seed(1)
+    return rotvec_to_rotmat(reach * torch.randn(size, len(BODY.parents), 3))
+
+
+def test_plain_people_are_those_of_the_rigged_body(surface):
+    """Points lie on the triangles that the body's own vertices have in that pose, within what a triangle bends."""
+    shape, rotmat = torch.randn(2, len(BODY.components)), poses(2)
+    who = plain(shape, surface)
+    rng = torch.Generator().manual_seed(0)
+    index = surface.choose(who, 400, rng)
+    found = surface.posed(who, rotmat, index)
+    vertices = BODY.posed(shape.double().numpy(), rotmat.double().numpy())
+    from scipy.spatial import KDTree
+
+    for points, mesh in zip(found.points.numpy(), vertices, strict=True):
+        assert np.median(KDTree(mesh).query(points)[0]) < 0.02
+        assert KDTree(mesh).query(points)[0].max() < 0.08
+    rotation, offset = BODY.skinning_transforms(BODY.shaped(shape.double().numpy())[1], rotmat.double().numpy())
+    joints = offset + (rotation @ BODY.shaped(shape.double().numpy())[1][..., None])[..., 0]
+    assert np.allclose(found.joints.numpy(), joints, atol=1e-5)
+    assert np.allclose(found.rotation.numpy(), rotation, atol=1e-5)
+    assert torch.allclose(found.weights.sum(-1), torch.ones(2, 400), atol=1e-5)
+
+
+def test_normals_stand_on_the_surface(surface):
+    """Of a sphere of girths and lengths: turned and scaled normals stay at right angles to nearby points."""
+    who = dataclasses.replace(
+        plain(torch.zeros(1, len(BODY.components)), surface),
+        girth=torch.full((1, len(BODY.parents)), 1.5),
+        length=torch.full((1, len(BODY.parents)), 0.8),
+    )
+    every = torch.arange(6000)[None]
+    found = surface.posed(who, poses(1, 0.0), every)
+    from scipy.spatial import KDTree
+
+    points, normals = found.points[0].numpy(), found.normals[0].numpy()
+    near = KDTree(points).query(points, k=4)[1][:, 1:]
+    along = points[near] - points[:, None]
+    along /= np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-9)
+    assert np.median(np.abs((along * normals[:, None]).sum(-1))) < 0.2
+
+
+def test_proportions_scale_bones_and_nothing_else(surface):
+    who = plain(torch.zeros(1, len(BODY.components)), surface)
+    arm, hand = BODY.joint("LeftArm"), BODY.joint("LeftForeArm")
+    longer = dataclasses.replace(who, length=who.length.clone())
+    longer.length[0, arm] = 1.5
+    index = torch.arange(500)[None]
+    old, new = (surface.posed(p, poses(1, 0.0), index).joints[0] for p in (who, longer))
+    assert torch.allclose((new[hand] - new[arm]), 1.5 * (old[hand] - old[arm]), atol=1e-5)
+    assert torch.allclose(new[BODY.joint("Head")], old[BODY.joint("Head")])
+
+
+def test_nobody_shows_what_they_do_not_wear(surface):
+    who = Crowd(BODY, 1.3, CPU).draw(40, torch.Generator().manual_seed(3))
+    index = surface.choose(who, 300, torch.Generator().manual_seed(4))
+    piece = surface.piece[index]
+    for person in range(40):
+        assert set(piece[person].tolist()) <= set(torch.where(who.worn[person])[0].tolist())
+    assert who.worn[:, 0].all()
+    assert 0.1 < who.worn[:, 1].float().mean() < 0.45
+
+
+def test_left_and_right_are_alike():
+    who = Crowd(BODY, 1.3, CPU).draw(8, torch.Generator().manual_seed(5))
+    left, right = (BODY.joint(f"{side}ForeArm") for side in ("Left", "Right"))
+    assert torch.equal(who.length[:, left], who.length[:, right])
+    assert who.girth.std() > 0.05
+
+
+@pytest.mark.parametrize("kind", ["table6", "wide"])
+def test_the_truth_is_the_identity_in_the_driving_pose(kind):
+    source = MimeSource(DataConfig(kind, 64, "identity"), BODY, CPU, 0)
+    batch = source.batch(3, 0)
+    assert torch.equal(batch.truth.weights, batch.identity.weights)
+    assert torch.equal(batch.truth.rotation, batch.driving.rotation)
+    # Bones keep their lengths from pose to pose.
+    for a, b in ((1, 2), (2, 3), (10, 11)):
+        one, two = ((m.joints[:, a] - m.joints[:, b]).norm(dim=-1) for m in (batch.identity, batch.truth))
+        assert torch.allclose(one, two, atol=1e-5)
+    again = source.batch(3, 0)
+    assert torch.equal(again.truth.points, batch.truth.points)
+    assert not math.isclose(float(source.batch(3, 1).truth.points.mean()), float(batch.truth.points.mean()))
