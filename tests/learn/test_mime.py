@@ -6,7 +6,8 @@ torch = pytest.importorskip("torch")
 
 from mimesh.bodies import load_body  # noqa: E402
 from mimesh.learn.batches import DataConfig  # noqa: E402
-from mimesh.learn.mime import Frames, Mime, MimeConfig, turn  # noqa: E402
+from mimesh.learn.joint_frames import Frames, turn  # noqa: E402
+from mimesh.learn.mime import Mime, MimeConfig  # noqa: E402
 from mimesh.learn.mime_batches import MimeSource  # noqa: E402
 from mimesh.learn.mime_loss import MimeLossConfig, mime_loss, pmd  # noqa: E402
 from mimesh.learn.skinning import posed_joints, skinned  # noqa: E402
@@ -54,8 +55,8 @@ def test_joints_see_the_same_in_every_pose(batch):
     """A rigid turn of the world, points and frames alike, changes nothing that a joint sees."""
     true = batch.identity
     q = turn(torch.randn(6))
-    frames = Frames(true.rotation, true.joints, torch.zeros(len(BODY.parents), 3))
-    turned = Frames(q @ true.rotation, true.joints @ q.mT, frames.middle)
+    frames = Frames(true.rotation, true.joints)
+    turned = Frames(q @ true.rotation, true.joints @ q.mT)
     seen = frames.of(true.points[:, None], true.normals[:, None])
     again = turned.of((true.points @ q.mT)[:, None], (true.normals @ q.mT)[:, None])
     assert torch.allclose(seen, again, atol=1e-4)

@@ -1,9 +1,9 @@
 """mime: reads the joints of a mesh out of points of its surface, and moves one mesh by the joints of another.
 
 Each mesh is read alone: tokens, some of them joints, attend to the points; then every joint looks at the points near it
-in its own frame, where a forearm is a forearm in any pose, and mends its frame, a few times. Reading an identity also
-gives skinning weights of any number of vertices. A result is then linear blend skinning of the identity's own vertices
-from its own joints to the driving's rotations: detail is carried along, and a frame costs one reading.
+in its own frame, where a forearm is a forearm in any pose, and mends its frame, a few times over. Reading an identity
+also gives skinning weights of any number of vertices. A result is then linear blend skinning of the identity's own
+vertices from its own joints to the driving's rotations: detail is carried along, and a frame costs one reading.
 """
 
 from __future__ import annotations
@@ -18,14 +18,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
+from .joint_frames import GEOMETRY, Frames, Mending, turn
 from .skinning import posed_joints, skinned
+from .tokens import Block, rms, zero
 
 OCTAVES = 5
 """Of sines and cosines that a position becomes."""
-GEOMETRY = 10
-"""Numbers that describe a point in a joint's frame."""
-CLOSE = 4.0
-"""What positions in a joint's frame are multiplied by."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,6 @@ class Reading:
 class Mime(nn.Module):
     """The network; the skeleton's joints are those of the body that it is trained on."""
 
-    middle: Tensor
     stand: Tensor
     octaves: Tensor
 
@@ -88,7 +85,6 @@ class Mime(nn.Module):
         self.config, self.parents = config, body.parents
         stand, middle = _standing(body)
         self.register_buffer("stand", stand, persistent=False)
-        self.register_buffer("middle", middle, persistent=False)
         self.register_buffer("octaves", 2.0 ** torch.arange(OCTAVES) * math.pi / 2, persistent=False)
         c, joints = config.width, len(body.parents)
         self.embed = nn.Linear(6 + 6 * OCTAVES, c)
@@ -96,7 +92,7 @@ class Mime(nn.Module):
         self.tokens = nn.Parameter(0.5 * torch.randn(1, config.latents + joints, c))
         self.blocks = nn.ModuleList(Block(c, config.heads, looks=i % 2 == 0) for i in range(config.blocks))
         self.first = zero(nn.Linear(c, 9))
-        self.mendings = nn.ModuleList(Mending(config) for _ in range(config.mendings))
+        self.mending = Mending(middle, c, config.heads, config.local, config.near)
         self.weigh = Weighing(config, joints)
 
     def read(self, points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Reading:
@@ -114,9 +110,10 @@ class Mime(nn.Module):
         guess = self.first(rms(tokens[:, self.config.latents :])).float()
         rotation, joints = turn(guess[..., :6]), self.stand + guess[..., 6:]
         rotations, places = [rotation], [joints]
-        for mending in self.mendings:
-            frame = Frames(rotation.detach(), joints.detach(), self.middle)
-            tokens, rotation, joints = mending(tokens, frame, x, normals, seen)
+        known = (x, normals, self.mending.seen(seen))
+        for _ in range(self.config.mendings):
+            frames = Frames(rotation.detach(), joints.detach())
+            tokens, rotation, joints = self.mending(tokens, frames, known)
             rotations.append(rotation)
             places.append(joints)
         return Reading(tokens, tuple(rotations), tuple(p * scale + centre for p in places), scale)
@@ -145,79 +142,27 @@ class Mime(nn.Module):
     def forward(
         self, identity: tuple[Tensor, Tensor], driving: tuple[Tensor, Tensor]
     ) -> tuple[Reading, Reading, Float[Tensor, "B N J"]]:
-        """Read both (points and normals each) in one go, and weigh the identity's points."""
+        """Read both (points and normals each) in one go, and weigh the first half of the identity's points."""
         both = self.read(*(torch.cat(pair) for pair in zip(identity, driving, strict=True)))
         size = len(identity[0])
         own, other = both.part(slice(size)), both.part(slice(size, None))
-        return own, other, self.weights(own, *identity)
+        few = slice(identity[0].shape[1] // 2)
+        return own, other, self.weights(own, identity[0][:, few], identity[1][:, few])
 
     def estimate_flops(self, vertices: int, points: int) -> float:
         """Floating-point operations of a transfer with so many points of each mesh: two for each use of a weight."""
-        looks = [layer for block in self.blocks if block.look for layer in (block.look.key, block.look.value)]
-        of_points = _numbers(self.embed, self.mix, *looks, *(mending.seen for mending in self.mendings))
-        of_near = _numbers(*(layer for mending in self.mendings for layer in (mending.geometry, mending.score)))
-        of_tokens = _numbers(self.blocks, self.mendings) - _numbers(*looks) - of_near
-        joints, near = len(self.parents), min(self.config.near, points)
+        looks = 2 * self.config.width**2 * ((self.config.blocks + 1) // 2)
+        times, joints, near = self.config.mendings, len(self.parents), min(self.config.near, points)
+        of_points = _numbers(self.embed, self.mix, self.mending.seen) + looks
+        of_near = times * _numbers(self.mending.geometry, self.mending.score)
+        of_tokens = _numbers(self.blocks) - looks + times * _numbers(self.mending.block, self.mending.pooled)
         read = of_points * points + of_tokens * (self.config.latents + joints) + of_near * joints * near
-        return 2.0 * (2 * read + _numbers(self.weigh) * joints * vertices)
+        return 2.0 * (2 * read + _numbers(self.weigh.geometry, self.weigh.hidden) * joints * vertices)
 
     def _seen(self, x: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N C"]:
         waves = (x[..., None] * self.octaves).flatten(-2)
         h = self.embed(torch.cat([x, normals, waves.sin(), waves.cos()], -1))
-        return rms(h + self.mix(F.gelu(h)))
-
-
-@dataclass(frozen=True)
-class Frames:
-    """Where the joints are thought to be."""
-
-    rotation: Float[Tensor, "B J 3 3"]
-    joints: Float[Tensor, "B J 3"]
-    middle: Float[Tensor, "J 3"]
-    """Middle of each joint's surface, in its frame."""
-
-    def of(self, points: Float[Tensor, "B J N 3"], normals: Float[Tensor, "B J N 3"]) -> Float[Tensor, "B J N G"]:
-        """Points and their normals as each joint sees them."""
-        with torch.autocast(points.device.type, enabled=False):
-            x = CLOSE * (points - self.joints[:, :, None]) @ self.rotation
-            return torch.cat([x, x.norm(dim=-1, keepdim=True), normals @ self.rotation, (2 * x).sin()], -1)
-
-    def changed(self, nine: Float[Tensor, "B J 9"]) -> tuple[Float[Tensor, "B J 3 3"], Float[Tensor, "B J 3"]]:
-        """Each frame turned by the first six numbers and moved by the last three, as seen from itself."""
-        with torch.autocast(nine.device.type, enabled=False):
-            moved = self.joints + (self.rotation @ nine[..., 6:, None])[..., 0]
-            return self.rotation @ turn(nine[..., :6]), moved
-
-    def middles(self) -> Float[Tensor, "B J 3"]:
-        """The middle of each joint's surface."""
-        with torch.autocast(self.joints.device.type, enabled=False):
-            return self.joints + (self.rotation @ self.middle[..., None])[..., 0]
-
-
-class Mending(nn.Module):
-    """Each joint looks at the points near it, in its own frame, and turns and moves that frame."""
-
-    def __init__(self, config: MimeConfig) -> None:
-        super().__init__()
-        c, h = config.width, config.local
-        self.near, self.latents = config.near, config.latents
-        self.geometry, self.token, self.seen = nn.Linear(GEOMETRY, h), nn.Linear(c, h), nn.Linear(c, h, bias=False)
-        self.score = nn.Linear(h, config.heads)
-        self.pooled = nn.Linear(config.heads * h, c)
-        self.block = Block(c, config.heads, looks=False)
-        self.mend = zero(nn.Linear(c, 9))
-
-    def forward(self, tokens: Tensor, frames: Frames, x: Tensor, normals: Tensor, seen: Tensor):
-        with torch.no_grad():
-            apart = (frames.middles()[:, :, None] - x[:, None]).square().sum(-1)
-            index = apart.topk(min(self.near, x.shape[1]), dim=2, largest=False, sorted=False).indices
-        ours = tokens[:, self.latents :]
-        h = self.geometry(frames.of(_pick(x, index), _pick(normals, index)))
-        h = F.gelu(h + self.token(rms(ours))[:, :, None] + _pick(self.seen(seen), index))
-        share = self.score(h).float().softmax(2).to(h.dtype)
-        ours = ours + self.pooled((share.mT @ h).flatten(2))
-        tokens = self.block(torch.cat([tokens[:, : self.latents], ours], 1))
-        return tokens, *frames.changed(self.mend(rms(tokens[:, self.latents :])).float())
+        return rms(h + self.mix(F.relu(h)))
 
 
 class Weighing(nn.Module):
@@ -233,75 +178,15 @@ class Weighing(nn.Module):
 
     def forward(self, reading: Reading, vertices: Tensor, normals: Tensor) -> Float[Tensor, "B V J"]:
         unit = reading.scale.detach()
-        frames = Frames(reading.rotation.detach(), reading.place.detach() / unit, reading.place)
+        frames = Frames(reading.rotation.detach(), reading.place.detach() / unit)
         known = frames.of(vertices[:, None] / unit[:, None], normals[:, None])
         token = self.token(rms(reading.tokens[:, self.latents :])) + self.joint
-        h = F.gelu(self.hidden(F.gelu(self.geometry(known) + token[:, :, None])))
+        h = F.relu(self.hidden(F.relu(self.geometry(known) + token[:, :, None])))
         return (self.out(h)[..., 0].float() - known[..., 3].float()).mT
-
-
-class Block(nn.Module):
-    """Pre-norm transformer block; `looks` adds attention to the points before that among tokens."""
-
-    def __init__(self, width: int, heads: int, looks: bool) -> None:
-        super().__init__()
-        self.look = Attention(width, heads) if looks else None
-        self.attend = Attention(width, heads)
-        self.up, self.down = nn.Linear(width, 3 * width), zero(nn.Linear(3 * width, width))
-
-    def forward(self, tokens: Float[Tensor, "B K C"], seen: Float[Tensor, "B N C"] | None = None) -> Tensor:
-        if self.look is not None and seen is not None:
-            tokens = tokens + self.look(rms(tokens), seen)
-        h = rms(tokens)
-        tokens = tokens + self.attend(h, h)
-        return tokens + self.down(F.gelu(self.up(rms(tokens))))
-
-
-class Attention(nn.Module):
-    """Multi-head attention with q and k of one length."""
-
-    def __init__(self, width: int, heads: int) -> None:
-        super().__init__()
-        self.heads = heads
-        self.query, self.key, self.value = (nn.Linear(width, width, bias=False) for _ in range(3))
-        self.out = zero(nn.Linear(width, width, bias=False))
-
-    def forward(self, tokens: Float[Tensor, "B K C"], seen: Float[Tensor, "B N C"]) -> Float[Tensor, "B K C"]:
-        q, k, v = (
-            layer(h).unflatten(-1, (self.heads, -1)).transpose(1, 2)
-            for layer, h in ((self.query, tokens), (self.key, seen), (self.value, seen))
-        )
-        scores = rms(q) @ rms(k).mT * (2.0 / math.sqrt(q.shape[-1]))
-        return self.out((scores.softmax(-1) @ v).transpose(1, 2).flatten(2))
 
 
 def _numbers(*modules: nn.Module) -> int:
     return sum(p.numel() for module in modules for p in module.parameters())
-
-
-def rms(h: Tensor) -> Tensor:
-    """Root mean square 1 over the channels."""
-    return F.rms_norm(h, h.shape[-1:])
-
-
-def turn(six: Float[Tensor, "*B 6"]) -> Float[Tensor, "*B 3 3"]:
-    """Rotation of six numbers (Zhou et al., CVPR 2019): zeros are no turn."""
-    x = F.normalize(six[..., :3] + six.new_tensor([1.0, 0.0, 0.0]), dim=-1)
-    y = six[..., 3:] + six.new_tensor([0.0, 1.0, 0.0])
-    y = F.normalize(y - (x * y).sum(-1, keepdim=True) * x, dim=-1)
-    return torch.stack([x, y, torch.linalg.cross(x, y)], -1)
-
-
-def zero(layer: nn.Linear) -> nn.Linear:
-    """A layer that gives zeros at first."""
-    for parameter in layer.parameters():
-        nn.init.zeros_(parameter)
-    return layer
-
-
-def _pick(values: Float[Tensor, "B N C"], index: Tensor) -> Float[Tensor, "B J M C"]:
-    flat = index.flatten(1)[..., None].expand(-1, -1, values.shape[-1])
-    return values.gather(1, flat).unflatten(1, index.shape[1:])
 
 
 def _standing(body: RiggedBody) -> tuple[Float[Tensor, "J 3"], Float[Tensor, "J 3"]]:

@@ -28,11 +28,12 @@ class MimeLossConfig:
 def mime_loss(model: Mime, batch: MimeBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:
     """Reconstruction (PMD, Eq. 7 of the papers, root joints together) and the structural terms."""
     own, other, scores = model(*batch.given)
-    loss = pmd(model.moved(batch.identity.points, scores, own, other, batch.truth.joints[:, 0]), batch)
+    few = slice(scores.shape[1])
+    loss = pmd(model.moved(batch.identity.points[:, few], scores, own, other, batch.truth.joints[:, 0]), batch)
     for reading, true in ((own, batch.identity), (other, batch.driving)):
         turned, moved = _off(reading, true)
         loss = loss + weights.rotation * turned / 2 + weights.joints * moved / 2
-    entropy = -(batch.identity.weights * scores.log_softmax(-1)).sum(-1).mean()
+    entropy = -(batch.identity.weights[:, few] * scores.log_softmax(-1)).sum(-1).mean()
     return loss + weights.weights * entropy
 
 
@@ -40,7 +41,7 @@ def pmd(result: Float[Tensor, "B N 3"], batch: MimeBatch) -> Float[Tensor, ""]:
     """Eq. 7 in the identity's radius."""
     centred = batch.identity.points - batch.identity.points.mean(1, keepdim=True)
     radius = centred.norm(dim=-1).amax(1)
-    return ((result - batch.truth.points).square().sum(-1).mean(1) / radius.square()).mean()
+    return ((result - batch.truth.points[:, : result.shape[1]]).square().sum(-1).mean(1) / radius.square()).mean()
 
 
 def _off(reading: Reading, true: Surface) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:

@@ -24,7 +24,6 @@ from .clip_losses import aniformer_loss
 from .config import MODELS, TrainConfig, load_config
 from .limp import LIMP, limp_loss
 from .losses import npt_loss
-from .mime import Mime
 from .mime_batches import MimeBatch
 from .mime_loss import mime_loss
 from .optimizers import make_optimizers
@@ -162,9 +161,9 @@ class Run:
     def loss(self, batch: Batch | ClipBatch | MimeBatch) -> Tensor:
         """NPT Eq. 4 or AniFormer Eq. 6 over V, LIMP's or mime's, in the configured width."""
         config = self.config
-        if isinstance(self.model, Mime):
+        if isinstance(batch, MimeBatch):
             with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
-                return mime_loss(self.model, batch, config.structure)
+                return mime_loss(self.step_model, batch, config.structure)  # type: ignore[arg-type]
         if isinstance(self.model, LIMP):
             rng = torch.Generator(self.device).manual_seed(config.seed * 1_000_003 + self.step)
             meshes = (batch.identity, batch.truth, batch.driving)

@@ -157,4 +157,5 @@ class MimeValidation(PairValidation):
         assert isinstance(model, Mime)
         with self._cast():
             own, other, scores = model(*batch.given)
-        return pmd(model.moved(batch.identity.points, scores, own, other, batch.truth.joints[:, 0]), batch)
+        few = batch.identity.points[:, : scores.shape[1]]
+        return pmd(model.moved(few, scores, own, other, batch.truth.joints[:, 0]), batch)
