@@ -39,7 +39,7 @@ class MimeConfig:
     """Of self-attention; every second one looks at the points first."""
     mendings: int = 3
     """How often the joints look at the points near them and mend their frames."""
-    near: int = 48
+    near: int = 32
     """Points that a joint then looks at."""
     local: int = 64
     """Channels of a point in a joint's frame."""

@@ -7,6 +7,7 @@ and place will do; normals that are not known are zero. A frame is then linear b
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ from ..mesh import Mesh
 from . import Drive
 from .network import batch_of_one, generator
 from .pairing import rank_order, rank_vertices
+from .tracking import Parts, nearest_rotation
 from .travel import travelling
 
 if TYPE_CHECKING:
@@ -25,6 +27,18 @@ if TYPE_CHECKING:
 
 CHUNK = 16_384
 """Vertices that are weighed at a time."""
+READINGS = 4
+"""Of a mesh, each of other points of its surface; their mean is taken. All of them are followed through a clip."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """Joints of a mesh and how they hold it."""
+
+    rotation: Float[np.ndarray, "J 3 3"]
+    joints: Float[np.ndarray, "J 3"]
+    weights: Float[np.ndarray, "V J"]
+    """Skinning weights, rows sum to 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,57 +52,76 @@ class Mime:
     """That are read of a mesh."""
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
-        """Read the identity's joints and skinning weights, and choose the driving points, once for all frames."""
+    def prepare(self, identity: Mesh, driving: Mesh, glimpses: Float[np.ndarray, "K U 3"] | None = None) -> Drive:
+        """Read the identity and a few driving frames, once for all; every frame is then measured against those."""
         ranked = rank_vertices(identity.vertices)
         still = ranked.merge(identity.vertices)
-        own = Samples.of(identity, self.points, generator(self.seed, 0))
-        seen = own.at(identity.vertices)
-        rotation, joints = self._read(*seen)
         normals = vertex_normals(still, _sorted(still, ranked.group[identity.faces]))
-        weights = self._weights(seen, still, normals)
-        theirs = Samples.of(driving, self.points, generator(self.seed, 1))
+        own = self._identity(identity, still, normals)
+        turned = self._driving(driving, driving.vertices[None] if glimpses is None else glimpses)
         above = list(self.parents[1:])
-        bones = np.einsum("jkl,jk->jl", rotation[above], joints[1:] - joints[above])
+        bones = np.einsum("jkl,jk->jl", own.rotation[above], own.joints[1:] - own.joints[above])
         # What every joint sees of a vertex is the same in all frames.
-        local = np.einsum("jkl,vjk->vjl", rotation, still[:, None] - joints)
-        held = np.concatenate([weights[..., None] * local, weights[..., None]], -1).reshape(len(still), -1)
+        local = np.einsum("jkl,vjk->vjl", own.rotation, still[:, None] - own.joints)
+        held = np.concatenate([own.weights[..., None] * local, own.weights[..., None]], -1)
+        held = held.reshape(len(still), -1).astype(np.float32)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            turned, _ = self._read(*theirs.at(vertices))
-            place = [joints[0]]
+            rotation = turned(vertices)
+            place = [own.joints[0]]
             for j, parent in enumerate(self.parents[1:]):
-                place.append(place[parent] + turned[parent] @ bones[j])
-            moves = np.concatenate([turned.transpose(0, 2, 1), np.stack(place)[:, None]], axis=1)
-            return (held @ moves.reshape(-1, 3))[ranked.group]
+                place.append(place[parent] + rotation[parent] @ bones[j])
+            moves = np.concatenate([rotation.transpose(0, 2, 1), np.stack(place)[:, None]], axis=1)
+            return (held @ moves.reshape(-1, 3).astype(np.float32)).astype(np.float64)[ranked.group]
 
         return lambda frames: travelling(frames, pose, driving.name)
 
-    def _read(
-        self, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
-    ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
-        """Rotation and place of every joint."""
-        one = batch_of_one(points[:1])
-        inputs = {"points": batch_of_one(points), "normals": batch_of_one(normals)}
-        found = self.session.run(["rotation", "joints"], {**inputs, "vertices": one, "vertex_normals": one})
-        rotation, joints = (np.asarray(array)[0].astype(np.float64) for array in found)
-        return rotation, joints
+    def _identity(self, mesh: Mesh, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"]) -> Rig:
+        """Joints and skinning weights of a mesh, of all its vertices: the mean of several readings."""
+        places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 0))
+        parts = [places.part(k, READINGS) for k in range(READINGS)]
+        rigs = [self._read(part, mesh.vertices, vertices, normals) for part in parts]
+        rotation = nearest_rotation(np.sum([rig.rotation for rig in rigs], axis=0))
+        return Rig(rotation, *(np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights")))
 
-    def _weights(
+    def _driving(
+        self, mesh: Mesh, glimpses: Float[np.ndarray, "K U 3"]
+    ) -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "J 3 3"]]:
+        """From vertices of a driving frame to the rotation of every joint.
+
+        What the network makes of each glimpse is turned back to the first frame by the tracked motion, and the mean
+        taken; so no frame has errors of its own, and what stands still stays still.
+        """
+        places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 1))
+        seen = [glimpses[k % len(glimpses)] for k in range(max(READINGS, len(glimpses)))]
+        rigs = [
+            self._read(places.part(k, READINGS), vertices, places.points(vertices), places.normals(vertices))
+            for k, vertices in enumerate(seen)
+        ]
+        weights = np.mean([rig.weights for rig in rigs], axis=0)
+        parts = Parts.of(places.points(seen[0]), weights, self.parents)
+        back = [parts.turned(places.points(v)).mT @ rig.rotation for v, rig in zip(seen, rigs, strict=True)]
+        start = nearest_rotation(np.sum(back, axis=0))
+        return lambda vertices: parts.turned(places.points(vertices)) @ start
+
+    def _read(
         self,
-        read: tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]],
-        vertices: Float[np.ndarray, "V 3"],
+        places: Samples,
+        vertices: Float[np.ndarray, "U 3"],
+        weighed: Float[np.ndarray, "V 3"],
         normals: Float[np.ndarray, "V 3"],
-    ) -> Float[np.ndarray, "V J"]:
-        """Skinning weights, some vertices at a time."""
-        inputs = {"points": batch_of_one(read[0]), "normals": batch_of_one(read[1])}
-        chunks = []
-        for start in range(0, len(vertices), CHUNK):
-            given = {"vertices": vertices[start : start + CHUNK], "vertex_normals": normals[start : start + CHUNK]}
-            scores = self.session.run(["scores"], {**inputs, **{k: batch_of_one(v) for k, v in given.items()}})[0]
-            chunks.append(np.asarray(scores)[0].astype(np.float64))
-        weights = np.exp(np.concatenate(chunks) - np.concatenate(chunks).max(axis=1, keepdims=True))
-        return weights / weights.sum(axis=1, keepdims=True)
+    ) -> Rig:
+        """Joints from places on a mesh, and skinning weights of points of it, some of them at a time."""
+        inputs = {"points": batch_of_one(places.points(vertices)), "normals": batch_of_one(places.normals(vertices))}
+        weights = []
+        for start in range(0, len(weighed), CHUNK):
+            few = slice(start, start + CHUNK)
+            given = {"vertices": batch_of_one(weighed[few]), "vertex_normals": batch_of_one(normals[few])}
+            found = self.session.run(["rotation", "joints", "scores"], {**inputs, **given})
+            rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in found)
+            weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
+            weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
+        return Rig(rotation, joints, np.concatenate(weights))
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +142,18 @@ class Samples:
         face, shares = sample_surface(mesh.vertices, faces, count, rng)
         return cls(faces[face], shares)
 
-    def at(self, vertices: Float[np.ndarray, "U 3"]) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]:
-        """Where the points are in a frame, and their unit normals (zeros without faces)."""
+    def part(self, which: int, of: int) -> Samples:
+        """One of so many disjoint parts, as evenly spread as the whole."""
+        return Samples(self.corners[which % of :: of], self.shares[which % of :: of])
+
+    def points(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
+        """Where the points are in a frame."""
+        return (vertices[self.corners] * self.shares[..., None]).sum(axis=1)
+
+    def normals(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
+        """Unit normals of the surface there, in a frame; zeros without faces."""
         normals = face_vectors(vertices, self.corners)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        return (vertices[self.corners] * self.shares[..., None]).sum(axis=1), normals / np.maximum(length, 1e-12)
+        return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 def _sorted(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "F 3"]:
