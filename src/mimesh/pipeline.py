@@ -20,6 +20,8 @@ from .report import facing, facing_note, quality
 
 Progress = Callable[[int, int], None]
 """Called after each frame with (frames done, frames in all)."""
+GLIMPSES = 16
+"""Frames of a clip that a method may look at before it begins."""
 Choice = Callable[[Frame], Method]
 """A method with its options, but for the driving's frame."""
 
@@ -197,7 +199,7 @@ def _move(
         first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
         own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
         still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
-        drive = choice(theirs).prepare(still, dataclasses.replace(first, vertices=theirs.apply(first.vertices)))
+        drive = choice(theirs).prepare(still, _glimpses(clip, first, theirs))
     with _timed(seconds, "drive"):
         frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
         moved = np.empty((len(clip), *identity.vertices.shape), dtype)
@@ -208,6 +210,13 @@ def _move(
     report = {**quality(identity, moved), "identity": facing(own), "driving": facing(theirs)}
     notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
     return moved, report, notes + tuple(getattr(identity.source, "notes", ()))
+
+
+def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:
+    """The driving as methods are prepared for it: normalised, a few frames of it."""
+    chosen = np.linspace(0, len(clip) - 1, min(len(clip), GLIMPSES)).round().astype(int)
+    vertices = frame.apply(clip.vertices[chosen])
+    return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
 
 
 def _placed(

@@ -130,7 +130,9 @@ def in_true_size(
         dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
         for mesh, frame in ((identity, own), (clip.mesh, theirs))
     )
-    results = unit.prepare(identity, driving)(theirs.apply(vertices) for vertices in clip.vertices)
+    results = unit.prepare(identity, Clip(driving, driving.vertices[None]))(
+        theirs.apply(vertices) for vertices in clip.vertices
+    )
     sizes = [radius(true - bbox_centre(true)) for true in truth]
     middles_and_sizes = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
     return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..mesh import InputError, Mesh
+from ..mesh import Clip, InputError, Mesh
 
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
@@ -51,8 +51,11 @@ class Method(Protocol):
     @property
     def name(self) -> str: ...
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
-        """All work that depends on the identity and on the driving's first frame only."""
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
+        """All work that is done once: it may depend on the identity and on glimpses of the driving.
+
+        These are a few frames of it, evenly spread, of which the first is the first frame, in which the mesh stands.
+        """
         ...
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import InputError, Mesh
+from ..mesh import Clip, InputError, Mesh
 from . import Drive
 
 
@@ -18,16 +18,17 @@ class Copy:
 
     name: str = "copy"
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Check that the counts agree; nothing else can be checked.
 
         Raises:
             InputError: the vertex counts differ.
         """
-        if len(identity.vertices) != len(driving.vertices):
+        count = len(driving.mesh.vertices)
+        if len(identity.vertices) != count:
             raise InputError(
-                f"{driving.name}: expected {len(identity.vertices)} vertices as in {identity.name} for model copy, "
-                f"found {len(driving.vertices)}; choose another model"
+                f"{driving.mesh.name}: expected {len(identity.vertices)} vertices as in {identity.name} for model "
+                f"copy, found {count}; choose another model"
             )
         return _copy
 

@@ -25,7 +25,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry import edges, face_areas, gradient_operator
-from ..mesh import InputError, Mesh
+from ..mesh import Clip, InputError, Mesh
 from . import Drive
 from .correspondence import factor, match_by_index, match_by_markers, turned_alike, vertex_pairs
 from .pairing import rank_vertices
@@ -49,25 +49,25 @@ class DeformationTransfer:
     """Pairs (identity vertex, reference vertex); without them vertex i of both is one point of the body."""
     name: str = "deformation-transfer"
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Match triangles and factor the identity's system, once for all frames.
 
         Raises:
             InputError: no reference, one of another topology or unit than the driving mesh, or nothing to match by.
         """
-        reference = _checked(self.reference, driving)
+        reference = _checked(self.reference, driving.mesh)
         reference = turned_alike(reference, identity, vertex_pairs(identity, reference, self.markers))
         if self.markers is None:
-            own, theirs = match_by_index(identity, reference, driving)
+            own, theirs = match_by_index(identity, reference, driving.mesh)
         else:
-            own, theirs = match_by_markers(identity, reference, driving, self.markers)
+            own, theirs = match_by_markers(identity, reference, driving.mesh, self.markers)
         ranked = rank_vertices(identity.vertices)
         follow = follower(ranked.merge(identity.vertices), ranked.group[own], reference.vertices[theirs])
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             return follow(vertices[theirs])[ranked.group]
 
-        return lambda frames: travelling(frames, pose, driving.name)
+        return lambda frames: travelling(frames, pose, driving.mesh.name)
 
 
 def triangle_frames(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3 3"]:

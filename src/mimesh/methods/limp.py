@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from ..frame import bbox_centre, radius
 from ..geometry import edges
-from ..mesh import InputError, Mesh
+from ..mesh import Clip, InputError, Mesh
 from . import Drive
 from .network import Lengths, batch_of_one
 from .travel import travelling
@@ -36,7 +36,7 @@ class Limp:
     target_scale: str
     """As Network's."""
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Only the identity's count can be checked here: that its vertices are the template's is the caller's word.
 
         Raises:
@@ -58,6 +58,6 @@ class Limp:
             return lengths.resized(result, still) if self.target_scale == "truth" else result
 
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            return travelling(frames, pose, driving.name)
+            return travelling(frames, pose, driving.mesh.name)
 
         return drive

@@ -15,11 +15,11 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry import face_vectors, sample_surface, vertex_normals
-from ..mesh import Mesh
+from ..mesh import Clip, Mesh
 from . import Drive
 from .network import batch_of_one, generator
 from .pairing import rank_order, rank_vertices
-from .tracking import Parts, nearest_rotation
+from .tracking import Parts, mean_rotation
 from .travel import travelling
 
 if TYPE_CHECKING:
@@ -52,13 +52,13 @@ class Mime:
     """That are read of a mesh."""
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Mesh, glimpses: Float[np.ndarray, "K U 3"] | None = None) -> Drive:
-        """Read the identity and a few driving frames, once for all; every frame is then measured against those."""
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
+        """Read the identity and the driving's glimpses, once for all; every frame is then measured against those."""
         ranked = rank_vertices(identity.vertices)
         still = ranked.merge(identity.vertices)
         normals = vertex_normals(still, _sorted(still, ranked.group[identity.faces]))
         own = self._identity(identity, still, normals)
-        turned = self._driving(driving, driving.vertices[None] if glimpses is None else glimpses)
+        turned = self._driving(driving)
         above = list(self.parents[1:])
         bones = np.einsum("jkl,jk->jl", own.rotation[above], own.joints[1:] - own.joints[above])
         # What every joint sees of a vertex is the same in all frames.
@@ -74,26 +74,24 @@ class Mime:
             moves = np.concatenate([rotation.transpose(0, 2, 1), np.stack(place)[:, None]], axis=1)
             return (held @ moves.reshape(-1, 3).astype(np.float32)).astype(np.float64)[ranked.group]
 
-        return lambda frames: travelling(frames, pose, driving.name)
+        return lambda frames: travelling(frames, pose, driving.mesh.name)
 
     def _identity(self, mesh: Mesh, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"]) -> Rig:
         """Joints and skinning weights of a mesh, of all its vertices: the mean of several readings."""
         places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 0))
         parts = [places.part(k, READINGS) for k in range(READINGS)]
         rigs = [self._read(part, mesh.vertices, vertices, normals) for part in parts]
-        rotation = nearest_rotation(np.sum([rig.rotation for rig in rigs], axis=0))
+        rotation = mean_rotation(np.stack([rig.rotation for rig in rigs]))
         return Rig(rotation, *(np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights")))
 
-    def _driving(
-        self, mesh: Mesh, glimpses: Float[np.ndarray, "K U 3"]
-    ) -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "J 3 3"]]:
+    def _driving(self, glimpses: Clip) -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "J 3 3"]]:
         """From vertices of a driving frame to the rotation of every joint.
 
         What the network makes of each glimpse is turned back to the first frame by the tracked motion, and the mean
         taken; so no frame has errors of its own, and what stands still stays still.
         """
-        places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 1))
-        seen = [glimpses[k % len(glimpses)] for k in range(max(READINGS, len(glimpses)))]
+        places = Samples.of(glimpses.mesh, READINGS * self.points, generator(self.seed, 1))
+        seen = [glimpses.vertices[k % len(glimpses)] for k in range(max(READINGS, len(glimpses)))]
         rigs = [
             self._read(places.part(k, READINGS), vertices, places.points(vertices), places.normals(vertices))
             for k, vertices in enumerate(seen)
@@ -101,7 +99,7 @@ class Mime:
         weights = np.mean([rig.weights for rig in rigs], axis=0)
         parts = Parts.of(places.points(seen[0]), weights, self.parents)
         back = [parts.turned(places.points(v)).mT @ rig.rotation for v, rig in zip(seen, rigs, strict=True)]
-        start = nearest_rotation(np.sum(back, axis=0))
+        start = mean_rotation(np.stack(back))
         return lambda vertices: parts.turned(places.points(vertices)) @ start
 
     def _read(

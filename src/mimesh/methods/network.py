@@ -15,7 +15,7 @@ from jaxtyping import Float, Float32, Int
 
 from ..frame import bbox_centre, radius
 from ..geometry import edges, spatial_order
-from ..mesh import Mesh
+from ..mesh import Clip, Mesh
 from . import Drive
 from .pairing import rank_vertices, surface_points
 from .travel import travelling
@@ -42,12 +42,12 @@ class Network:
     ensemble: int = 1
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
         ranked = rank_vertices(identity.vertices)
         still = ranked.merge(identity.vertices)
         pooled = self.pose_code == "global_max"
-        points = surface_points(driving, 0 if pooled else len(ranked), generator(self.seed, 0))
+        points = surface_points(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
         taken = min(len(points), POOLED_POINTS) if pooled else len(ranked)
         # A pooled pose has no pairing to average over.
         rounds = 1 if pooled else self.ensemble
@@ -61,7 +61,7 @@ class Network:
                 result = lengths.resized(result, still)
             return result[ranked.group]
 
-        return lambda frames: travelling(frames, pose, driving.name)
+        return lambda frames: travelling(frames, pose, driving.mesh.name)
 
     def _run(
         self,

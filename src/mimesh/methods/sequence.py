@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from ..frame import bbox_centre, radius
 from ..geometry import edges
-from ..mesh import Mesh
+from ..mesh import Clip, Mesh
 from . import Drive
 from .network import Lengths, batch_of_one, generator
 from .pairing import rank_vertices, surface_points
@@ -53,11 +53,11 @@ class Sequence:
     ensemble: int = 1
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
         ranked = rank_vertices(identity.vertices)
         still = ranked.merge(identity.vertices)
-        points = surface_points(driving, len(ranked), generator(self.seed, 0))
+        points = surface_points(driving.mesh, len(ranked), generator(self.seed, 0))
         pairings = [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
         lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
 
@@ -69,7 +69,7 @@ class Sequence:
             return self._run(still, window, pairings)
 
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            ahead, now = itertools.tee(sized(frames, driving.name))
+            ahead, now = itertools.tee(sized(frames, driving.mesh.name))
             points = map(points_of, ahead)
             if self.head == "regression":
                 results = middles(points, run, self.frames)
@@ -80,7 +80,7 @@ class Sequence:
                 result = next(results)
                 return (lengths.resized(result, still) if self.target_scale == "truth" else result)[ranked.group]
 
-            return travelling(now, pose, driving.name)
+            return travelling(now, pose, driving.mesh.name)
 
         return drive
 

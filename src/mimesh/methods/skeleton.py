@@ -16,7 +16,7 @@ from ..bodies import RiggedBody, load_body
 from ..bodies.fit import fit_points
 from ..bodies.fitted import Fit, thin_body
 from ..geometry import at_barycentric, sample_surface
-from ..mesh import Mesh
+from ..mesh import Clip, Mesh
 from . import Drive
 from .heat_weights import heat_weights
 from .pairing import TOLERANCE, Ranked, rank_vertices
@@ -33,7 +33,7 @@ class Skeleton:
     name: str = "skeleton"
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Mesh) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Fit and bind the identity, and choose the driving's points, once for all frames."""
         body = load_body()
         thin = thin_body(body, POINTS, len(body.components) // 2)
@@ -42,7 +42,7 @@ class Skeleton:
         # Everything is moved in ranked order: sums of a matrix product may depend on the row that they stand in.
         ranked = rank_vertices(identity.vertices)
         still, weights = ranked.merge(identity.vertices), bind(identity, ranked, thin, own)
-        watch = surface_sampler(driving, POINTS, np.random.default_rng([self.seed, 0]))
+        watch = surface_sampler(driving.mesh, POINTS, np.random.default_rng([self.seed, 0]))
 
         def poser() -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]:
             last: Fit | None = None
@@ -56,7 +56,7 @@ class Skeleton:
 
             return pose
 
-        return lambda frames: travelling(frames, poser(), driving.name)
+        return lambda frames: travelling(frames, poser(), driving.mesh.name)
 
 
 def surface_sampler(

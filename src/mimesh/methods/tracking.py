@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+ROUNDS = 5
+"""Of reweighting, for a mean."""
 STIFF = 1e-3
 """Weight of the parent's rotation where a joint's points say little, in squared units of the surface's size."""
 
@@ -43,6 +45,16 @@ class Parts:
             held = np.zeros((3, 3)) if parent < 0 else self.stiffness * rotation[parent]
             rotation[j] = nearest_rotation(moments[j] + held)
         return rotation
+
+
+def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:
+    """Mean of K rotations of each joint that a few wild ones do not move (weights of Geman and McClure 1985)."""
+    weights = np.ones(rotations.shape[:2])
+    for _ in range(ROUNDS):
+        mean = nearest_rotation(np.einsum("kj,kjab->jab", weights, rotations))
+        off = np.square(rotations - mean).sum(axis=(2, 3))
+        weights = 1 / np.square(1 + off / np.maximum(np.median(off, axis=0), 1e-6))
+    return mean
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
