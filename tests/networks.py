@@ -99,3 +99,59 @@ def write_sequence_network(
     helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path
+
+
+def write_mime_network(path: Path, points: int = 64) -> Path:
+    """mime in small: three joints, of which two turn by how far the points lie apart; the left holds what is left."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    still, cosine, sine = np.zeros((3, 1, 3, 3, 3))
+    still[0, :, 2, 2] = still[0, 0, 0, 0] = still[0, 0, 1, 1] = 1
+    cosine[0, 1:, 0, 0] = cosine[0, 1:, 1, 1] = 1
+    for joint, sign in ((1, 1), (2, -1)):
+        sine[0, joint, 0, 1], sine[0, joint, 1, 0] = -sign, sign
+    weights = {
+        "still": still,
+        "cosine": cosine,
+        "sine": sine,
+        "offsets": np.array([[[0, 0, 0], [0.2, 0.4, 0], [-0.2, 0.4, 0]]]),
+        "sides": np.array([[0, 9, -9], [0, 2, 2], [0, 0, 0]]),
+    }
+    node = helper.make_node
+    nodes = [
+        node("ReduceMean", ["points"], ["middle"], axes=[1], keepdims=1),
+        node("Add", ["middle", "offsets"], ["joints"]),
+        node("Sub", ["points", "middle"], ["centred"]),
+        node("Abs", ["centred"], ["apart"]),
+        node("ReduceMean", ["apart"], ["angle"], keepdims=0),
+        node("Cos", ["angle"], ["c"]),
+        node("Sin", ["angle"], ["s"]),
+        node("Mul", ["cosine", "c"], ["turned1"]),
+        node("Mul", ["sine", "s"], ["turned2"]),
+        node("Add", ["turned1", "turned2"], ["turned"]),
+        node("Add", ["turned", "still"], ["rotation"]),
+        node("MatMul", ["vertices", "sides"], ["scores1"]),
+        node("ReduceSum", ["normals"], ["zero1"], keepdims=0),
+        node("ReduceSum", ["vertex_normals"], ["zero2"], keepdims=0),
+        node("Mul", ["zero1", "none"], ["zero3"]),
+        node("Mul", ["zero2", "none"], ["zero4"]),
+        node("Add", ["scores1", "zero3"], ["scores2"]),
+        node("Add", ["scores2", "zero4"], ["scores"]),
+    ]
+    value = helper.make_tensor_value_info
+    inputs = {"points": points, "normals": points, "vertices": "V", "vertex_normals": "V"}
+    outputs = {"rotation": [1, 3, 3, 3], "joints": [1, 3, 3], "scores": [1, "V", 3]}
+    graph = helper.make_graph(
+        nodes,
+        "tiny",
+        [value(name, TensorProto.FLOAT, [1, count, 3]) for name, count in inputs.items()],
+        [value(name, TensorProto.FLOAT, shape) for name, shape in outputs.items()],
+        [numpy_helper.from_array(np.asarray(array, np.float32), name) for name, array in weights.items()]
+        + [numpy_helper.from_array(np.float32(0).reshape(()), "none")],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    card = {"model": "mime", "points": points, "parents": [-1, 0, 0], "config": {}}
+    helper.set_model_props(model, {"mimesh": json.dumps(card)})
+    onnx.save(model, str(path))
+    return path

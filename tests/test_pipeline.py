@@ -39,7 +39,7 @@ def test_a_rigid_motion_of_the_identity_comes_out():
 
 def test_transfer_is_animate_with_one_frame():
     identity, driving = person(0), person(1, 0)
-    still = Clip(driving, driving.vertices[None])
+    still = Clip.still(driving)
     expected = transfer(identity, driving, "copy").vertices
     assert np.allclose(animate(identity, still, "copy").clip.vertices[0], expected, atol=1e-6)
 

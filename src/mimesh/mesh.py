@@ -91,6 +91,11 @@ class Clip:
     vertices: Float[np.ndarray, "T V 3"]
     fps: float = 30.0
 
+    @classmethod
+    def still(cls, mesh: Mesh) -> Clip:
+        """A mesh as a clip of one frame."""
+        return cls(mesh, mesh.vertices[None])
+
     def __len__(self) -> int:
         return len(self.vertices)
 

@@ -105,9 +105,8 @@ def transfer(
     with _timed(seconds, "load"):
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
-    still = Clip(driving, driving.vertices[None])
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, report, notes = _move(identity, still, method, axes, seconds, None, np.float64)
+    moved, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, None, np.float64)
     return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
 
 

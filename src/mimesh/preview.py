@@ -56,7 +56,7 @@ def save_picture(image: Image.Image, path: Path) -> Path:
 
 def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None = None) -> Image.Image:
     """One captioned picture of a mesh, in its own colours or in the tint's clay."""
-    return next(clip_frames([(label, Clip(mesh, mesh.vertices[None]))], TILE, tints=[tint], up=up, front=front))
+    return next(clip_frames([(label, Clip.still(mesh))], TILE, tints=[tint], up=up, front=front))
 
 
 def _axes(report: dict[str, Any], which: str) -> dict[str, Any]:

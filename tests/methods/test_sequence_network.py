@@ -146,7 +146,7 @@ def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
     ranked = rank_vertices(identity.vertices)
     still = ranked.merge(identity.vertices)
     lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
-    results = list(method.prepare(identity, clip.mesh)(iter(clip.vertices.astype(float))))
+    results = list(method.prepare(identity, clip)(iter(clip.vertices.astype(float))))
     assert len(results) == 4
     assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(still)] * 4)
 

@@ -12,7 +12,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.fitted import Fit, thin_body
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.frame import Frame
-from mimesh.mesh import Mesh, permute_vertices
+from mimesh.mesh import Clip, Mesh, permute_vertices
 from mimesh.methods import Method
 from mimesh.methods.pairing import rank_vertices
 from mimesh.methods.skeleton import Skeleton, bind, bone_segments, bone_transforms, surface_sampler
@@ -47,7 +47,7 @@ def bound(mesh: Mesh, fit: Fit):
 
 def moved(identity: Mesh, driving: Mesh):
     identity, driving = normalised(identity), normalised(driving)
-    return next(iter(Skeleton().prepare(identity, driving)([driving.vertices])))
+    return next(iter(Skeleton().prepare(identity, Clip.still(driving))([driving.vertices])))
 
 
 @cache
@@ -131,7 +131,7 @@ def test_bones_keep_their_length_and_turn_as_the_fits_say():
 def test_a_clip_is_followed():
     identity, clip = person(0), walk(1, frames=3)
     size, frame = Frame.fit(identity, "+y", "+z").radius, Frame.fit(clip.mesh, "+y", "+z")
-    drive = Skeleton().prepare(normalised(identity), normalised(clip.mesh))
+    drive = Skeleton().prepare(normalised(identity), Clip.still(normalised(clip.mesh)))
     results = drive(frame.apply(vertices) for vertices in clip.vertices)
     for result, truth in zip(results, walk(0, frames=3).vertices, strict=True):
         assert pmd_of_pair(size * result, truth) < 2e-4

@@ -91,7 +91,7 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
         return transfer(pair.identity, driving, "deformation-transfer", **AXES, **helps).vertices
     network = find_method(method, ensemble=ensemble)
     if knows_no_size(network):
-        clip = Clip(pair.driving, pair.driving.vertices[None])
+        clip = Clip.still(pair.driving)
         return in_true_size(network, pair.identity, clip, pair.truth[None])[0]
     return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble).vertices
 
@@ -130,9 +130,7 @@ def in_true_size(
         dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
         for mesh, frame in ((identity, own), (clip.mesh, theirs))
     )
-    results = unit.prepare(identity, Clip(driving, driving.vertices[None]))(
-        theirs.apply(vertices) for vertices in clip.vertices
-    )
+    results = unit.prepare(identity, Clip.still(driving))(theirs.apply(vertices) for vertices in clip.vertices)
     sizes = [radius(true - bbox_centre(true)) for true in truth]
     middles_and_sizes = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
     return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])

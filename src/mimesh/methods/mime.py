@@ -18,7 +18,7 @@ from ..geometry import face_vectors, sample_surface, vertex_normals
 from ..mesh import Clip, Mesh
 from . import Drive
 from .network import batch_of_one, generator
-from .pairing import rank_order, rank_vertices
+from .pairing import Ranked, rank_vertices
 from .tracking import Parts, mean_rotation
 from .travel import travelling
 
@@ -56,7 +56,7 @@ class Mime:
         """Read the identity and the driving's glimpses, once for all; every frame is then measured against those."""
         ranked = rank_vertices(identity.vertices)
         still = ranked.merge(identity.vertices)
-        normals = vertex_normals(still, _sorted(still, ranked.group[identity.faces]))
+        normals = vertex_normals(still, ranked.group[identity.faces[_face_order(ranked, identity.faces)]])
         own = self._identity(identity, still, normals)
         turned = self._driving(driving)
         above = list(self.parents[1:])
@@ -97,7 +97,7 @@ class Mime:
             for k, vertices in enumerate(seen)
         ]
         weights = np.mean([rig.weights for rig in rigs], axis=0)
-        parts = Parts.of(places.points(seen[0]), weights, self.parents)
+        parts = Parts.of(places.points(seen[0]), weights, rigs[0].joints, self.parents)
         back = [parts.turned(places.points(v)).mT @ rig.rotation for v, rig in zip(seen, rigs, strict=True)]
         start = mean_rotation(np.stack(back))
         return lambda vertices: parts.turned(places.points(vertices)) @ start
@@ -132,11 +132,13 @@ class Samples:
     @classmethod
     def of(cls, mesh: Mesh, count: int, rng: np.random.Generator) -> Samples:
         """Random points by area, whatever the order of vertices and faces."""
+        ranked = rank_vertices(mesh.vertices)
         if len(mesh.faces) == 0:
-            order, many = rank_order(mesh.vertices), len(mesh.vertices)
-            chosen = order[rng.permutation(many)[:count] if many >= count else rng.integers(many, size=count)]
-            return cls(np.repeat(chosen[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
-        faces = _sorted(mesh.vertices, mesh.faces)
+            many = len(ranked)
+            chosen = rng.permutation(many)[:count] if many >= count else rng.integers(many, size=count)
+            vertex = ranked.order[ranked.start[chosen]]
+            return cls(np.repeat(vertex[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
+        faces = mesh.faces[_face_order(ranked, mesh.faces)]
         face, shares = sample_surface(mesh.vertices, faces, count, rng)
         return cls(faces[face], shares)
 
@@ -154,6 +156,9 @@ class Samples:
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def _sorted(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "F 3"]:
-    """Faces by the place of their middles."""
-    return faces[rank_order(vertices[faces].mean(axis=1))]
+def _face_order(ranked: Ranked, faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " F"]:
+    """Indices that sort faces by the ranks of their vertices, whatever their order was."""
+    corners = ranked.group[faces]
+    first = corners.argmin(axis=1)[:, None]
+    turned = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
+    return np.lexsort(turned.T[::-1])

@@ -1,7 +1,8 @@
 """How the parts of one surface turn from frame to frame, from points that are known in every frame.
 
-Points of a clip stay themselves, so its motion can be measured where a network would have to guess it: for each joint,
-the rotation that best fits its points (Kabsch 1976), weighted by how much the joint holds them.
+Points of a clip stay themselves, so its motion can be measured where a network would have to guess it. Skinning is
+linear in what each joint does: the least squares of all joints together, with weak ties along the skeleton, is one
+matrix that is made once and multiplied by the points of each frame.
 """
 
 from __future__ import annotations
@@ -11,40 +12,84 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+MEETING, BENDING = 3e-2, 1e-5
+"""Weights of the ties: joint and parent agree where the joint is; joint and parent turn alike."""
+FLAT = 1e-4
+"""Of the surface's size (squared): added to the extent of each part, for parts that are flat or thin."""
 ROUNDS = 5
 """Of reweighting, for a mean."""
-STIFF = 1e-3
-"""Weight of the parent's rotation where a joint's points say little, in squared units of the surface's size."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Points of a surface at rest, and the joints that hold them."""
+    """Points of a surface at rest as its joints hold them."""
 
-    points: Float[np.ndarray, "N 3"]
-    shares: Float[np.ndarray, "N J"]
-    """Squared skinning weights; their columns sum to 1."""
-    stiffness: float
-    parents: tuple[int, ...]
+    blend: Float[np.ndarray, "N K"]
+    """Maps what each joint does, (3 x 4) transposed, K = 4 J rows, to points: linear blend skinning."""
+    solve: Float[np.ndarray, "K N"]
+    """Maps points to what each joint does."""
+    middle: Float[np.ndarray, "J 3"]
+    extent: Float[np.ndarray, "J 3 3"]
+    """Mean and second moments of what a joint holds."""
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"], parents: tuple[int, ...]) -> Parts:
-        """Parts of a surface with skinning weights; -1 is the root's parent."""
-        centred = points - points.mean(axis=0)
-        shares = np.square(weights)
-        shares /= np.maximum(shares.sum(axis=0), 1e-9)
-        return cls(points, shares, STIFF * np.square(centred).sum(axis=1).mean(), parents)
+    def of(
+        cls,
+        points: Float[np.ndarray, "N 3"],
+        weights: Float[np.ndarray, "N J"],
+        joints: Float[np.ndarray, "J 3"],
+        parents: tuple[int, ...],
+    ) -> Parts:
+        """Parts of a surface with skinning weights and joints; -1 is the root's parent."""
+        count, held = weights.shape
+        size = np.square(points - points.mean(axis=0)).sum(axis=1).mean()
+        blend = (weights[:, :, None] * _homogeneous(points)[:, None]).reshape(count, 4 * held)
+        ties = _ties(joints, parents, np.sqrt(MEETING * count), np.sqrt(BENDING * count * size))
+        # The ties leave nothing open but what no point tells; a last bit keeps that at rest.
+        normal = blend.T @ blend + ties.T @ ties
+        solve = np.linalg.solve(normal + 1e-14 * np.trace(normal) * np.eye(4 * held), blend.T)
+        shares = np.square(weights) / np.maximum(np.square(weights).sum(axis=0), 1e-9)
+        middle = shares.T @ points
+        products = (points[:, :, None] * points[:, None]).reshape(count, 9)
+        extent = (shares.T @ products).reshape(held, 3, 3) - middle[:, :, None] * middle[:, None]
+        return cls(blend, solve, middle, extent + FLAT * size * np.eye(3))
 
     def turned(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "J 3 3"]:
         """Rotation of every joint from rest to a frame, in the world."""
-        middle, still = self.shares.T @ points, self.shares.T @ self.points
-        products = (points[:, :, None] * self.points[:, None]).reshape(len(points), 9)
-        moments = (self.shares.T @ products).reshape(-1, 3, 3) - middle[:, :, None] * still[:, None]
-        rotation = np.empty_like(moments)
-        for j, parent in enumerate(self.parents):
-            held = np.zeros((3, 3)) if parent < 0 else self.stiffness * rotation[parent]
-            rotation[j] = nearest_rotation(moments[j] + held)
-        return rotation
+        points = points - points.mean(axis=0)
+        done = self.solve @ points
+        # Once more from there: what the ties then hold back is only what is left to do.
+        done = self._rigid(done)
+        done = done + self.solve @ (points - self.blend @ done)
+        return self._rotations(done)
+
+    def _rotations(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
+        """The rotation nearest to what each joint does to its part."""
+        return nearest_rotation(done.reshape(-1, 4, 3)[:, :3].mT @ self.extent)
+
+    def _rigid(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+        """The same without stretch and shear; the middle of each part goes where it went."""
+        rotation, middle = self._rotations(done), _homogeneous(self.middle)
+        went = (middle[:, None] @ done.reshape(-1, 4, 3))[:, 0]
+        offset = went - (rotation @ self.middle[..., None])[..., 0]
+        return np.concatenate([rotation.mT, offset[:, None]], axis=1).reshape(-1, 3)
+
+
+def _homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
+
+
+def _ties(
+    joints: Float[np.ndarray, "J 3"], parents: tuple[int, ...], meeting: float, bending: float
+) -> Float[np.ndarray, "R K"]:
+    """Rows that are zero where every joint does what its parent does."""
+    child, parent = np.arange(1, len(parents)), np.array(parents[1:], int)
+    rows = np.zeros((len(child), 4, len(joints), 4))
+    rows[child - 1, 0, child] = meeting * _homogeneous(joints[child])
+    rows[child - 1, 0, parent] = -meeting * _homogeneous(joints[child])
+    for k in range(3):
+        rows[child - 1, 1 + k, child, k], rows[child - 1, 1 + k, parent, k] = bending, -bending
+    return rows.reshape(-1, 4 * len(joints))
 
 
 def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:

@@ -1,0 +1,102 @@
+"""mime's run time: what stands stands, what turns turns, samples are the surface's, and weights are of all vertices."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from networks import write_mime_network
+from people import person, walk
+from scipy.spatial.transform import Rotation
+
+from mimesh.mesh import Clip, Mesh
+from mimesh.methods import Method, find_method
+from mimesh.methods import mime as module
+from mimesh.methods.mime import Samples
+from mimesh.pipeline import animate
+
+pytest.importorskip("onnx")
+IDENTITY, DRIVING = person(0), person(1, pose=1, faces=600)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return str(write_mime_network(tmp_path_factory.mktemp("networks") / "mime.onnx"))
+
+
+@pytest.fixture(scope="module")
+def method(path):
+    return find_method(path)
+
+
+def moved(method, frames, mesh=DRIVING):
+    drive = method.prepare(IDENTITY, Clip(mesh, np.stack(frames)[:1]))
+    return list(drive(iter(frames)))
+
+
+def test_it_is_a_method(method):
+    assert isinstance(method, Method)
+
+
+def test_a_driving_that_stands_gives_a_result_that_stands(method):
+    first, *others = moved(method, [DRIVING.vertices] * 4)
+    assert all(np.array_equal(frame, first) for frame in others)
+
+
+def test_a_driving_that_turns_as_a_whole_turns_the_result_as_a_whole(method):
+    turn = Rotation.from_rotvec([0.0, 1.2, 0.4]).as_matrix()
+    first, second = moved(method, [DRIVING.vertices, DRIVING.vertices @ turn.T])
+    first, second = (frame - frame.mean(axis=0) for frame in (first, second))
+    assert np.allclose(second, first @ turn.T, atol=1e-5)
+
+
+def test_other_poses_give_other_results(path):
+    clip = walk(faces=600)
+    result = animate(IDENTITY, clip, path).clip.vertices
+    centred = result - result.mean(axis=1, keepdims=True)
+    assert np.linalg.norm(centred[0] - centred[len(clip) // 2], axis=-1).max() > 0.02
+
+
+def test_all_glimpses_are_read(method):
+    """The rotations that a clip begins with are a mean over its glimpses, whichever comes first of the others."""
+    clip = walk(faces=600)
+    some, others = (Clip(clip.mesh, clip.vertices[list(which)].astype(float)) for which in ((0, 1, 2, 3), (0, 3, 2, 1)))
+    one, two, first = (
+        next(method.prepare(IDENTITY, glimpses)(iter(clip.vertices[:1].astype(float))))
+        for glimpses in (some, others, Clip(clip.mesh, clip.vertices[:1].astype(float)))
+    )
+    assert np.allclose(one, two, atol=0.02)
+    assert not np.allclose(one, first, atol=1e-6)
+
+
+def test_weights_do_not_depend_on_how_many_are_made_at_a_time(method, monkeypatch):
+    whole = moved(method, [DRIVING.vertices])[0]
+    monkeypatch.setattr(module, "CHUNK", 100)
+    assert np.allclose(moved(method, [DRIVING.vertices])[0], whole, atol=1e-6)
+
+
+def test_samples_lie_on_the_surface_and_move_with_it():
+    samples = Samples.of(DRIVING, 500, np.random.default_rng(0))
+    points, normals = samples.points(DRIVING.vertices), samples.normals(DRIVING.vertices)
+    assert np.allclose(np.linalg.norm(normals, axis=1), 1)
+    low, high = DRIVING.vertices.min(axis=0), DRIVING.vertices.max(axis=0)
+    assert ((points >= low) & (points <= high)).all()
+    assert np.allclose(samples.points(2 * DRIVING.vertices + 1), 2 * points + 1)
+    few = samples.part(1, 4)
+    assert len(few.corners) == 125
+    assert np.array_equal(few.points(DRIVING.vertices), points[1::4])
+
+
+@pytest.mark.parametrize("count", [40, 5000])
+def test_a_point_cloud_is_sampled_too(count):
+    cloud = Mesh(DRIVING.vertices, np.zeros((0, 3), int))
+    samples = Samples.of(cloud, count, np.random.default_rng(0))
+    assert len(np.unique(samples.corners[:, 0])) == min(count, len(cloud.vertices)) or count > len(cloud.vertices)
+    assert not samples.normals(cloud.vertices).any()
+
+
+def test_seams_stay_closed(path):
+    """Two vertices at one place get one weight, whatever their normals."""
+    again = IDENTITY.vertices[:50]
+    doubled = dataclasses.replace(IDENTITY, vertices=np.concatenate([IDENTITY.vertices, again]))
+    result = animate(doubled, walk(faces=600), path).clip.vertices
+    assert np.array_equal(result[:, :50], result[:, -50:])

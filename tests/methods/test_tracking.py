@@ -1,0 +1,80 @@
+"""Tracking: rotations of a skinned surface are found again, parts without points follow, wild readings are outvoted."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.methods.tracking import Parts, mean_rotation, nearest_rotation
+
+BODY = load_body()
+SOME = np.random.default_rng(0).permutation(len(BODY.vertices))[:3000]
+
+
+def posed(number: int):
+    """Points of a person in a pose of Table 6, and the world rotation and place of each joint."""
+    shape, rotmat = sample_shape(BODY, 7, 0), rotvec_to_rotmat(sample_pose(BODY, 7, number, TABLE_6))
+    joints = BODY.shaped(shape)[1]
+    rotation, offset = BODY.skinning_transforms(joints, rotmat)
+    return BODY.posed(shape, rotmat)[SOME], rotation, offset + (rotation @ joints[..., None])[..., 0]
+
+
+def parts(number: int, weights=BODY.weights) -> Parts:
+    points, _, joints = posed(number)
+    return Parts.of(points, weights[SOME], joints, BODY.parents)
+
+
+def degrees(a, b):
+    return np.degrees(np.arccos(np.clip((np.einsum("jab,jab->j", a, b) - 1) / 2, -1, 1)))
+
+
+@pytest.mark.parametrize("number", [1, 2, 3])
+def test_the_turns_of_a_skinned_surface_are_found(number):
+    before, (points, after, _) = posed(0)[1], posed(number)
+    turned = after @ before.mT
+    assert degrees(turned, np.tile(np.eye(3), (len(turned), 1, 1))).mean() > 15
+    off = degrees(parts(0).turned(points), turned)
+    assert np.median(off) < 1.5
+    assert off.mean() < 3  # joints between two bones hold nothing alone
+
+
+def test_noise_makes_little_of_a_difference():
+    before, (points, after, _) = posed(0)[1], posed(1)
+    noisy = points + 0.01 * np.random.default_rng(0).normal(size=points.shape)
+    assert degrees(parts(0).turned(noisy), after @ before.mT).mean() < 6
+
+
+def test_what_turns_as_a_whole_turns_so_in_every_part_and_what_stands_stands():
+    rest = posed(1)[0]
+    turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_matrix()
+    assert np.allclose(parts(1).turned(5 + rest @ turn.T), turn, atol=1e-6)
+    assert np.allclose(parts(1).turned(rest), np.eye(3), atol=1e-6)
+
+
+def test_a_part_without_points_turns_as_its_parent():
+    hand, thumb = BODY.joint("LeftHandFinger1"), BODY.joint("LeftFingerBase")
+    weights = BODY.weights.copy()
+    weights[:, thumb] += weights[:, hand]
+    weights[:, hand] = 0
+    found = parts(0, weights).turned(posed(2)[0])
+    assert degrees(found[hand][None], found[BODY.parents[hand]][None]) < 3
+    assert degrees(found[hand][None], np.eye(3)[None]) > 15
+
+
+def test_the_mean_of_rotations_is_not_moved_by_a_wild_one():
+    true = Rotation.random(5, random_state=0).as_matrix()
+    noise = Rotation.from_rotvec(0.02 * np.random.default_rng(1).normal(size=(40, 3))).as_matrix().reshape(8, 5, 3, 3)
+    seen = true @ noise
+    seen[3] = Rotation.random(5, random_state=2).as_matrix()
+    assert degrees(mean_rotation(seen), true).max() < 2
+    assert degrees(nearest_rotation(seen.sum(axis=0)), true).max() > 2
+
+
+def test_the_nearest_rotation_is_one():
+    matrices = np.random.default_rng(3).normal(size=(50, 3, 3))
+    found = nearest_rotation(matrices)
+    assert np.allclose(found @ found.mT, np.eye(3))
+    assert np.allclose(np.linalg.det(found), 1)
+    rotations = Rotation.random(9, random_state=4).as_matrix()
+    assert np.allclose(nearest_rotation(3 * rotations), rotations)
