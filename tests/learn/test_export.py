@@ -4,12 +4,15 @@ import json
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 from test_train import TINY
 
+from mimesh.bodies import load_body
 from mimesh.learn import checkpoint
-from mimesh.learn.export import export_command, infer_onnx, smaller, to_onnx
+from mimesh.learn.export import POINTS, export_command, infer_onnx, smaller, to_onnx
+from mimesh.learn.mime import Mime, MimeConfig
 from mimesh.learn.npt import NPT, NPTConfig
 from mimesh.learn.train import Run
 from mimesh.mesh import InputError
@@ -32,6 +35,25 @@ def test_parity_with_torch(pose_code):
         assert np.abs(infer_onnx(eighth, identity.numpy(), driving.numpy()) - expected).max() < 0.2
     sizes = [sum(len(t.raw_data) for t in n.graph.initializer) for n in (eighth, half, network)]
     assert sizes[0] < 0.65 * sizes[1] < 0.65**2 * sizes[2]
+
+
+def test_mime_is_exported_with_all_that_moves_a_mesh():
+    torch.manual_seed(0)
+    model = Mime(MimeConfig(width=16, heads=2, latents=4, blocks=2, near=8, local=8, weighing=8), load_body()).eval()
+    for parameter in model.parameters():  # zeros at the start say nothing
+        parameter.data += 0.02 * torch.randn_like(parameter)
+    network = to_onnx(model)
+    session = onnxruntime.InferenceSession(network.SerializeToString())
+    for count in (1, 40, 700):
+        points, normals = torch.nn.functional.normalize(torch.randn(2, 1, POINTS, 3), dim=-1)
+        vertices, vertex_normals = torch.randn(2, 1, count, 3)
+        with torch.no_grad():
+            reading = model.read(points, normals)
+            expected = (reading.rotation, reading.place, model.weights(reading, vertices, vertex_normals))
+        given = {"points": points, "normals": normals, "vertices": vertices, "vertex_normals": vertex_normals}
+        found = session.run(["rotation", "joints", "scores"], {name: array.numpy() for name, array in given.items()})
+        for ours, theirs in zip(found, expected, strict=True):
+            assert np.abs(ours - theirs.numpy()).max() < 1e-4 * (1 + np.abs(theirs.numpy()).max())
 
 
 def test_export_writes_network_and_card(tmp_path):

@@ -5,6 +5,9 @@ import torch
 from mimesh.bodies import load_body
 from mimesh.learn.batches import DataConfig, PairSource
 from mimesh.learn.losses import npt_loss
+from mimesh.learn.mime import Mime, MimeConfig
+from mimesh.learn.mime_batches import MimeSource
+from mimesh.learn.mime_loss import MimeLossConfig, mime_loss
 from mimesh.learn.npt import NPT, NPTConfig
 
 
@@ -21,3 +24,19 @@ def test_overfits_one_pair():
         optimizer.step()
         errors.append(float((result - batch.truth).detach().square().sum(-1).mean()))
     assert errors[-1] < errors[0] / 100
+
+
+def test_mime_overfits_one_pair():
+    body = load_body()
+    batch = MimeSource(DataConfig("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
+    torch.manual_seed(0)
+    model = Mime(MimeConfig(width=32, latents=8, blocks=2, near=16, local=16, weighing=16), body)
+    optimizer = torch.optim.Adam(model.parameters(), lr=5e-3)
+    losses = []
+    for _ in range(200):
+        optimizer.zero_grad()
+        loss = mime_loss(model, batch, MimeLossConfig(weights=0.0))
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < losses[0] / 100

@@ -123,6 +123,26 @@ def test_paper_configuration_is_the_papers():
     assert (config.edge, config.edge_weight) == ("paper", 5e-4)
 
 
+@pytest.mark.parametrize("name", ["small", "base", "table"])
+def test_configurations_of_mime_load(name):
+    config = load_config(name, "mime")
+    assert config.data.target_scale == "identity"
+    assert config.data.vertices >= config.model.near
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("data.kind=clips", "expected data.kind table6 or wide with mime, found clips"),
+        ("data.target_scale=truth", "expected data.target_scale identity"),
+        ("model.heads=3", "expected heads that divide width 128, found 3"),
+    ],
+)
+def test_mime_refuses_what_it_cannot_train_on(change, message):
+    with pytest.raises(InputError, match=message):
+        load_config("small", "mime", [change])
+
+
 @pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table"])
 def test_shipped_configurations_load(name):
     assert load_config(name).pairs > 0

@@ -11,7 +11,7 @@ from .terminal import Json, print_json, print_next, require
 
 
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: npt, aniformer or limp.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, npt, aniformer or limp.")],
     config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,

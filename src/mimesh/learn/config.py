@@ -132,6 +132,8 @@ def config_from(values: dict[str, Any], where: str) -> TrainConfig:
         _check_windows(config, config.model, where)
     if isinstance(config.model, LIMPConfig):
         _check_template(config, config.model, where)
+    if isinstance(config.model, MimeConfig):
+        _check_points(config, config.model, where)
     return config
 
 
@@ -163,6 +165,16 @@ def _check_template(config: TrainConfig, model: LIMPConfig, where: str) -> None:
         )
     if config.data.target_scale != "identity":
         raise InputError(f"{where}: expected data.target_scale identity with limp, which keeps lengths, found truth")
+
+
+def _check_points(config: TrainConfig, model: MimeConfig, where: str) -> None:
+    """Raise InputError for data that mime cannot be trained on, or a width that does not divide."""
+    if config.data.kind not in ("table6", "wide"):
+        raise InputError(f"{where}: expected data.kind table6 or wide with mime, found {config.data.kind}; set it")
+    if config.data.target_scale != "identity":
+        raise InputError(f"{where}: expected data.target_scale identity with mime, which keeps lengths, found truth")
+    if model.heads < 1 or model.width % model.heads:
+        raise InputError(f"{where}: expected heads that divide width {model.width}, found {model.heads}")
 
 
 def _build(kind: type, values: Any, where: str, known: dict[str, type] | None = None) -> Any:
