@@ -14,6 +14,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
+from .paging import let_go
+
 
 class InputError(ValueError):
     """The user's file or argument is wrong. One line: what was expected, what was found, what to do."""
@@ -147,11 +149,12 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
             f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
             "export with one topology for the whole clip"
         )
-    bad = np.flatnonzero(~np.isfinite(clip.vertices).all(axis=(1, 2)))
-    if bad.size:
-        raise InputError(
-            f"{path}: expected finite coordinates, found NaN or infinity in frame {bad[0]}; export it again"
-        )
+    for t, vertices in enumerate(clip.vertices):
+        if not np.isfinite(vertices).all():
+            raise InputError(
+                f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
+            )
+    let_go(clip.vertices)
     if not clip.fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)

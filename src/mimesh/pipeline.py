@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from .methods import Method, find_method
+from .paging import PAGED, let_go, new_frames
 from .report import facing, facing_note, quality
 
 Progress = Callable[[int, int], None]
@@ -201,9 +202,12 @@ def _move(
         drive = choice(theirs).prepare(still, _glimpses(clip, first, theirs))
     with _timed(seconds, "drive"):
         frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
-        moved = np.empty((len(clip), *identity.vertices.shape), dtype)
+        moved = new_frames(len(clip), len(identity.vertices), dtype)
         for t, vertices in enumerate(_placed(frames, still.vertices)):
             moved[t] = own.undo(vertices)
+            if t % PAGED == 0:
+                let_go(moved)
+                let_go(clip.vertices)
             if progress is not None:
                 progress(t + 1, len(clip))
     report = {**quality(identity, moved), "identity": facing(own), "driving": facing(theirs)}

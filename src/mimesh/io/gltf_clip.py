@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
+from ..paging import PAGED, let_go
 from .gltf_draft import VERTEX_DATA, Draft, Spool
 from .gltf_primitives import Placed
 from .gltf_scene import unit
@@ -46,6 +47,8 @@ def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str
     deltas: list[dict[str, Spool]] = []
     for frame in range(len(clip)):
         vertices = np.asarray(clip.vertices[frame], np.float64)
+        if frame % PAGED == 0:
+            let_go(clip.vertices)
         normals = turned(vertices).reshape(-1, 3) if turned else None
         for number, one in enumerate(placed):
             now = _local(one, vertices, normals)

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..mesh import Clip, InputError, Mesh
+from ..paging import PAGED, let_go, new_frames
 from .atomic import whole_folder
 from .obj import read_obj_points
 from .obj_source import ObjSource
@@ -31,10 +32,12 @@ def read_sequence(folder: Path, fps: float, suffixes: Collection[str], read: Cal
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
-    frames = np.empty((len(paths), *first.vertices.shape))
+    frames = new_frames(len(paths), len(first.vertices), np.float64)
     frames[0] = first.vertices
     for t, path in enumerate(paths[1:], 1):
         frames[t] = _read_frame(path, first, paths[0], read)
+        if t % PAGED == 0:
+            let_go(frames)
     return Clip(first, frames, fps)
 
 

@@ -1,0 +1,59 @@
+"""Long clips lie on disk: values stay, memory is given back, short clips are plain arrays."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from mimesh import paging
+from mimesh.io import load_clip, save_mesh
+from mimesh.mesh import Mesh
+from mimesh.paging import LARGE, let_go, new_frames
+
+TRIANGLE = np.array([[0, 1, 2]])
+
+
+def test_short_clips_are_in_memory():
+    frames = new_frames(3, 5, np.float32)
+    assert (frames.shape, frames.dtype, type(frames)) == ((3, 5, 3), np.float32, np.ndarray)
+    let_go(frames)
+
+
+def test_long_clips_keep_their_values(monkeypatch):
+    monkeypatch.setattr(paging, "LARGE", 100)
+    frames = new_frames(7, 50, np.float64)
+    assert isinstance(frames, np.memmap)
+    values = np.random.default_rng(0).normal(size=frames.shape)
+    for t in range(7):
+        frames[t] = values[t]
+        let_go(frames)
+    assert np.array_equal(frames, values)
+    let_go(frames[2:5])
+    assert np.array_equal(frames[2:5:2], values[2:5:2])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_memory_is_given_back():
+    def resident() -> int:
+        with open("/proc/self/statm") as file:
+            return int(file.read().split()[1]) * 4096
+
+    frames = new_frames(4, 2 * LARGE // 12, np.float32)
+    before = resident()
+    for t in range(4):
+        frames[t] = t
+        let_go(frames)
+    assert resident() - before < frames.nbytes / 4
+    assert frames[:, -1, -1].tolist() == [0, 1, 2, 3]
+
+
+def test_a_folder_is_read_the_same_from_disk(tmp_path, monkeypatch):
+    rng = np.random.default_rng(1)
+    for t in range(5):
+        save_mesh(Mesh(rng.normal(size=(3, 3)), TRIANGLE), tmp_path / f"{t}.obj")
+    expected = load_clip(tmp_path).vertices
+    monkeypatch.setattr(paging, "LARGE", 10)
+    monkeypatch.setattr("mimesh.io.sequence.PAGED", 1)
+    found = load_clip(tmp_path).vertices
+    assert isinstance(found, np.memmap)
+    assert np.array_equal(found, expected)
