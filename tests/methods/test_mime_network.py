@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from mimesh.mesh import Clip, Mesh
 from mimesh.methods import Method, find_method
 from mimesh.methods import mime as module
-from mimesh.methods.mime import Samples
+from mimesh.methods.rig import leg_length
+from mimesh.methods.samples import Samples
 from mimesh.pipeline import animate
 
 pytest.importorskip("onnx")
@@ -54,6 +55,13 @@ def test_other_poses_give_other_results(path):
     result = animate(IDENTITY, clip, path).clip.vertices
     centred = result - result.mean(axis=1, keepdims=True)
     assert np.linalg.norm(centred[0] - centred[len(clip) // 2], axis=-1).max() > 0.02
+
+
+def test_the_root_goes_the_drivings_way_in_steps_of_the_identitys_legs(method):
+    shift = np.array([0.3, 0.0, -0.2])
+    first, second = moved(method, [DRIVING.vertices, DRIVING.vertices + shift])
+    length = [leg_length(method._rig(mesh).joints, method.legs) for mesh in (IDENTITY, DRIVING)]
+    assert np.allclose(second - first, shift * length[0] / length[1], atol=1e-5)
 
 
 def test_all_glimpses_are_read(method):

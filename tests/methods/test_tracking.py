@@ -34,22 +34,27 @@ def test_the_turns_of_a_skinned_surface_are_found(number):
     before, (points, after, _) = posed(0)[1], posed(number)
     turned = after @ before.mT
     assert degrees(turned, np.tile(np.eye(3), (len(turned), 1, 1))).mean() > 15
-    off = degrees(parts(0).turned(points), turned)
+    off = degrees(parts(0).follow(points)[0], turned)
     assert np.median(off) < 1.5
     assert off.mean() < 3  # joints between two bones hold nothing alone
+
+
+def test_joints_are_where_they_are():
+    points, _, joints = posed(2)
+    assert np.linalg.norm(parts(0).follow(points)[1] - joints, axis=1).mean() < 0.01
 
 
 def test_noise_makes_little_of_a_difference():
     before, (points, after, _) = posed(0)[1], posed(1)
     noisy = points + 0.01 * np.random.default_rng(0).normal(size=points.shape)
-    assert degrees(parts(0).turned(noisy), after @ before.mT).mean() < 6
+    assert degrees(parts(0).follow(noisy)[0], after @ before.mT).mean() < 6
 
 
 def test_what_turns_as_a_whole_turns_so_in_every_part_and_what_stands_stands():
     rest = posed(1)[0]
     turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_matrix()
-    assert np.allclose(parts(1).turned(5 + rest @ turn.T), turn, atol=1e-6)
-    assert np.allclose(parts(1).turned(rest), np.eye(3), atol=1e-6)
+    assert np.allclose(parts(1).follow(5 + rest @ turn.T)[0], turn, atol=1e-6)
+    assert np.allclose(parts(1).follow(rest)[0], np.eye(3), atol=1e-6)
 
 
 def test_a_part_without_points_turns_as_its_parent():
@@ -57,7 +62,7 @@ def test_a_part_without_points_turns_as_its_parent():
     weights = BODY.weights.copy()
     weights[:, thumb] += weights[:, hand]
     weights[:, hand] = 0
-    found = parts(0, weights).turned(posed(2)[0])
+    found = parts(0, weights).follow(posed(2)[0])[0]
     assert degrees(found[hand][None], found[BODY.parents[hand]][None]) < 3
     assert degrees(found[hand][None], np.eye(3)[None]) > 15
 

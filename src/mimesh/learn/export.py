@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from ..bodies import load_body
+from ..bodies import RiggedBody, load_body
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from . import checkpoint
@@ -144,6 +144,12 @@ def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> on
     return network
 
 
+def skeleton(body: RiggedBody) -> dict[str, Any]:
+    """Names and parents of the joints that mime reads, and which make a leg."""
+    legs = [[body.joint(side + name) for name in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
+    return {"joints": body.joint_names, "parents": body.parents, "legs": legs}
+
+
 def describe(
     network: onnx.ModelProto, config: NPTConfig | AniFormerConfig | LIMPConfig | MimeConfig, target_scale: str
 ) -> None:
@@ -153,7 +159,7 @@ def describe(
     elif isinstance(config, LIMPConfig):
         facts = {"model": "limp", "vertices": config.vertices}
     elif isinstance(config, MimeConfig):
-        facts = {"model": "mime", "points": POINTS, "parents": load_body().parents}
+        facts = {"model": "mime", "points": POINTS, **skeleton(load_body())}
     else:
         facts = {"model": "npt", "pose_code": config.pose_code}
     facts |= {"target_scale": target_scale, "config": dataclasses.asdict(config)}

@@ -28,6 +28,7 @@ class Parts:
     """Maps what each joint does, (3 x 4) transposed, K = 4 J rows, to points: linear blend skinning."""
     solve: Float[np.ndarray, "K N"]
     """Maps points to what each joint does."""
+    joints: Float[np.ndarray, "J 3"]
     middle: Float[np.ndarray, "J 3"]
     extent: Float[np.ndarray, "J 3 3"]
     """Mean and second moments of what a joint holds."""
@@ -52,16 +53,17 @@ class Parts:
         middle = shares.T @ points
         products = (points[:, :, None] * points[:, None]).reshape(count, 9)
         extent = (shares.T @ products).reshape(held, 3, 3) - middle[:, :, None] * middle[:, None]
-        return cls(blend, solve, middle, extent + FLAT * size * np.eye(3))
+        return cls(blend, solve, joints, middle, extent + FLAT * size * np.eye(3))
 
-    def turned(self, points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "J 3 3"]:
-        """Rotation of every joint from rest to a frame, in the world."""
-        points = points - points.mean(axis=0)
+    def follow(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+        """Rotation of every joint from rest to a frame, in the world, and where it is in that frame."""
+        centre = points.mean(axis=0)
+        points = points - centre
         done = self.solve @ points
         # Once more from there: what the ties then hold back is only what is left to do.
         done = self._rigid(done)
         done = done + self.solve @ (points - self.blend @ done)
-        return self._rotations(done)
+        return self._rotations(done), _applied(done, self.joints) + centre
 
     def _rotations(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
         """The rotation nearest to what each joint does to its part."""
@@ -69,10 +71,14 @@ class Parts:
 
     def _rigid(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
         """The same without stretch and shear; the middle of each part goes where it went."""
-        rotation, middle = self._rotations(done), _homogeneous(self.middle)
-        went = (middle[:, None] @ done.reshape(-1, 4, 3))[:, 0]
-        offset = went - (rotation @ self.middle[..., None])[..., 0]
+        rotation = self._rotations(done)
+        offset = _applied(done, self.middle) - (rotation @ self.middle[..., None])[..., 0]
         return np.concatenate([rotation.mT, offset[:, None]], axis=1).reshape(-1, 3)
+
+
+def _applied(done: Float[np.ndarray, "K 3"], places: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+    """Where what each joint does takes its own place."""
+    return (_homogeneous(places)[:, None] @ done.reshape(-1, 4, 3))[:, 0]
 
 
 def _homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
