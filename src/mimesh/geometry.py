@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+    from scipy.sparse.linalg import SuperLU
 
 
 def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
@@ -176,6 +177,20 @@ def rotate_between(
     safe = np.where(opposite, 1.0, 1.0 + cosine)
     turned = vectors * cosine + np.cross(axis, vectors) + axis * (axis * vectors).sum(-1, keepdims=True) / safe
     return np.where(opposite, -vectors, turned)
+
+
+def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
+    """The rotation nearest to each matrix; of a sum of rotations, their mean."""
+    u, _, vt = np.linalg.svd(matrix)
+    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
+    return u @ vt
+
+
+def factor(matrix: csr_array) -> SuperLU:
+    """Factors of a symmetric positive definite matrix, for as many solves as there are frames."""
+    from scipy.sparse.linalg import splu
+
+    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size: int) -> Float[np.ndarray, "S 3"]:

@@ -17,6 +17,7 @@ from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from .methods import Method, find_method
 from .paging import PAGED, let_go, new_frames
+from .refine import Refinement
 from .report import facing, facing_note, quality
 
 Progress = Callable[[int, int], None]
@@ -86,6 +87,7 @@ def transfer(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
 ) -> Result:
@@ -96,6 +98,7 @@ def transfer(
 
     Args:
         ensemble: average over this many random pairings (index-paired networks only).
+        refine: smooth the result as the identity's surface allows; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
 
@@ -107,7 +110,7 @@ def transfer(
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, None, np.float64)
+    moved, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, refine, None, np.float64)
     return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
 
 
@@ -122,6 +125,7 @@ def animate(
     driving_front: str | None = None,
     ensemble: int = 1,
     seed: int = 0,
+    refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
     fps: float | None = None,
@@ -148,7 +152,7 @@ def animate(
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, report, notes = _move(identity, clip, method, axes, seconds, progress, np.float32)
+    moved, report, notes = _move(identity, clip, method, axes, seconds, refine, progress, np.float32)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
     mesh = identity.with_vertices(moved[0].astype(np.float64))
@@ -191,6 +195,7 @@ def _move(
     choice: Choice,
     axes: tuple[str | None, str | None, str | None, str | None],
     seconds: dict[str, float],
+    refine: bool | None,
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> tuple[Float[np.ndarray, "T V 3"], dict, tuple[str, ...]]:
@@ -199,11 +204,13 @@ def _move(
         first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
         own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
         still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
-        drive = choice(theirs).prepare(still, _glimpses(clip, first, theirs))
+        method = choice(theirs)
+        drive = method.prepare(still, _glimpses(clip, first, theirs))
+        surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
     with _timed(seconds, "drive"):
         frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
         moved = new_frames(len(clip), len(identity.vertices), dtype)
-        for t, vertices in enumerate(_placed(frames, still.vertices)):
+        for t, vertices in enumerate(_placed(_refined(frames, surface, seconds), still.vertices)):
             moved[t] = own.undo(vertices)
             if t % PAGED == 0:
                 let_go(moved)
@@ -220,6 +227,18 @@ def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:
     chosen = np.linspace(0, len(clip) - 1, min(len(clip), GLIMPSES)).round().astype(int)
     vertices = frame.apply(clip.vertices[chosen])
     return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
+
+
+def _refined(
+    frames: Iterable[Float[np.ndarray, "V 3"]], surface: Refinement | None, seconds: dict[str, float]
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """The frames on the identity's surface; the time that takes is taken off that of driving."""
+    for vertices in frames:
+        before = seconds["refine"]
+        with _timed(seconds, "refine"):
+            refined = vertices if surface is None else surface(vertices)
+        seconds["drive"] -= seconds["refine"] - before
+        yield refined
 
 
 def _placed(

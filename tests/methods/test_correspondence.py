@@ -13,7 +13,6 @@ from mimesh.methods import correspondence
 from mimesh.methods.correspondence import (
     REST,
     STAY,
-    canonical_faces,
     closest_valid,
     faces_at_edges,
     match_by_index,
@@ -26,6 +25,7 @@ from mimesh.methods.correspondence import (
     sound_faces,
     vertex_pairs,
 )
+from mimesh.methods.pairing import canonical_faces
 
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 

@@ -29,6 +29,10 @@ BARE = (".npz", ".off", ".ply", ".stl")
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
+Refine = Annotated[
+    bool | None,
+    typer.Option("--refine/--no-refine", help="Smooth the result along IDENTITY's surface; by default npt, aniformer."),
+]
 Reference = Annotated[
     Path | None, typer.Option(help="The driving mesh in IDENTITY's pose (deformation-transfer).", metavar="MESH")
 ]
@@ -49,6 +53,7 @@ def transfer(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
     preview: Preview = True,
@@ -75,6 +80,7 @@ def transfer(
         driving_up=driving_up,
         driving_front=driving_front,
         ensemble=ensemble,
+        refine=refine,
         seed=seed,
         reference=reference,
         markers=markers,
@@ -99,6 +105,7 @@ def animate(
     driving_up: Axis = None,
     driving_front: Axis = None,
     ensemble: Ensemble = 1,
+    refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
     preview: Preview = True,
@@ -127,6 +134,7 @@ def animate(
             driving_up=driving_up,
             driving_front=driving_front,
             ensemble=ensemble,
+            refine=refine,
             seed=seed,
             reference=reference,
             markers=markers,

@@ -42,7 +42,7 @@ def moved_clip(trial: ClipPair, method: str, ensemble: int = 1) -> Float[np.ndar
     network = find_method(method, ensemble=ensemble)
     if knows_no_size(network):
         return in_true_size(network, trial.identity, trial.clip, trial.truth_frames)
-    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble))
+    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=False))
 
 
 def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, Any]:

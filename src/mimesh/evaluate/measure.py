@@ -93,7 +93,7 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
     if knows_no_size(network):
         clip = Clip.still(pair.driving)
         return in_true_size(network, pair.identity, clip, pair.truth[None])[0]
-    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble).vertices
+    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=False).vertices
 
 
 def helped(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:

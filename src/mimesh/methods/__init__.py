@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from importlib import resources
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -47,6 +47,9 @@ def check_row(model: str) -> None:
 @runtime_checkable
 class Method(Protocol):
     """A way to move an identity."""
+
+    rough: ClassVar[bool]
+    """Whether its results are refined unless the user says otherwise (see `refine.py`)."""
 
     @property
     def name(self) -> str: ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -16,6 +17,7 @@ from . import Drive
 class Copy:
     """Gives back the driving vertices; vertex i of the driving is taken for vertex i of the identity."""
 
+    rough: ClassVar[bool] = False
     name: str = "copy"
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:

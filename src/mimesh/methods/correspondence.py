@@ -27,13 +27,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..geometry import closest_on_mesh, face_normals, face_vectors, gradient_operator, vertex_normals
+from ..geometry import closest_on_mesh, face_normals, face_vectors, factor, gradient_operator, vertex_normals
 from ..mesh import InputError, Mesh
-from .pairing import rank_vertices
+from .pairing import canonical_faces, rank_vertices
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
-    from scipy.sparse.linalg import SuperLU
 
 Corners = Int[np.ndarray, "P 3"]
 
@@ -253,21 +252,6 @@ def sound_faces(mesh: Mesh) -> Int[np.ndarray, "F 3"]:
             f"{mesh.name}: expected triangles with area for model deformation-transfer, found none; give a surface mesh"
         )
     return sound
-
-
-def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]) -> Int[np.ndarray, "F 3"]:
-    """Faces turned to begin at the corner of lowest rank and sorted by the ranks; later ranks break ties."""
-    first = ranks[0][faces].argmin(axis=1)[:, None]
-    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
-    keys = np.concatenate([rank[turned] for rank in ranks], axis=1)
-    return turned[np.lexsort(keys.T[::-1])]
-
-
-def factor(matrix: csr_array) -> SuperLU:
-    """Factors of a symmetric positive definite matrix, for as many solves as there are frames."""
-    from scipy.sparse.linalg import splu
-
-    return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _sound(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Bool[np.ndarray, " F"]:

@@ -20,14 +20,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import edges, face_areas, gradient_operator
+from ..geometry import edges, face_areas, factor, gradient_operator
 from ..mesh import Clip, InputError, Mesh
 from . import Drive
-from .correspondence import factor, match_by_index, match_by_markers, turned_alike, vertex_pairs
+from .correspondence import match_by_index, match_by_markers, turned_alike, vertex_pairs
 from .pairing import rank_vertices
 from .travel import travelling
 
@@ -47,6 +48,7 @@ class DeformationTransfer:
     """The driving subject in the identity's pose; vertices, faces and frame of the driving mesh, facing any way."""
     markers: Int[np.ndarray, "M 2"] | None = None
     """Pairs (identity vertex, reference vertex); without them vertex i of both is one point of the body."""
+    rough: ClassVar[bool] = False
     name: str = "deformation-transfer"
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 class Limp:
     """A loaded network. Its results are the template's vertices, so that is what an identity must be."""
 
+    rough: ClassVar[bool] = False
     name: str
     session: InferenceSession
     vertices: int

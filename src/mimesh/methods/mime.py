@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +18,9 @@ from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
 from . import Drive
 from .network import batch_of_one, generator
-from .pairing import rank_vertices
+from .pairing import canonical_faces, rank_vertices
 from .rig import Rig, Skinned, leg_length
-from .samples import Samples, face_order
+from .samples import Samples
 from .tracking import Parts, mean_rotation
 from .travel import sized
 
@@ -39,6 +39,7 @@ Follow = Callable[[Float[np.ndarray, "U 3"]], tuple[Float[np.ndarray, "J 3 3"], 
 class Mime:
     """A loaded network, ready for any identity."""
 
+    rough: ClassVar[bool] = False
     name: str
     session: InferenceSession
     parents: tuple[int, ...]
@@ -69,7 +70,7 @@ class Mime:
         """Joints of a mesh and skinning weights of its distinct positions: the mean of several readings."""
         ranked = rank_vertices(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
-        normals = vertex_normals(vertices, ranked.group[mesh.faces[face_order(ranked, mesh.faces)]])
+        normals = vertex_normals(vertices, ranked.group[canonical_faces(mesh.faces, ranked.group)])
         places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 0))
         rigs = [self._read(places.part(k, READINGS), mesh.vertices, vertices, normals) for k in range(READINGS)]
         rotation = mean_rotation(np.stack([rig.rotation for rig in rigs]))

@@ -8,7 +8,7 @@ own bounding box, in units of the identity's radius. The file's metadata say the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Float32, Int
@@ -33,6 +33,7 @@ PATCHES = 200
 class Network:
     """A loaded network, ready for any identity."""
 
+    rough: ClassVar[bool] = True
     name: str
     session: InferenceSession
     pose_code: str

@@ -60,6 +60,14 @@ def rank_vertices(vertices: Float[np.ndarray, "V 3"]) -> Ranked:
     return Ranked(group, order, np.searchsorted(group[order], np.arange(len(merged))))
 
 
+def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]) -> Int[np.ndarray, "F 3"]:
+    """Faces turned to begin at the corner of lowest rank and sorted by the ranks; later ranks break ties."""
+    first = ranks[0][faces].argmin(axis=1)[:, None]
+    turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
+    keys = np.concatenate([rank[turned] for rank in ranks], axis=1)
+    return turned[np.lexsort(keys.T[::-1])]
+
+
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
     """At least `count` points of a driving mesh, the same ones of its surface in every frame."""

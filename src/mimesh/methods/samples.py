@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 
 from ..geometry import face_vectors, sample_surface
 from ..mesh import Mesh
-from .pairing import Ranked, rank_vertices
+from .pairing import canonical_faces, rank_vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Samples:
             chosen = rng.permutation(many)[:count] if many >= count else rng.integers(many, size=count)
             vertex = ranked.order[ranked.start[chosen]]
             return cls(np.repeat(vertex[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
-        faces = mesh.faces[face_order(ranked, mesh.faces)]
+        faces = canonical_faces(mesh.faces, ranked.group)
         face, shares = sample_surface(mesh.vertices, faces, count, rng)
         return cls(faces[face], shares)
 
@@ -44,11 +44,3 @@ class Samples:
         """Unit normals of the surface there, in a frame; zeros without faces."""
         normals = face_vectors(vertices, self.corners)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-
-
-def face_order(ranked: Ranked, faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, " F"]:
-    """Indices that sort faces by the ranks of their vertices, whatever their order was."""
-    corners = ranked.group[faces]
-    first = corners.argmin(axis=1)[:, None]
-    turned = np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1)
-    return np.lexsort(turned.T[::-1])

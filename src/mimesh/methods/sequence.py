@@ -12,7 +12,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,6 +42,7 @@ Pairing = tuple[Int[np.ndarray, " W"], Int[np.ndarray, " W"]]
 class Sequence:
     """A loaded network, ready for any identity."""
 
+    rough: ClassVar[bool] = True
     name: str
     session: InferenceSession
     frames: int

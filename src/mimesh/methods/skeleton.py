@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -30,6 +31,7 @@ POINTS = 4000
 class Skeleton:
     """Moves people only, shaped and posed somewhat like our body: anything else gets some result."""
 
+    rough: ClassVar[bool] = False
     name: str = "skeleton"
     seed: int = 0
 

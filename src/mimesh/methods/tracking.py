@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..geometry import nearest_rotation
+
 MEETING, BENDING = 3e-2, 1e-5
 """Weights of the ties: joint and parent agree where the joint is; joint and parent turn alike."""
 FLAT = 1e-4
@@ -106,10 +108,3 @@ def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, 
         off = np.square(rotations - mean).sum(axis=(2, 3))
         weights = 1 / np.square(1 + off / np.maximum(np.median(off, axis=0), 1e-6))
     return mean
-
-
-def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
-    """The rotation nearest to each matrix; of a sum of rotations, their mean."""
-    u, _, vt = np.linalg.svd(matrix)
-    u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
-    return u @ vt

@@ -1,0 +1,68 @@
+"""Refinement: rigid motions and the rest are left alone, noise is smoothed, any surface will do."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import zoo
+from people import person
+from scipy.spatial.transform import Rotation
+
+from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.geometry import edges
+from mimesh.mesh import Mesh
+from mimesh.refine import Refinement
+from mimesh.report import edge_stretch
+
+IDENTITY, POSED = person(0), person(0, pose=2)
+
+
+def test_the_identity_and_its_rigid_motions_are_left_alone():
+    refine = Refinement.of(IDENTITY)
+    turn = Rotation.from_rotvec([0.4, 1.3, -0.2]).as_matrix()
+    for moved in (IDENTITY.vertices, 3 + IDENTITY.vertices @ turn.T):
+        assert np.allclose(refine(moved), moved, atol=1e-9)
+
+
+def test_noise_is_smoothed_and_the_pose_is_kept():
+    noise = 0.01 * np.random.default_rng(0).normal(size=POSED.vertices.shape)
+    rough = POSED.vertices + noise
+    refined = Refinement.of(IDENTITY)(rough)
+    pairs = edges(IDENTITY.faces)
+    assert pmd_of_pair(refined, POSED.vertices) < 1.2 * pmd_of_pair(rough, POSED.vertices)
+    before, after = (edge_stretch(POSED.vertices, v, pairs).mean() - 1 for v in (rough, refined))
+    assert after < 0.5 * before
+    clean = Refinement.of(IDENTITY)(POSED.vertices)
+    assert pmd_of_pair(clean, POSED.vertices) < 1e-4
+
+
+def test_order_does_not_matter():
+    order = np.random.default_rng(1).permutation(len(IDENTITY.vertices))
+    mixed = dataclasses.replace(IDENTITY, vertices=IDENTITY.vertices[order], faces=np.argsort(order)[IDENTITY.faces])
+    expected = Refinement.of(IDENTITY)(POSED.vertices)
+    assert np.allclose(Refinement.of(mixed)(POSED.vertices[order]), expected[order], atol=1e-9)
+
+
+@pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
+def test_any_surface_will_do(make):
+    mesh = make()
+    refine = Refinement.of(mesh)
+    moved = mesh.vertices + 0.01 * np.random.default_rng(2).normal(size=mesh.vertices.shape)
+    if refine is None:
+        assert len(mesh.faces) == 0
+        return
+    assert np.isfinite(refine(moved)).all()
+    used = np.unique(mesh.faces)
+    loose = np.setdiff1d(np.arange(len(mesh.vertices)), used)
+    assert np.allclose(refine(moved)[loose], moved[loose], atol=1e-9) or len(loose) == 0
+
+
+def test_a_point_cloud_has_nothing_to_refine():
+    assert Refinement.of(Mesh(IDENTITY.vertices, np.zeros((0, 3), int))) is None
+
+
+def test_seams_stay_closed():
+    count = len(IDENTITY.vertices)
+    doubled = Mesh(np.tile(IDENTITY.vertices, (2, 1)), np.concatenate([IDENTITY.faces, IDENTITY.faces[::2] + count]))
+    refined = Refinement.of(doubled)(np.tile(POSED.vertices, (2, 1)))
+    assert np.array_equal(refined[:count], refined[count:])
