@@ -2,6 +2,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from networks import write_network
 from people import person, walk
 from zoo import cube, tetrahedron
 
@@ -201,3 +202,20 @@ def test_a_driving_that_walks_off_to_the_side_of_its_reference_changes_nothing()
     assert np.abs(result - expected).max() < 1e-5
     steps = (result[1:] - result[:-1]).mean(axis=1)
     assert (steps[:, 2] > 3 * np.abs(steps[:, 0])).all()
+
+
+def test_refining_is_the_models_choice_and_the_users(tmp_path):
+    """`copy` is not refined unless it is asked for; a vertex network is, unless it is not."""
+    rough = dataclasses.replace(person(0), vertices=person(0).vertices + 0.01 * np.sin(1e4 * person(0).vertices))
+    plain, refined = (transfer(person(0), rough, "copy", refine=refine) for refine in (None, True))
+    assert np.array_equal(plain.vertices, transfer(person(0), rough, "copy", refine=False).vertices)
+    assert refined.report["edge_stretch_p99"] < plain.report["edge_stretch_p99"]
+    assert refined.seconds["refine"] > 0
+    assert all(value >= 0 for value in refined.seconds.values())
+    pytest.importorskip("onnx")
+    network = str(write_network(tmp_path / "npt.onnx"))
+    given, kept, smooth = (
+        transfer(person(0), rough, network, refine=refine).vertices for refine in (None, False, True)
+    )
+    assert np.array_equal(given, smooth)
+    assert not np.array_equal(given, kept)

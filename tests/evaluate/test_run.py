@@ -54,11 +54,11 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path, monkeypatch):
     whole = evaluate_command("human-npt", ["copy"], split="val", pairs=3)
     out, measured = tmp_path / "figures.json", []
 
-    def counted(pair, method, ensemble):
+    def counted(pair, method, **options):
         measured.append(method)
         if len(measured) == 5:
             raise KeyboardInterrupt
-        return measure(pair, method, ensemble)
+        return measure(pair, method, **options)
 
     monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
     with pytest.raises(KeyboardInterrupt):
@@ -234,11 +234,11 @@ def test_what_a_method_lacks_on_a_clip_is_told(trial):
 def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_path, monkeypatch):
     out, measured = tmp_path / "figures.json", []
 
-    def counted(trial, method, ensemble):
+    def counted(trial, method, **options):
         measured.append(trial.truth_name)
         if len(measured) == 3:
             raise KeyboardInterrupt
-        return measure_clip(shortened(trial, 3), method, ensemble)
+        return measure_clip(shortened(trial, 3), method, **options)
 
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
     folder = write_folder(tmp_path / "deepmimic")
@@ -270,13 +270,13 @@ def test_clips_that_are_not_there_are_missed_before_anything_is_measured(tmp_pat
 def test_the_worst_frame_of_a_clip_is_drawn(trial, tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.evaluate.clip_protocols.ClipsAniformer.pair", lambda *_: trial)
     figures = [measure_clip(trial, "copy")]
-    paths = dump_worst(CLIPS_ANIFORMER, "val", "procedural", "copy", 1, figures, tmp_path / "worst")
+    paths = dump_worst(CLIPS_ANIFORMER, "val", "procedural", "copy", {}, figures, tmp_path / "worst")
     assert [path.name for path in paths] == ["copy-procedural-1.png"]
 
 
 def test_the_worst_are_drawn(tmp_path):
     figures = [measure(HUMAN_NPT.pair("val", "seen", i), "copy") for i in range(2)]
-    paths = dump_worst(HUMAN_NPT, "val", "seen", "copy", 1, figures, tmp_path / "worst")
+    paths = dump_worst(HUMAN_NPT, "val", "seen", "copy", {}, figures, tmp_path / "worst")
     assert [path.name for path in paths] == ["copy-seen-1.png", "copy-seen-2.png"]
     assert all(path.stat().st_size > 10_000 for path in paths)
 

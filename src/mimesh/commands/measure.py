@@ -34,6 +34,7 @@ def evaluate(
     split: Split = "test",
     pairs: Pairs = 0,
     ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
+    refine: Annotated[bool, typer.Option("--refine", help="Smooth results along the identity's surface.")] = False,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
     data: Data = None,
     json: Json = False,
@@ -48,7 +49,7 @@ def evaluate(
 
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data)
+        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine)
     if json:
         print_json(figures)
     elif not quiet:

@@ -23,7 +23,7 @@ STILL = 5
 """Frames of the clip that stands still."""
 
 
-def moved_clip(trial: ClipPair, method: str, ensemble: int = 1) -> Float[np.ndarray, "T V 3"]:
+def moved_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "T V 3"]:
     """The identity's vertices in all frames, in metres; methods and their help are those of `measure.moved`.
 
     `copy` is the driving person in one size for the whole clip: its mean radius is that of the truth.
@@ -42,10 +42,10 @@ def moved_clip(trial: ClipPair, method: str, ensemble: int = 1) -> Float[np.ndar
     network = find_method(method, ensemble=ensemble)
     if knows_no_size(network):
         return in_true_size(network, trial.identity, trial.clip, trial.truth_frames)
-    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=False))
+    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=refine))
 
 
-def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, Any]:
+def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
     """Figures of one clip, or {"why": ...} where the method cannot work on it.
 
     Those of shape are means over the frames (the worst, for stretch); `seconds` are those of a frame, all included.
@@ -54,7 +54,7 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
     trial = as_known(trial, method)
     started = time.perf_counter()
     try:
-        result = moved_clip(trial, method, ensemble)
+        result = moved_clip(trial, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = (time.perf_counter() - started) / len(result)
@@ -68,7 +68,7 @@ def measure_clip(trial: ClipPair, method: str, ensemble: int = 1) -> dict[str, A
         "stretch": max(shape["stretch"] for shape in shapes),
         "path_mm": path_error_mm(result, truth, trial.height),
         "jitter": jitter(result, truth, trial.height, fps),
-        "still_mm": unrest_mm(moved_clip(standing_still(trial), method, ensemble), trial.height),
+        "still_mm": unrest_mm(moved_clip(standing_still(trial), method, **options), trial.height),
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
         "seconds": seconds,
     }

@@ -24,7 +24,13 @@ WORST = 3
 
 
 def dump_worst(
-    protocol: Protocol, split: str, kind: str, method: str, ensemble: int, figures: list[dict[str, Any]], folder: Path
+    protocol: Protocol,
+    split: str,
+    kind: str,
+    method: str,
+    options: dict[str, Any],
+    figures: list[dict[str, Any]],
+    folder: Path,
 ) -> list[Path]:
     """Draw the pairs with the largest errors as `<folder>/<method>-<kind>-<rank>.png`; gives the paths."""
     errors = {i: f["pmd_e4"] for i, f in enumerate(figures) if "why" not in f}
@@ -34,16 +40,16 @@ def dump_worst(
     for rank, i in enumerate(worst, 1):
         pair = protocol.pair(split, kind, i)
         path = folder / f"{Path(method).stem}-{kind}-{rank}.png"
-        trial_picture(*_to_draw(pair, method, ensemble)).save(path)
+        trial_picture(*_to_draw(pair, method, options)).save(path)
         paths.append(path)
     return paths
 
 
-def _to_draw(pair: Pair, method: str, ensemble: int) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
+def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
     """A trial and its result; of a clip, its worst frame."""
     if not isinstance(pair, ClipPair):
-        return pair, moved(pair, method, ensemble)
-    frames = moved_clip(pair, method, ensemble)
+        return pair, moved(pair, method, **options)
+    frames = moved_clip(pair, method, **options)
     worst = int(np.argmax([pmd_of_pair(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 

@@ -76,10 +76,11 @@ def trained(method: str) -> str:
     return f"{minutes}; {card['pairs']:,} pairs of {count:,} vertices; {data}"
 
 
-def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"]:
+def moved(pair: Pair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "V 3"]:
     """The identity's vertices as a method of GIVEN, of `methods.MODELS` or in an `.onnx` file moves them, in metres.
 
-    Axes are given to all alike: finding them is not what is measured here.
+    Axes are given to all alike: finding them is not what is measured here. Networks that were told the true size are
+    not refined.
 
     Raises:
         NotApplicableError: the method cannot work on this pair, such as deformation transfer of a point cloud.
@@ -93,7 +94,7 @@ def moved(pair: Pair, method: str, ensemble: int = 1) -> Float[np.ndarray, "V 3"
     if knows_no_size(network):
         clip = Clip.still(pair.driving)
         return in_true_size(network, pair.identity, clip, pair.truth[None])[0]
-    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=False).vertices
+    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=refine).vertices
 
 
 def helped(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
@@ -136,11 +137,11 @@ def in_true_size(
     return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])
 
 
-def measure(pair: Pair, method: str, ensemble: int = 1) -> dict[str, Any]:
+def measure(pair: Pair, method: str, **options: Any) -> dict[str, Any]:
     """Figures of one pair, or {"why": ...} where the method cannot work on it."""
     started = time.perf_counter()
     try:
-        result = moved(pair, method, ensemble)
+        result = moved(pair, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started

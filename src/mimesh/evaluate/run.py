@@ -36,6 +36,7 @@ def evaluate_command(
     progress: Progress | None = None,
     dump: Path | None = None,
     data: Path | None = None,
+    refine: bool = False,
 ) -> dict[str, Any]:
     """What `mimesh evaluate` does: one result row a method and kind of pair; written to `out` as JSON if given.
 
@@ -48,7 +49,8 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    config = {"split": split, "pairs": pairs or chosen.pairs, "ensemble": ensemble}
+    options = {"ensemble": ensemble, "refine": refine}
+    config = {"split": split, "pairs": pairs or chosen.pairs, **options}
     if data is not None and protocol in FOLDERS:
         config["data"] = sorted(path.name for path in data.iterdir())
     made = provenance(config)
@@ -63,7 +65,7 @@ def evaluate_command(
             for i in range(counts[kind]):
                 key = [method, weights, kind, i]
                 known = ledger.get(key)
-                figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, ensemble)))
+                figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, options)))
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -71,7 +73,7 @@ def evaluate_command(
             if dump is not None:
                 from .dump import dump_worst
 
-                dump_worst(chosen, split, kind, method, ensemble, figures, dump)
+                dump_worst(chosen, split, kind, method, options, figures, dump)
     report = {
         "protocol": chosen.name,
         "version": chosen.version,
@@ -85,9 +87,9 @@ def evaluate_command(
     return report
 
 
-def figures_of(trial: Pair, method: str, ensemble: int) -> dict[str, Any]:
+def figures_of(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Figures of one trial, a pair of meshes or a clip."""
-    return measure_clip(trial, method, ensemble) if isinstance(trial, ClipPair) else measure(trial, method, ensemble)
+    return measure_clip(trial, method, **options) if isinstance(trial, ClipPair) else measure(trial, method, **options)
 
 
 class Ledger:
