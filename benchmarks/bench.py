@@ -80,7 +80,7 @@ def networks() -> dict[str, float]:
     body = load_body()
     posed = body.mesh(body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0))))
     figures = {}
-    for name in ("npt", "npt-maxpool"):  # the others have the same layers
+    for name in ("mime", "npt", "npt-maxpool"):  # the others have the layers of npt
         drive = find_method(name).prepare(body.mesh(), Clip.still(posed))
         figures[f"{name}_ms_a_frame"] = 1e3 * seconds(lambda d=drive: list(d([posed.vertices] * 4)), 3) / 4
     return figures

@@ -18,7 +18,7 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import FOLDERS, evaluate_command
 from mimesh.evaluate.tables import TABLES
 
-EVERYWHERE = ("copy", "deformation-transfer-dense", "deformation-transfer-13", "skeleton", "npt", "npt-maxpool")
+EVERYWHERE = ("copy", "deformation-transfer-dense", "deformation-transfer-13", "skeleton", "mime", "npt", "npt-maxpool")
 SLOW_ON_CLIPS = ("skeleton",)
 """Seconds a frame, and clips have thirty."""
 

@@ -18,12 +18,9 @@ from .view.movie import clip_frames, save_movie
 from .view.sheet import DRIVING_TINT, page, stack, strip
 
 MOTION = DEMO
-MODEL = "npt"
-ENSEMBLE = 4
-"""Pairings averaged in the demo: calmer surfaces for four times the work."""
 FRAMES = 36
 RATE = 15.0
-"""Frames per second of the demo: with FRAMES it lasts 2.4 s and stays far under a minute on two cores."""
+"""Frames per second of the demo: with FRAMES it lasts 2.4 s and stays well under a minute on two cores."""
 IDENTITY_SHAPE = (-1.2, 1.6, 0.8, -0.9)
 DRIVING_SHAPE = (1.0, -1.0, -0.6, 0.7)
 """Shape coefficients of two clearly different people."""
@@ -33,7 +30,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     """Write the inputs, the result and its pictures into a folder, and return what `--json` prints."""
     body = load_body()
     identity, driving = person(body, IDENTITY_SHAPE), played(body)
-    result = animate(identity, driving, MODEL, ensemble=ENSEMBLE, progress=progress)
+    result = animate(identity, driving, progress=progress)
     files = {name: folder / name for name in ("identity.obj", "driving.obj", "driving.glb", "result.glb")}
     save_mesh(identity, files["identity.obj"])
     save_mesh(_frame(driving, len(driving) // 2), files["driving.obj"])
@@ -73,7 +70,7 @@ def draw(identity: Mesh, driving: Clip, result: Clip, folder: Path) -> list[Path
     tiles = [
         still(identity, "identity"),
         still(_frame(driving, middle), "driving", tint=DRIVING_TINT),
-        still(_frame(result, middle), f"result ({MODEL})"),
+        still(_frame(result, middle), "result"),
     ]
     shown = (("driving", driving, DRIVING_TINT), ("result", result, None))
     strips = [strip(clip, 6, (220, 280), tint=tint) for _, clip, tint in shown]

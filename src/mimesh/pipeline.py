@@ -79,7 +79,7 @@ class ClipResult:
 def transfer(
     identity: Mesh | str | Path,
     driving: Mesh | str | Path,
-    model: str = "npt",
+    model: str = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -117,7 +117,7 @@ def transfer(
 def animate(
     identity: Mesh | str | Path,
     driving: Clip | str | Path,
-    model: str = "npt",
+    model: str = "mime",
     *,
     up: str | None = None,
     front: str | None = None,

@@ -45,13 +45,14 @@ def models(json: Json = False) -> None:
         print(f"{name:<22}{WHAT[name]}")
         if name in SHIPPED_NETWORKS:
             print(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
-    print_next("evaluate", "human-npt", "-m", "npt,npt-maxpool,copy")
+    print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
 
 
 WHAT = {
     "copy": "the driving vertices themselves, as they are: what every method must beat",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
     "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
+    "mime": "ours, the default: reads the joints of both meshes and skins one to the other's turns",
     "npt": "Neural Pose Transfer, trained on endless people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on endless people and motions",

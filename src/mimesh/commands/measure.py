@@ -29,7 +29,7 @@ Data = Annotated[
 
 def evaluate(
     protocol: Protocol,
-    model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "npt,copy",
+    model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "mime,copy",
     output: Kept = None,
     split: Split = "test",
     pairs: Pairs = 0,

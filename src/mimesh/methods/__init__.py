@@ -18,7 +18,7 @@ from ..mesh import Clip, InputError, Mesh
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
 """Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
 
-SHIPPED_NETWORKS = ("npt", "npt-maxpool", "aniformer")
+SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 ROWS = (
     *("npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
