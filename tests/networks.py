@@ -151,7 +151,8 @@ def write_mime_network(path: Path, points: int = 64) -> Path:
         + [numpy_helper.from_array(np.float32(0).reshape(()), "none")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    card = {"model": "mime", "points": points, "parents": [-1, 0, 0], "legs": [[0, 1], [0, 2]], "config": {}}
+    card = {"model": "mime", "points": points, "joints": ["Hips", "Left", "Right"], "parents": [-1, 0, 0], "config": {}}
+    card["legs"] = [[0, 1], [0, 2]]
     helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path

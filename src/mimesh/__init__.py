@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .mesh import Clip, InputError, Mesh
-    from .pipeline import ClipResult, Result, animate, transfer
+    from .pipeline import animate, transfer
+    from .result import ClipResult, Result
 
 __version__ = "0.1.0"
 __all__ = [
@@ -31,7 +32,8 @@ __all__ = [
 _HOMES = {
     "mesh": ("Clip", "InputError", "Mesh"),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
-    "pipeline": ("ClipResult", "Result", "animate", "transfer"),
+    "pipeline": ("animate", "transfer"),
+    "result": ("ClipResult", "Result"),
 }
 
 

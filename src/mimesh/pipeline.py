@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
-import time
+import itertools
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +13,13 @@ from numpy.typing import ArrayLike
 
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
-from .methods import Method, find_method
+from .methods import Drive, Method, find_method
+from .methods.mime import Pose, Puppet
 from .paging import PAGED, let_go, new_frames
 from .refine import Refinement
 from .report import facing, facing_note, quality
+from .result import ClipResult, Result, no_time_yet, timed
+from .rig import Rig, Skeleton
 
 Progress = Callable[[int, int], None]
 """Called after each frame with (frames done, frames in all)."""
@@ -26,54 +27,6 @@ GLIMPSES = 16
 """Frames of a clip that a method may look at before it begins."""
 Choice = Callable[[Frame], Method]
 """A method with its options, but for the driving's frame."""
-
-
-@dataclass(frozen=True, eq=False)
-class Result:
-    """The identity in the driving's pose, in the identity's own axes, unit and place."""
-
-    mesh: Mesh
-    model: str
-    seconds: dict[str, float]
-    """Wall time of each step: load, prepare, drive, refine, write."""
-    report: dict
-    notes: tuple[str, ...] = ()
-
-    @property
-    def vertices(self) -> Float[np.ndarray, "V 3"]:
-        return self.mesh.vertices
-
-    def save(self, path: str | Path) -> Path:
-        """Write the mesh in the format of the suffix; the identity's own suffix keeps all that its file had."""
-        from .io import save_mesh
-
-        with _timed(self.seconds, "write"):
-            save_mesh(self.mesh, Path(path))
-        return Path(path)
-
-
-@dataclass(frozen=True, eq=False)
-class ClipResult:
-    """The identity moving as the driving clip does, in the identity's own axes, unit and place."""
-
-    clip: Clip
-    model: str
-    seconds: dict[str, float]
-    """Wall time of each step: load, prepare, drive, refine, write."""
-    report: dict
-    notes: tuple[str, ...] = ()
-
-    @property
-    def fps(self) -> float:
-        return self.clip.fps
-
-    def save(self, path: str | Path) -> Path:
-        """Write the clip in the format of the suffix."""
-        from .io import save_clip
-
-        with _timed(self.seconds, "write"):
-            save_clip(self.clip, Path(path))
-        return Path(path)
 
 
 def transfer(
@@ -105,12 +58,12 @@ def transfer(
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
     """
-    seconds = _no_time_yet()
-    with _timed(seconds, "load"):
+    seconds = no_time_yet()
+    with timed(seconds, "load"):
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, refine, None, np.float64)
+    moved, _, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, refine, None, np.float64)
     return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
 
 
@@ -146,17 +99,17 @@ def animate(
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
     """
-    seconds = _no_time_yet()
-    with _timed(seconds, "load"):
+    seconds = no_time_yet()
+    with timed(seconds, "load"):
         identity = _read_mesh(identity)
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, report, notes = _move(identity, clip, method, axes, seconds, refine, progress, np.float32)
+    moved, skeleton, report, notes = _move(identity, clip, method, axes, seconds, refine, progress, np.float32)
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
     mesh = identity.with_vertices(moved[0].astype(np.float64))
-    return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes)
+    return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes, skeleton)
 
 
 def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
@@ -198,20 +151,22 @@ def _move(
     refine: bool | None,
     progress: Progress | None,
     dtype: type[np.floating],
-) -> tuple[Float[np.ndarray, "T V 3"], dict, tuple[str, ...]]:
-    """Normalise, move, undo, place: vertices in the identity's axes, the report and the notes."""
-    with _timed(seconds, "prepare"):
+) -> tuple[Float[np.ndarray, "T V 3"], Skeleton | None, dict, tuple[str, ...]]:
+    """Normalise, move, undo, place: vertices in the identity's axes, its joints, the report and the notes."""
+    with timed(seconds, "prepare"):
         first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
         own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
         still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
         method = choice(theirs)
         drive = method.prepare(still, _glimpses(clip, first, theirs))
         surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
-    with _timed(seconds, "drive"):
-        frames = drive(theirs.apply(vertices) for vertices in clip.vertices)
+    with timed(seconds, "drive"):
+        poses: list[Pose] = []
+        frames = _recorded(drive, (theirs.apply(vertices) for vertices in clip.vertices), poses)
+        shift, frames = _placed(_refined(frames, surface, seconds), still.vertices)
         moved = new_frames(len(clip), len(identity.vertices), dtype)
-        for t, vertices in enumerate(_placed(_refined(frames, surface, seconds), still.vertices)):
-            moved[t] = own.undo(vertices)
+        for t, vertices in enumerate(frames):
+            moved[t] = own.undo(vertices + shift)
             if t % PAGED == 0:
                 let_go(moved)
                 let_go(clip.vertices)
@@ -219,7 +174,8 @@ def _move(
                 progress(t + 1, len(clip))
     report = {**quality(identity, moved), "identity": facing(own), "driving": facing(theirs)}
     notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
-    return moved, report, notes + tuple(getattr(identity.source, "notes", ()))
+    skeleton = _skeleton(identity, drive, poses, own, shift) if isinstance(drive, Puppet) else None
+    return moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ()))
 
 
 def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:
@@ -235,20 +191,40 @@ def _refined(
     """The frames on the identity's surface; the time that takes is taken off that of driving."""
     for vertices in frames:
         before = seconds["refine"]
-        with _timed(seconds, "refine"):
+        with timed(seconds, "refine"):
             refined = vertices if surface is None else surface(vertices)
         seconds["drive"] -= seconds["refine"] - before
         yield refined
 
 
-def _placed(
-    frames: Iterable[Float[np.ndarray, "V 3"]], still: Float[np.ndarray, "V 3"]
+def _recorded(
+    drive: Drive, frames: Iterable[Float[np.ndarray, "U 3"]], poses: list[Pose]
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Shift all frames alike, so that the first stands on the identity's ground and in the middle of its place."""
-    shift = None
-    for vertices in frames:
-        shift = _stand(still) - _stand(vertices) if shift is None else shift
-        yield vertices + shift
+    """The results of all frames; what the joints do, if the method has some, is kept in `poses`."""
+    if not isinstance(drive, Puppet):
+        yield from drive(frames)
+        return
+    for pose in drive.poses(frames):
+        poses.append(pose)
+        yield drive.posed(*pose)
+
+
+def _placed(
+    frames: Iterator[Float[np.ndarray, "V 3"]], still: Float[np.ndarray, "V 3"]
+) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
+    """What shifts all frames so that the first stands on the identity's ground, in the middle of its place; frames."""
+    first = next(frames)
+    return _stand(still) - _stand(first), itertools.chain([first], frames)
+
+
+def _skeleton(
+    identity: Mesh, puppet: Puppet, poses: list[Pose], own: Frame, shift: Float[np.ndarray, " 3"]
+) -> Skeleton:
+    """The joints of a result in the identity's axes, unit and place."""
+    back = own.rotation.T
+    rotation, root = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+    rig = Rig(back @ puppet.rig.rotation, own.undo(puppet.rig.joints), puppet.rig.weights)
+    return Skeleton(identity, puppet.joints, puppet.skinned.parents, rig, back @ rotation, own.undo(root + shift))
 
 
 def _stand(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
@@ -283,15 +259,3 @@ def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
             f"{'the end' if stop is None else stop}, which leaves none; change them"
         )
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
-
-
-def _no_time_yet() -> dict[str, float]:
-    return dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0)
-
-
-@contextlib.contextmanager
-def _timed(seconds: dict[str, float], step: str) -> Iterator[None]:
-    """Add the wall time of the block to `seconds[step]`."""
-    begin = time.perf_counter()
-    yield
-    seconds[step] += time.perf_counter() - begin

@@ -14,7 +14,7 @@ from .view.sheet import DRIVING_TINT, page, stack, strip
 if TYPE_CHECKING:
     from PIL import Image
 
-    from .pipeline import ClipResult, Result
+    from .result import ClipResult, Result
 
 TILE = (360, 440)
 MOST_FRAMES = 32

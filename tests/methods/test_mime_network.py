@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from mimesh.mesh import Clip, Mesh
 from mimesh.methods import Method, find_method
 from mimesh.methods import mime as module
-from mimesh.methods.rig import leg_length
 from mimesh.methods.samples import Samples
 from mimesh.pipeline import animate
+from mimesh.rig import leg_length
 
 pytest.importorskip("onnx")
 IDENTITY, DRIVING = person(0), person(1, pose=1, faces=600)

@@ -22,7 +22,7 @@ from .terminal import (
 
 if TYPE_CHECKING:
     from ..mesh import Mesh
-    from ..pipeline import ClipResult, Result
+    from ..result import ClipResult, Result
 
 BARE = (".npz", ".off", ".ply", ".stl")
 """Formats whose new files hold little more than the shape."""
@@ -108,6 +108,9 @@ def animate(
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
+    skinned: Annotated[
+        bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
+    ] = False,
     preview: Preview = True,
     seed: Seed = 0,
     json: Json = False,
@@ -122,7 +125,7 @@ def animate(
 
     output = output or output_beside(identity, driving, ".glb")
     refuse_inputs(output, identity, driving)
-    _check_suffix(output, (*clip_suffixes(), ""))
+    _check_suffix(output, (".glb", ".gltf") if skinned else (*clip_suffixes(), ""))
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps=fps)))
     with progress("frames", quiet or json) as advance:
         result = run(
@@ -144,7 +147,7 @@ def animate(
             progress=advance,
         )
     result.seconds["load"] += seconds
-    result.save(output)
+    (result.save_skinned if skinned else result.save)(output)
     pictures = _pictures(result, clip, slice(start, stop, step), output) if preview else []
     _finish(result, output, pictures, json, quiet, vertices=len(mesh.vertices), frames=len(result.clip), fps=result.fps)
 
@@ -178,7 +181,7 @@ def _finish(
 
 def _not_kept(result: Result | ClipResult, output: Path) -> list[str]:
     """What a format that holds less than the identity's file leaves behind, in words."""
-    from ..pipeline import ClipResult
+    from ..result import ClipResult
 
     mesh = result.clip.mesh if isinstance(result, ClipResult) else result.mesh
     suffix = output.suffix.lower()

@@ -11,7 +11,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from .atomic import whole_file
@@ -23,6 +23,9 @@ from .off import read_off, write_off
 from .ply import PlySource, read_ply, write_ply
 from .sequence import read_sequence, write_sequence
 from .stl import read_stl, write_stl
+
+if TYPE_CHECKING:
+    from ..rig import Skeleton
 
 DEFAULT_FPS = 30.0
 Function = TypeVar("Function")
@@ -39,6 +42,21 @@ def _write_gltf(mesh: Mesh, path: Path) -> None:
 
     with whole_file(path) as temporary:
         write_gltf(mesh, temporary)
+
+
+def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
+    """Write a mesh with joints and their animation as .glb or .gltf (see `gltf_skinned`).
+
+    Raises:
+        InputError: another format, or a place that cannot be written to.
+    """
+    from .gltf_skinned import write_gltf_skinned
+
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
+    with _writing(path), whole_file(path) as temporary:
+        write_gltf_skinned(skeleton, fps, temporary)
 
 
 def _write_gltf_clip(clip: Clip, path: Path) -> None:

@@ -42,7 +42,8 @@ def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, thr
     if card["model"] == "limp":
         return Limp(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "mime":
-        return Mime(name, session, tuple(card["parents"]), tuple(map(tuple, card["legs"])), card["points"], seed)
+        joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
+        return Mime(name, session, joints, parents, legs, card["points"], seed)
     return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 

@@ -7,19 +7,19 @@ and place will do; normals that are not known are zero. A frame is then linear b
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import dataclasses
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
-from . import Drive
+from ..rig import Rig, Skinned, leg_length
 from .network import batch_of_one, generator
 from .pairing import canonical_faces, rank_vertices
-from .rig import Rig, Skinned, leg_length
 from .samples import Samples
 from .tracking import Parts, mean_rotation
 from .travel import sized
@@ -31,8 +31,41 @@ CHUNK = 16_384
 """Vertices that are weighed at a time."""
 READINGS = 4
 """Of a mesh, each of other points of its surface; their mean is taken. All of them are followed through a clip."""
-Follow = Callable[[Float[np.ndarray, "U 3"]], tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]]
-"""From vertices of a driving frame to the rotation of every joint and the place of the root joint."""
+Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]
+"""Rotation of every joint, and the place of the root joint."""
+Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
+"""From vertices of a driving frame to its pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Puppet:
+    """An identity that is ready to be driven: a `Drive` that can say what the joints do."""
+
+    joints: tuple[str, ...]
+    """Their names."""
+    rig: Rig
+    """Of all vertices, in the identity's Frame."""
+    skinned: Skinned
+    follow: Follow
+    stride: float
+    """How much farther than the driving it goes."""
+    group: Int[np.ndarray, " V"]
+    """Vertices at one place are moved as one."""
+    name: str
+    """Of the driving."""
+
+    def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        return (self.posed(*pose) for pose in self.poses(frames))
+
+    def poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
+        """What the identity's joints do in each driving frame."""
+        for vertices in sized(frames, self.name):
+            rotation, root = self.follow(vertices)
+            yield rotation, self.stride * root
+
+    def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
+        """All vertices in a pose."""
+        return self.skinned.posed(rotation, root)[self.group]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +75,8 @@ class Mime:
     rough: ClassVar[bool] = False
     name: str
     session: InferenceSession
+    joints: tuple[str, ...]
+    """Their names."""
     parents: tuple[int, ...]
     legs: tuple[tuple[int, ...], ...]
     """Joints from hip to ankle."""
@@ -49,7 +84,7 @@ class Mime:
     """That are read of a mesh."""
     seed: int = 0
 
-    def prepare(self, identity: Mesh, driving: Clip) -> Drive:
+    def prepare(self, identity: Mesh, driving: Clip) -> Puppet:
         """Read the identity and the driving's glimpses, once for all; every frame is then measured against those.
 
         The root joint goes the driving's way, shorter or longer as the legs are.
@@ -59,12 +94,8 @@ class Mime:
         skinned = Skinned.of(ranked.merge(identity.vertices), rig, self.parents)
         follow, length = self._follow(driving)
         stride = leg_length(rig.joints, self.legs) / length
-
-        def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            rotation, root = follow(vertices)
-            return skinned.posed(rotation, stride * root)[ranked.group]
-
-        return lambda frames: map(pose, sized(frames, driving.mesh.name))
+        every = dataclasses.replace(rig, weights=rig.weights[ranked.group])
+        return Puppet(self.joints, every, skinned, follow, stride, ranked.group, driving.mesh.name)
 
     def _rig(self, mesh: Mesh) -> Rig:
         """Joints of a mesh and skinning weights of its distinct positions: the mean of several readings."""

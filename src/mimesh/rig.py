@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
+
+from .mesh import Mesh
+
+INFLUENCES = 4
+"""Joints that may hold a vertex in a file: what engines take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +55,39 @@ class Skinned:
         for bone, parent in zip(self.bones, self.parents[1:], strict=True):
             place.append(place[parent] + rotation[parent] @ bone)
         return np.stack(place)
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """Joints of a mesh that moves, in its own axes, unit and place: what a game engine wants instead of frames."""
+
+    mesh: Mesh
+    """As it stands in its file."""
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """-1 is the root's; parents come before their children."""
+    rig: Rig
+    """Of all vertices."""
+    rotation: Float[np.ndarray, "T J 3 3"]
+    """Of every joint in the world."""
+    root: Float[np.ndarray, "T 3"]
+    """Where the root joint is."""
+
+    def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
+        """The INFLUENCES joints that hold each vertex most, and their weights, which sum to 1."""
+        joints = np.argsort(-self.rig.weights, axis=1, kind="stable")[:, :INFLUENCES]
+        weights = np.take_along_axis(self.rig.weights, joints, axis=1)
+        return joints, weights / weights.sum(axis=1, keepdims=True)
+
+    def deviation(self, frames: Float[np.ndarray, "T V 3"]) -> float:
+        """Farthest that a vertex held by so few joints is from a frame, over the mesh's size; of 16 frames at most."""
+        joints, weights = self.strongest()
+        few = np.zeros_like(self.rig.weights)
+        np.put_along_axis(few, joints, weights, axis=1)
+        skinned = Skinned.of(self.mesh.vertices, replace(self.rig, weights=few), self.parents)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, 16).round().astype(int))
+        off = [skinned.posed(self.rotation[t], self.root[t]) - frames[t] for t in chosen]
+        return float(np.linalg.norm(off, axis=-1).max() / np.ptp(self.mesh.vertices, axis=0).max())
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], legs: tuple[tuple[int, ...], ...]) -> float:

@@ -1,0 +1,94 @@
+"""What transfer() and animate() give."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from .mesh import Clip, InputError, Mesh
+from .rig import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The identity in the driving's pose, in the identity's own axes, unit and place."""
+
+    mesh: Mesh
+    model: str
+    seconds: dict[str, float]
+    """Wall time of each step: load, prepare, drive, refine, write."""
+    report: dict
+    notes: tuple[str, ...] = ()
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "V 3"]:
+        return self.mesh.vertices
+
+    def save(self, path: str | Path) -> Path:
+        """Write the mesh in the format of the suffix; the identity's own suffix keeps all that its file had."""
+        from .io import save_mesh
+
+        with timed(self.seconds, "write"):
+            save_mesh(self.mesh, Path(path))
+        return Path(path)
+
+
+@dataclass(frozen=True, eq=False)
+class ClipResult:
+    """The identity moving as the driving clip does, in the identity's own axes, unit and place."""
+
+    clip: Clip
+    model: str
+    seconds: dict[str, float]
+    """Wall time of each step: load, prepare, drive, refine, write."""
+    report: dict
+    notes: tuple[str, ...] = ()
+    skeleton: Skeleton | None = None
+    """What moved the identity, if the model has joints."""
+
+    @property
+    def fps(self) -> float:
+        return self.clip.fps
+
+    def save(self, path: str | Path) -> Path:
+        """Write the clip in the format of the suffix."""
+        from .io import save_clip
+
+        with timed(self.seconds, "write"):
+            save_clip(self.clip, Path(path))
+        return Path(path)
+
+    def save_skinned(self, path: str | Path) -> Path:
+        """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and an animation of turns.
+
+        Small whatever the clip's length, and what game engines take; `report` then says how far it is from the frames.
+
+        Raises:
+            InputError: the model has no joints.
+        """
+        from .io import save_skinned
+
+        if self.skeleton is None:
+            raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
+        with timed(self.seconds, "write"):
+            save_skinned(self.skeleton, self.fps, Path(path))
+        self.report["skinned_deviation"] = self.skeleton.deviation(self.clip.vertices)
+        return Path(path)
+
+
+def no_time_yet() -> dict[str, float]:
+    return dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0)
+
+
+@contextlib.contextmanager
+def timed(seconds: dict[str, float], step: str) -> Iterator[None]:
+    """Add the wall time of the block to `seconds[step]`."""
+    begin = time.perf_counter()
+    yield
+    seconds[step] += time.perf_counter() - begin
