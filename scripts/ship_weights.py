@@ -34,9 +34,9 @@ def main() -> None:
         ship(name, Path(path))
     for path in sorted(ZOO.glob("*.onnx")):
         protocol = test_set(json.loads(path.with_suffix(".json").read_text()))
-        measured = write_results.RESULTS / f"{protocol}.json"
-        report = json.loads(measured.read_text()) if measured.exists() else {"results": []}
-        if not fill_card(path, report):
+        reports = [json.loads(file.read_text()) for file in sorted(write_results.RESULTS.glob("*.json"))]
+        rows = [row for report in reports if report["protocol"] == protocol for row in report["results"]]
+        if not fill_card(path, rows):
             print(f"{path.stem}: not measured yet on {protocol}; its card holds no test figures")
 
 
@@ -56,9 +56,9 @@ def ship(name: str, path: Path) -> None:
     export_command(path, ZOO / f"{name}.onnx")
 
 
-def fill_card(weights: Path, report: dict) -> bool:
-    """Write the test figures of these weights, and of `copy` in the same report, into their card; False if none."""
-    rows = {(row["method"], row["split"]): row for row in report["results"]}
+def fill_card(weights: Path, measured_rows: list[dict]) -> bool:
+    """Write the test figures of these weights, and of `copy` on the same pairs, into their card; False if none."""
+    rows = {(row["method"], row["split"]): row for row in measured_rows}
     mine = rows.get((weights.stem, "unseen"), {})
     measured = mine.get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")

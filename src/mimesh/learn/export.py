@@ -186,8 +186,8 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
 
 
 def test_set(facts: dict[str, Any]) -> str:
-    """The protocol whose figures belong into a card: pairs of meshes for NPT, clips for the rest."""
-    return "human-npt" if facts["config"].get("network", "npt") == "npt" else "clips-aniformer"
+    """The protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
+    return "clips-aniformer" if facts["config"].get("network", "npt") in ("aniformer", "limp") else "human-npt"
 
 
 def infer_onnx(
