@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from .tokens import Block, rms, zero
@@ -36,13 +36,6 @@ class Frames:
             moved = self.joints + (self.rotation @ nine[..., 6:, None])[..., 0]
             return self.rotation @ turn(nine[..., :6]), moved
 
-    def bent(self, parents: Int[Tensor, " J"]) -> Float[Tensor, "B J 12"]:
-        """How the parent of each joint stands to it: turn and place, as the joint sees them; the root is its own."""
-        with torch.autocast(self.joints.device.type, enabled=False):
-            back = self.rotation.mT
-            parent = (back @ (self.joints[:, parents] - self.joints)[..., None])[..., 0]
-            return torch.cat([(back @ self.rotation[:, parents]).flatten(2), CLOSE * parent], -1)
-
     def at(self, places: Float[Tensor, "J 3"]) -> Float[Tensor, "B J 3"]:
         """Where a place in each frame is."""
         with torch.autocast(self.joints.device.type, enabled=False):
@@ -53,17 +46,12 @@ class Mending(nn.Module):
     """Each joint looks at the points near it, in its own frame, and turns and moves that frame."""
 
     middle: Tensor
-    parents: Tensor
 
-    def __init__(
-        self, middle: Float[Tensor, "J 3"], parents: tuple[int, ...], width: int, heads: int, local: int, near: int
-    ) -> None:
+    def __init__(self, middle: Float[Tensor, "J 3"], width: int, heads: int, local: int, near: int) -> None:
         """`middle` is that of each joint's surface, in its frame: around it, `near` points are looked at."""
         super().__init__()
         self.near = near
         self.register_buffer("middle", middle, persistent=False)
-        self.register_buffer("parents", torch.tensor(parents).clamp_min(0), persistent=False)
-        self.bent = nn.Linear(12, width)
         self.geometry, self.token = nn.Linear(GEOMETRY, local), nn.Linear(width, local)
         self.seen = nn.Linear(width, local, bias=False)
         self.score = nn.Linear(local, heads)
@@ -83,7 +71,6 @@ class Mending(nn.Module):
             apart = torch.cdist(frames.at(self.middle), x)
             index = apart.topk(min(self.near, x.shape[1]), dim=2, largest=False, sorted=False).indices
         others, ours = tokens.split([tokens.shape[1] - frames.joints.shape[1], frames.joints.shape[1]], 1)
-        ours = ours + self.bent(frames.bent(self.parents))
         h = self.geometry(frames.of(_pick(x, index), _pick(normals, index)))
         h = F.relu(h + self.token(rms(ours))[:, :, None] + _pick(seen, index))
         share = self.score(h).float().softmax(2).to(h.dtype)

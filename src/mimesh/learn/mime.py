@@ -92,7 +92,7 @@ class Mime(nn.Module):
         self.tokens = nn.Parameter(0.5 * torch.randn(1, config.latents + joints, c))
         self.blocks = nn.ModuleList(Block(c, config.heads, looks=i % 2 == 0) for i in range(config.blocks))
         self.first = zero(nn.Linear(c, 9))
-        self.mending = Mending(middle, body.parents, c, config.heads, config.local, config.near)
+        self.mending = Mending(middle, c, config.heads, config.local, config.near)
         self.weigh = Weighing(config, joints)
 
     def read(self, points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Reading:

@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
 from ..rig import Rig, Skinned, leg_length
+from .islands import without_islands
 from .network import batch_of_one, generator
 from .pairing import canonical_faces, rank_vertices
 from .samples import Samples
@@ -101,11 +102,13 @@ class Mime:
         """Joints of a mesh and skinning weights of its distinct positions: the mean of several readings."""
         ranked = rank_vertices(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
-        normals = vertex_normals(vertices, ranked.group[canonical_faces(mesh.faces, ranked.group)])
+        faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
+        normals = vertex_normals(vertices, faces)
         places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 0))
         rigs = [self._read(places.part(k, READINGS), mesh.vertices, vertices, normals) for k in range(READINGS)]
         rotation = mean_rotation(np.stack([rig.rotation for rig in rigs]))
-        return Rig(rotation, *(np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights")))
+        joints, weights = (np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights"))
+        return Rig(rotation, joints, without_islands(weights, vertices, faces, self.parents))
 
     def _follow(self, glimpses: Clip) -> tuple[Follow, float]:
         """How a clip turns the joints, frame by frame, and the length of its legs.

@@ -1,0 +1,71 @@
+"""Islands: a hand that was taken for a knee is weighed by its arm, and sound weights stay as they are."""
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.methods.islands import FAR, bones_apart, without_islands
+
+BODY = load_body()
+HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
+KNEE, ELBOW = BODY.joint("LeftLeg"), BODY.joint("LeftForeArm")
+
+
+def cleaned(weights, faces=BODY.faces):
+    return without_islands(weights, BODY.vertices, faces, BODY.parents)
+
+
+def spoilt(share=1.0):
+    """The left hand held by the left knee, all or nearly all of it."""
+    weights = BODY.weights.copy()
+    weights[HAND] = (1 - share) * weights[HAND]
+    weights[HAND, KNEE] += share
+    return weights
+
+
+def test_bones_are_counted_along_the_skeleton():
+    apart = bones_apart(BODY.parents)
+    assert np.array_equal(apart, apart.T)
+    assert (np.diag(apart) == 0).all()
+    assert apart[BODY.joint("LeftArm"), ELBOW] == 1
+    assert apart[BODY.joint("LeftUpLeg"), BODY.joint("RightUpLeg")] == 4
+    assert apart[ELBOW, KNEE] >= FAR
+
+
+def test_sound_weights_stay():
+    assert np.abs(cleaned(BODY.weights) - BODY.weights).max() < 0.05
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_a_hand_that_was_taken_for_a_knee_is_held_by_its_arm(share):
+    found = cleaned(spoilt(share))
+    assert found[HAND, KNEE].max() < 1e-9
+    assert np.allclose(found.sum(axis=1), 1)
+    arm = [
+        j for j, name in enumerate(BODY.joint_names) if name.startswith(("LeftHand", "LeftFinger", "LThumb", "LeftF"))
+    ]
+    assert found[HAND][:, arm].sum(axis=1).min() > 0.9
+    assert np.abs(found - BODY.weights)[~HAND].max() < 0.05
+
+
+def test_no_vertex_is_held_by_joints_far_apart():
+    weights = BODY.weights.copy()
+    weights[HAND] = 0.6 * weights[HAND]
+    weights[HAND, KNEE] += 0.4
+    assert cleaned(weights)[HAND, KNEE].max() == 0
+
+
+def test_a_part_of_its_own_is_left_alone():
+    """What hangs on nothing else has no shore: a surface that is all knee stays so."""
+    count = len(BODY.vertices)
+    vertices = np.concatenate([BODY.vertices, [[3, 0, 0], [3, 1, 0], [4, 0, 0]]])
+    weights = np.concatenate([spoilt(), np.eye(len(BODY.parents))[[KNEE] * 3]])
+    faces = np.concatenate([BODY.faces, [[count, count + 1, count + 2]]])
+    found = without_islands(weights, vertices, faces, BODY.parents)
+    assert np.array_equal(found[count:], weights[count:])
+    assert np.allclose(found[:count], cleaned(spoilt()), atol=1e-12)
+
+
+def test_a_point_cloud_has_no_surface_to_know_by():
+    weights = spoilt()
+    assert cleaned(weights, np.zeros((0, 3), int)) is weights
