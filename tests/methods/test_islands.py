@@ -41,9 +41,7 @@ def test_a_hand_that_was_taken_for_a_knee_is_held_by_its_arm(share):
     found = cleaned(spoilt(share))
     assert found[HAND, KNEE].max() < 1e-9
     assert np.allclose(found.sum(axis=1), 1)
-    arm = [
-        j for j, name in enumerate(BODY.joint_names) if name.startswith(("LeftHand", "LeftFinger", "LThumb", "LeftF"))
-    ]
+    arm = [BODY.joint(name) for name in ("LeftForeArm", "LeftHand", "LThumb", "LeftFingerBase", "LeftHandFinger1")]
     assert found[HAND][:, arm].sum(axis=1).min() > 0.9
     assert np.abs(found - BODY.weights)[~HAND].max() < 0.05
 
