@@ -1,6 +1,7 @@
 """mime's run time: what stands stands, what turns turns, samples are the surface's, and weights are of all vertices."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from networks import write_mime_network
 from people import person, walk
 from scipy.spatial.transform import Rotation
 
-from mimesh.mesh import Clip, Mesh
+from mimesh.mesh import Clip, InputError, Mesh
 from mimesh.methods import Method, find_method
 from mimesh.methods import mime as module
 from mimesh.methods.samples import Samples
@@ -108,3 +109,16 @@ def test_seams_stay_closed(path):
     doubled = dataclasses.replace(IDENTITY, vertices=np.concatenate([IDENTITY.vertices, again]))
     result = animate(doubled, walk(faces=600), path).clip.vertices
     assert np.array_equal(result[:, :50], result[:, -50:])
+
+
+@pytest.mark.parametrize("key", ["joints", "parents", "legs", "points"])
+def test_a_file_that_does_not_say_its_skeleton_is_told(path, tmp_path, key):
+    import onnx
+
+    model = onnx.load(path)
+    card = json.loads(model.metadata_props[0].value)
+    del card[key]
+    model.metadata_props[0].value = json.dumps(card)
+    onnx.save(model, str(tmp_path / "odd.onnx"))
+    with pytest.raises(InputError, match=f"expected {key} in its metadata"):
+        find_method(str(tmp_path / "odd.onnx"))

@@ -23,6 +23,8 @@ KNOWN = {
     "mime": {},
 }
 """What the metadata of each kind say, and what they may say."""
+SKELETON = ("joints", "parents", "legs", "points")
+"""What those of mime say too."""
 LONGEST = 64
 """Most driving frames of a window."""
 
@@ -74,6 +76,11 @@ def _card(session: InferenceSession, path: Path) -> dict[str, Any]:
         _check(card, key, known, path)
     if card["model"] == "aniformer":
         _check(card, "frames", tuple(range(1, LONGEST + 1)), path)
+    lacking = [key for key in SKELETON if card["model"] == "mime" and key not in card]
+    if lacking:
+        raise InputError(
+            f"{path}: expected {lacking[0]} in its metadata, found none; export it again with this version"
+        )
     return card
 
 
