@@ -11,6 +11,8 @@ from .mesh import Mesh
 
 MOST_FRAMES = 32
 """A clip is judged by this many of its frames, evenly spread."""
+SHORT = 1e-3
+"""Edges below this part of the mean length say nothing about stretch."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -31,9 +33,9 @@ def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, f
 def edge_stretch(
     before: Float[np.ndarray, "V 3"], after: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]
 ) -> Float[np.ndarray, " S"]:
-    """How many times longer or shorter each edge became (1: unchanged); edges without length before are left out."""
+    """How many times longer or shorter each edge became (1: unchanged); those of next to no length are left out."""
     old, new = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (before, after))
-    real = old > 0
+    real = old > SHORT * (old.mean() if len(old) else 0.0)
     ratio = np.maximum(new[real] / old[real], 1e-6)
     return np.maximum(ratio, 1 / ratio)
 

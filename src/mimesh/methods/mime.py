@@ -18,6 +18,7 @@ from jaxtyping import Float, Int
 from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
 from ..rig import Rig, Skinned, leg_length
+from .calm import Calm
 from .islands import without_islands
 from .network import batch_of_one, generator
 from .pairing import canonical_faces, rank_vertices
@@ -104,8 +105,9 @@ class Mime:
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
         normals = vertex_normals(vertices, faces)
-        places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 0))
-        rigs = [self._read(places.part(k, READINGS), mesh.vertices, vertices, normals) for k in range(READINGS)]
+        calm = Calm.of(mesh)(mesh.vertices)
+        places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
+        rigs = [self._read(places.part(k, READINGS), calm, vertices, normals) for k in range(READINGS)]
         rotation = mean_rotation(np.stack([rig.rotation for rig in rigs]))
         joints, weights = (np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights"))
         return Rig(rotation, joints, without_islands(weights, vertices, faces, self.parents))
@@ -116,11 +118,13 @@ class Mime:
         What the network makes of each glimpse is turned back to the first frame by the tracked motion, and the mean
         taken; so no frame has errors of its own, and what stands still stays still.
         """
-        places = Samples.of(glimpses.mesh, READINGS * self.points, generator(self.seed, 1))
+        mesh, calm = glimpses.mesh, Calm.of(glimpses.mesh)
+        first = dataclasses.replace(mesh, vertices=calm(mesh.vertices))
+        places = Samples.of(first, READINGS * self.points, generator(self.seed, 1))
         seen = [glimpses.vertices[k % len(glimpses)] for k in range(max(READINGS, len(glimpses)))]
         rigs = [
             self._read(places.part(k, READINGS), vertices, places.points(vertices), places.normals(vertices))
-            for k, vertices in enumerate(seen)
+            for k, vertices in enumerate(map(calm, seen))
         ]
         weights = np.mean([rig.weights for rig in rigs], axis=0)
         parts = Parts.of(places.points(seen[0]), weights, rigs[0].joints, self.parents)
