@@ -33,6 +33,9 @@ CHUNK = 16_384
 """Vertices that are weighed at a time."""
 READINGS = 4
 """Of a mesh, each of other points of its surface; their mean is taken. All of them are followed through a clip."""
+ASKED, DISAGREE = 4, 15.0
+"""Further frames that may say which points are whose, where the readings turned back by the motion are so many degrees
+from their mean (the median of them)."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]
 """Rotation of every joint, and the place of the root joint."""
 Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
@@ -68,6 +71,18 @@ class Puppet:
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """All vertices in a pose."""
         return self.skinned.posed(rotation, root)[self.group]
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """What the glimpses of a clip say of its joints in one of them."""
+
+    reference: Float[np.ndarray, "U 3"]
+    mean: Rig
+    leg: float
+    """Length of a leg."""
+    spread: float
+    """How far (degrees) the readings are from their mean."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,35 +122,56 @@ class Mime:
         normals = vertex_normals(vertices, faces)
         calm = Calm.of(mesh)(mesh.vertices)
         places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
-        rigs = [self._read(places.part(k, READINGS), calm, vertices, normals) for k in range(READINGS)]
-        rotation = mean_rotation(np.stack([rig.rotation for rig in rigs]))
-        joints, weights = (np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights"))
-        return Rig(rotation, joints, without_islands(weights, vertices, faces, self.parents))
+        mean = _mean([self._read(places.part(k, READINGS), calm, vertices, normals) for k in range(READINGS)])
+        return dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
 
     def _follow(self, glimpses: Clip) -> tuple[Follow, float]:
         """How a clip turns the joints, frame by frame, and the length of its legs.
 
-        What the network makes of each glimpse is turned back to the first frame by the tracked motion, and the mean
-        taken; so no frame has errors of its own, and what stands still stays still.
+        One glimpse says which points are whose; from there the others are tracked, and what is read of them is turned
+        back by that motion. The robust mean holds for every frame, so no frame has errors of its own, and what stands
+        still stays still. The first frame, whose facing is known, is asked first; others where glimpses then disagree.
         """
         mesh, calm = glimpses.mesh, Calm.of(glimpses.mesh)
-        first = dataclasses.replace(mesh, vertices=calm(mesh.vertices))
-        places = Samples.of(first, READINGS * self.points, generator(self.seed, 1))
-        seen = [glimpses.vertices[k % len(glimpses)] for k in range(max(READINGS, len(glimpses)))]
-        rigs = [
-            self._read(places.part(k, READINGS), vertices, places.points(vertices), places.normals(vertices))
-            for k, vertices in enumerate(map(calm, seen))
-        ]
-        weights = np.mean([rig.weights for rig in rigs], axis=0)
-        parts = Parts.of(places.points(seen[0]), weights, rigs[0].joints, self.parents)
-        turns = [parts.follow(places.points(vertices))[0] for vertices in seen]
-        start = mean_rotation(np.stack([turn.mT @ rig.rotation for turn, rig in zip(turns, rigs, strict=True)]))
+        seen = [calm(vertices) for vertices in glimpses.vertices]
+        places = Samples.of(
+            dataclasses.replace(mesh, vertices=seen[0]), READINGS * self.points, generator(self.seed, 1)
+        )
+        best = self._agreed(places, seen, 0)
+        for t in range(1, len(seen), max(1, len(seen) // ASKED)):
+            if best.spread > DISAGREE:
+                best = min(best, self._agreed(places, seen, t), key=lambda found: found.spread)
+        parts = Parts.of(places.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
             rotation, joints = parts.follow(places.points(vertices))
-            return rotation @ start, joints[0]
+            return rotation @ best.mean.rotation, joints[0]
 
-        return follow, float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
+        return follow, best.leg
+
+    def _agreed(self, places: Samples, seen: list[Float[np.ndarray, "U 3"]], t: int) -> Agreement:
+        """What glimpses say if frame t is right about which points are whose."""
+        repeats = READINGS if len(seen) == 1 else 2
+        rigs = [self._whole(places, k, seen[t], np.eye(3)) for k in range(repeats)]
+        mean = _mean(rigs)
+        parts = Parts.of(places.points(seen[t]), mean.weights, mean.joints, self.parents)
+        for k, vertices in enumerate(seen):
+            if k != t:
+                turns = parts.follow(places.points(vertices))[0]
+                rig = self._whole(places, k, vertices, turns[0])
+                rigs.append(dataclasses.replace(rig, rotation=turns.mT @ turns[0] @ rig.rotation))
+        joints = mean.joints
+        mean = _mean(rigs)
+        spread = float(np.median([turns_apart(rig, mean) for rig in rigs]))
+        leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
+        return Agreement(seen[t], dataclasses.replace(mean, joints=joints), leg, spread)
+
+    def _whole(
+        self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
+    ) -> Rig:
+        """A reading of some of the places, turned back as a whole, which weighs all of them."""
+        stood = vertices @ turn
+        return self._read(places.part(k, READINGS), stood, places.points(stood), places.normals(stood))
 
     def _read(
         self,
@@ -155,3 +191,15 @@ class Mime:
             weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
             weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
         return Rig(rotation, joints, np.concatenate(weights))
+
+
+def _mean(rigs: list[Rig]) -> Rig:
+    """What several readings of a mesh agree on."""
+    joints, weights = (np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights"))
+    return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
+
+
+def turns_apart(one: Rig, other: Rig) -> float:
+    """Mean angle (degrees) between the rotations of two readings."""
+    cosine = (np.einsum("jab,jab->j", one.rotation, other.rotation) - 1) / 2
+    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
