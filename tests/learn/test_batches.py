@@ -95,3 +95,19 @@ def test_extreme_vertices_are_few():
     found = extreme_vertices(load_body(), poses=20)
     assert 20 < len(found) < 600
     np.testing.assert_array_equal(found, np.unique(found))
+
+
+def test_some_driving_meshes_tumble_and_nothing_else_changes():
+    """A share of them is turned any way; identities and all others are those without it."""
+    poses = [
+        PairSource(DataConfig("wide", 64, tumble=share), load_body(), torch.device("cpu"), 0)._endless(
+            200, torch.Generator().manual_seed(1)
+        )[1]
+        for share in (0.0, 0.3)
+    ]
+    same = torch.isclose(poses[0], poses[1], atol=1e-6).flatten(2).all(-1)
+    assert same[0].all()
+    assert 0.2 < 1 - same[1].float().mean() < 0.4
+    up = poses[1][1][~same[1]][:, 0, 1, 1]
+    assert up.min() < -0.5 < 0.5 < up.max()
+    assert torch.allclose(poses[0][:, :, 1:], poses[1][:, :, 1:])

@@ -115,6 +115,22 @@ def test_resuming_takes_no_changes(tmp_path):
         train_command("npt", "small", None, folder, None, ["seed=1"])
 
 
+def test_a_training_may_begin_with_the_network_of_another(tmp_path):
+    first = train(TINY, tmp_path / "first")
+    other = dataclasses.replace(TINY, seed=5, learning_rate=0.0001, ema=0.0)
+    (tmp_path / "other.yaml").write_text(json.dumps(dataclasses.asdict(other)))
+    arguments = (str(tmp_path / "other.yaml"), tmp_path / "second", None, None, [], first / "last.safetensors")
+    second = checkpoint.load(train_command("npt", *arguments) / "last.safetensors")
+    for name, weight in checkpoint.load(first / "last.safetensors").weights().items():
+        torch.testing.assert_close(second.weights()[name], weight, atol=1e-3, rtol=0)
+    assert second.config.seed == 5
+    with pytest.raises(InputError, match=r"--weights .*: expected no changes with --resume"):
+        train_command("npt", "small", None, first, None, [], first / "last.safetensors")
+    with pytest.raises(InputError, match="expected the network of the configuration"):
+        train_command("npt", "small", tmp_path / "third", None, None, [], first / "last.safetensors")
+    assert not (tmp_path / "third").exists()
+
+
 def test_paper_configuration_is_the_papers():
     config = load_config("paper")
     assert config.model == NPTConfig()

@@ -20,6 +20,9 @@ def train(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="Change the configuration: seed=1, model.blocks=conv."),
     ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="Checkpoint whose network a new training begins with.", metavar="CHECKPOINT")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Train a network on data made as it goes.
@@ -29,7 +32,7 @@ def train(
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     from ..learn.train import train_command
 
-    folder = train_command(model, config, output, resume, max_minutes, change or [])
+    folder = train_command(model, config, output, resume, max_minutes, change or [], weights)
     if json:
         print_json({"output": str(folder), "best": str(folder / "best.safetensors")})
     else:

@@ -40,6 +40,8 @@ class DataConfig:
     """Standard deviation of the shape coefficients."""
     heading: float = 45.0
     """`wide` only: the driving mesh looks up to this many degrees to either side."""
+    tumble: float = 0.0
+    """`wide` only: share of driving meshes that are turned any way at all, as people who lie, roll or hang are."""
 
 
 TABLES = ("table6", "clips80")
@@ -133,6 +135,8 @@ class PairSource:
             rotmat = rotvec_to_rotmat(pose)
             turn = math.radians(self.config.heading) * (0.25 if identity else 1.0)
             rotmat[:, 0] = self._headings(size, turn, rng) @ rotmat[:, 0]
+            if self.config.tumble and not identity:
+                rotmat[:, 0] = self._tumbles(size, rng) @ rotmat[:, 0]
             poses.append(rotmat)
         return shapes, torch.stack(poses)
 
@@ -147,6 +151,14 @@ class PairSource:
         angle = reach * (2 * torch.rand(size, generator=rng, device=self.device) - 1)
         zero = torch.zeros_like(angle)
         return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
+
+    def _tumbles(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+        """No turn, or for some any turn."""
+        axis = torch.nn.functional.normalize(torch.randn(size, 4, generator=rng, device=self.device), dim=-1)
+        angle = 2 * torch.acos(axis[:, :1].clamp(-1, 1))
+        rotvec = angle * torch.nn.functional.normalize(axis[:, 1:], dim=-1)
+        some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.tumble
+        return rotvec_to_rotmat(rotvec * some)
 
     def _vertices(self, size: int, rng: torch.Generator):
         """Independent shuffles: indices of identity and truth, of driving, and the edges among the former.

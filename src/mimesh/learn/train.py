@@ -40,10 +40,12 @@ def train_command(
     resume: Path | None,
     max_minutes: float | None,
     changes: Sequence[str] = (),
+    weights: Path | None = None,
 ) -> Path:
     """What `mimesh train` does; returns the folder with `last.safetensors`, `best.safetensors` and the logs.
 
-    `changes` are "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
+    `changes` are "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv"; `weights` is a
+    checkpoint whose network a new training begins with.
     """
     if model not in MODELS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(MODELS)}), found another")
@@ -51,8 +53,9 @@ def train_command(
         last = resume / "last.safetensors"
         if not last.exists():
             raise InputError(f"{resume}: expected last.safetensors of an earlier training in it, found none")
-        if changes:
-            raise InputError(f"--set {changes[0]}: expected no changes with --resume, found some; leave them out")
+        if changes or weights:
+            what = f"--set {changes[0]}" if changes else f"--weights {weights}"
+            raise InputError(f"{what}: expected no changes with --resume, found some; leave them out")
         return train(checkpoint.load(last).config, resume, max_minutes)
     settings = load_config(config, model, changes)
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
@@ -60,7 +63,25 @@ def train_command(
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
+    if weights is not None:
+        begin(settings, weights, folder)
     return train(settings, folder, max_minutes)
+
+
+def begin(config: TrainConfig, weights: Path, folder: Path) -> None:
+    """Make a folder for a training whose network is that of a checkpoint; all else is new.
+
+    Raises:
+        InputError: the checkpoint holds another network.
+    """
+    model, state = checkpoint.load_model(weights)
+    if state.config.model != config.model:
+        raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
+    folder.mkdir(parents=True, exist_ok=True)
+    run = Run.start(config, folder)
+    run.model.load_state_dict(model.state_dict())
+    run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
+    run.save(folder / "last.safetensors")
 
 
 def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -> Path:
