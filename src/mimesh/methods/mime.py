@@ -31,13 +31,17 @@ if TYPE_CHECKING:
 
 CHUNK = 16_384
 """Vertices that are weighed at a time."""
-READINGS = 4
-"""Of a mesh, each of other points of its surface; their mean is taken. All of them are followed through a clip."""
+READINGS, WEIGHING = 8, 3
+"""Of a mesh, each of other points of its surface, whose mean is taken; and how many of them weigh vertices too."""
+FOLLOWED = 2
+"""Every so many of the places that are read are followed through a clip."""
 ASKED, DISAGREE = 4, 15.0
 """Further frames that may say which points are whose, where the readings turned back by the motion are so many degrees
 from their mean (the median of them)."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]
 """Rotation of every joint, and the place of the root joint."""
+Weighed = tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3"]]
+"""Points and normals of a mesh whose weights are wanted."""
 Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
 """From vertices of a driving frame to its pose."""
 
@@ -122,7 +126,8 @@ class Mime:
         normals = vertex_normals(vertices, faces)
         calm = Calm.of(mesh)(mesh.vertices)
         places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
-        mean = _mean([self._read(places.part(k, READINGS), calm, vertices, normals) for k in range(READINGS)])
+        given = [(vertices, normals) if k < WEIGHING else None for k in range(READINGS)]
+        mean = _mean([self._read(places.part(k, READINGS), calm, given[k]) for k in range(READINGS)])
         return dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
 
     def _follow(self, glimpses: Clip) -> tuple[Follow, float]:
@@ -132,33 +137,33 @@ class Mime:
         back by that motion. The robust mean holds for every frame, so no frame has errors of its own, and what stands
         still stays still. The first frame, whose facing is known, is asked first; others where glimpses then disagree.
         """
-        mesh, calm = glimpses.mesh, Calm.of(glimpses.mesh)
+        calm = Calm.of(glimpses.mesh)
         seen = [calm(vertices) for vertices in glimpses.vertices]
-        places = Samples.of(
-            dataclasses.replace(mesh, vertices=seen[0]), READINGS * self.points, generator(self.seed, 1)
-        )
+        mesh = dataclasses.replace(glimpses.mesh, vertices=seen[0])
+        places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 1))
+        followed = places.part(0, FOLLOWED)
         best = self._agreed(places, seen, 0)
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.spread > DISAGREE:
                 best = min(best, self._agreed(places, seen, t), key=lambda found: found.spread)
-        parts = Parts.of(places.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
+        parts = Parts.of(followed.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
-            rotation, joints = parts.follow(places.points(vertices))
+            rotation, joints = parts.follow(followed.points(vertices))
             return rotation @ best.mean.rotation, joints[0]
 
         return follow, best.leg
 
     def _agreed(self, places: Samples, seen: list[Float[np.ndarray, "U 3"]], t: int) -> Agreement:
         """What glimpses say if frame t is right about which points are whose."""
-        repeats = READINGS if len(seen) == 1 else 2
-        rigs = [self._whole(places, k, seen[t], np.eye(3)) for k in range(repeats)]
+        followed, count = places.part(0, FOLLOWED), READINGS if len(seen) == 1 else 2
+        rigs = [self._turned_back(places, k, seen[t], np.eye(3)) for k in range(count)]
         mean = _mean(rigs)
-        parts = Parts.of(places.points(seen[t]), mean.weights, mean.joints, self.parents)
+        parts = Parts.of(followed.points(seen[t]), mean.weights, mean.joints, self.parents)
         for k, vertices in enumerate(seen):
             if k != t:
-                turns = parts.follow(places.points(vertices))[0]
-                rig = self._whole(places, k, vertices, turns[0])
+                turns = parts.follow(followed.points(vertices))[0]
+                rig = self._turned_back(places, k, vertices, turns[0])
                 rigs.append(dataclasses.replace(rig, rotation=turns.mT @ turns[0] @ rig.rotation))
         joints = mean.joints
         mean = _mean(rigs)
@@ -166,36 +171,33 @@ class Mime:
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
         return Agreement(seen[t], dataclasses.replace(mean, joints=joints), leg, spread)
 
-    def _whole(
+    def _turned_back(
         self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
     ) -> Rig:
-        """A reading of some of the places, turned back as a whole, which weighs all of them."""
-        stood = vertices @ turn
-        return self._read(places.part(k, READINGS), stood, places.points(stood), places.normals(stood))
+        """Reading k of a frame turned back as a whole; the first few weigh the places that are followed."""
+        stood, followed = vertices @ turn, places.part(0, FOLLOWED)
+        given = (followed.points(stood), followed.normals(stood)) if k < WEIGHING else None
+        return self._read(places.part(k, READINGS), stood, given)
 
-    def _read(
-        self,
-        places: Samples,
-        vertices: Float[np.ndarray, "U 3"],
-        weighed: Float[np.ndarray, "V 3"],
-        normals: Float[np.ndarray, "V 3"],
-    ) -> Rig:
-        """Joints from places on a mesh, and skinning weights of points of it, some of them at a time."""
+    def _read(self, places: Samples, vertices: Float[np.ndarray, "U 3"], given: Weighed | None) -> Rig:
+        """Joints from places on a mesh, and skinning weights of what is given, some of it at a time."""
         inputs = {"points": batch_of_one(places.points(vertices)), "normals": batch_of_one(places.normals(vertices))}
+        weighed, normals = given or np.zeros((2, 1, 3))  # the network wants one at least
         weights = []
         for start in range(0, len(weighed), CHUNK):
             few = slice(start, start + CHUNK)
-            given = {"vertices": batch_of_one(weighed[few]), "vertex_normals": batch_of_one(normals[few])}
-            found = self.session.run(["rotation", "joints", "scores"], {**inputs, **given})
+            inputs |= {"vertices": batch_of_one(weighed[few]), "vertex_normals": batch_of_one(normals[few])}
+            found = self.session.run(["rotation", "joints", "scores"], inputs)
             rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in found)
             weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
             weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
-        return Rig(rotation, joints, np.concatenate(weights))
+        return Rig(rotation, joints, np.concatenate(weights) if given else np.zeros((0, len(joints))))
 
 
 def _mean(rigs: list[Rig]) -> Rig:
     """What several readings of a mesh agree on."""
-    joints, weights = (np.mean([getattr(rig, name) for rig in rigs], axis=0) for name in ("joints", "weights"))
+    joints = np.mean([rig.joints for rig in rigs], axis=0)
+    weights = np.mean([rig.weights for rig in rigs if len(rig.weights)], axis=0)
     return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
 
 
