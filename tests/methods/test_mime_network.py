@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.mesh import Clip, InputError, Mesh
 from mimesh.methods import Method, find_method
 from mimesh.methods import mime as module
+from mimesh.methods.calm import Calm
 from mimesh.methods.samples import Samples
 from mimesh.pipeline import animate
 from mimesh.rig import leg_length
@@ -85,6 +86,16 @@ def test_glimpses_are_read_as_if_they_had_not_turned(method):
     turns = Rotation.random(4, random_state=0).as_matrix()
     turned = [DRIVING.vertices, *(DRIVING.vertices @ turn.T for turn in turns)]
     assert np.allclose(first_of(method, turned), first_of(method, [DRIVING.vertices] * 5), atol=1e-4)
+
+
+def test_a_noisy_mesh_is_followed_as_it_is_and_read_as_it_was(method):
+    """Smoothing is for reading: against its own glimpse a frame has not turned, whatever its noise."""
+    noise = 0.02 * np.random.default_rng(0).normal(size=DRIVING.vertices.shape)
+    rough = dataclasses.replace(DRIVING, vertices=DRIVING.vertices + noise)
+    follow, _ = method._follow(Clip.still(rough))
+    calm, _ = method._follow(Clip.still(dataclasses.replace(rough, vertices=Calm.of(rough)(rough.vertices))))
+    assert not np.array_equal(Calm.of(rough)(rough.vertices), rough.vertices)
+    assert np.allclose(follow(rough.vertices)[0], calm(Calm.of(rough)(rough.vertices))[0], atol=1e-6)
 
 
 def test_weights_do_not_depend_on_how_many_are_made_at_a_time(method, monkeypatch):

@@ -137,15 +137,15 @@ class Mime:
         back by that motion. The robust mean holds for every frame, so no frame has errors of its own, and what stands
         still stays still. The first frame, whose facing is known, is asked first; others where glimpses then disagree.
         """
-        calm = Calm.of(glimpses.mesh)
-        seen = [calm(vertices) for vertices in glimpses.vertices]
+        calm, frames = Calm.of(glimpses.mesh), list(glimpses.vertices)
+        seen = [calm(vertices) for vertices in frames]
         mesh = dataclasses.replace(glimpses.mesh, vertices=seen[0])
         places = Samples.of(mesh, READINGS * self.points, generator(self.seed, 1))
         followed = places.part(0, FOLLOWED)
-        best = self._agreed(places, seen, 0)
+        best = self._agreed(places, frames, seen, 0)
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.spread > DISAGREE:
-                best = min(best, self._agreed(places, seen, t), key=lambda found: found.spread)
+                best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.spread)
         parts = Parts.of(followed.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
@@ -154,22 +154,22 @@ class Mime:
 
         return follow, best.leg
 
-    def _agreed(self, places: Samples, seen: list[Float[np.ndarray, "U 3"]], t: int) -> Agreement:
-        """What glimpses say if frame t is right about which points are whose."""
+    def _agreed(self, places: Samples, frames: list[np.ndarray], seen: list[np.ndarray], t: int) -> Agreement:
+        """What glimpses say if frame t is right about which points are whose: followed as they are, read as `seen`."""
         followed, count = places.part(0, FOLLOWED), READINGS if len(seen) == 1 else 2
         rigs = [self._turned_back(places, k, seen[t], np.eye(3)) for k in range(count)]
         mean = _mean(rigs)
-        parts = Parts.of(followed.points(seen[t]), mean.weights, mean.joints, self.parents)
-        for k, vertices in enumerate(seen):
+        parts = Parts.of(followed.points(frames[t]), mean.weights, mean.joints, self.parents)
+        for k, vertices in enumerate(frames):
             if k != t:
                 turns = parts.follow(followed.points(vertices))[0]
-                rig = self._turned_back(places, k, vertices, turns[0])
+                rig = self._turned_back(places, k, seen[k], turns[0])
                 rigs.append(dataclasses.replace(rig, rotation=turns.mT @ turns[0] @ rig.rotation))
         joints = mean.joints
         mean = _mean(rigs)
         spread = float(np.median([turns_apart(rig, mean) for rig in rigs]))
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        return Agreement(seen[t], dataclasses.replace(mean, joints=joints), leg, spread)
+        return Agreement(frames[t], dataclasses.replace(mean, joints=joints), leg, spread)
 
     def _turned_back(
         self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
