@@ -59,6 +59,14 @@ def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     return np.unique(pairs, axis=0)
 
 
+def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:
+    """(V, V) matrix that has a one for each two vertices of a pair, both ways: sums over neighbours."""
+    from scipy.sparse import csr_array
+
+    both = np.concatenate([pairs, pairs[:, ::-1]])
+    return csr_array((np.ones(len(both)), both.T), shape=(count, count))
+
+
 def near_pairs(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], reach: float
 ) -> Int[np.ndarray, "N 2"]:

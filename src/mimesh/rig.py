@@ -23,6 +23,11 @@ class Rig:
     weights: Float[np.ndarray, "V J"]
     """Skinning weights, rows sum to 1."""
 
+    def bones(self, parents: tuple[int, ...]) -> Float[np.ndarray, "B 3"]:
+        """From each parent to its child (all joints but the root), as the parent sees it."""
+        above = list(parents[1:])
+        return np.einsum("jkl,jk->jl", self.rotation[above], self.joints[1:] - self.joints[above])
+
 
 @dataclass(frozen=True, eq=False)
 class Skinned:
@@ -38,11 +43,9 @@ class Skinned:
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> Skinned:
         """The mesh that the rig was read from."""
-        above = list(parents[1:])
-        bones = np.einsum("jkl,jk->jl", rig.rotation[above], rig.joints[1:] - rig.joints[above])
         local = np.einsum("jkl,vjk->vjl", rig.rotation, vertices[:, None] - rig.joints)
         held = np.concatenate([rig.weights[..., None] * local, rig.weights[..., None]], axis=-1)
-        return cls(parents, bones, held.reshape(len(vertices), -1).astype(np.float32))
+        return cls(parents, rig.bones(parents), held.reshape(len(vertices), -1).astype(np.float32))
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Vertices where every joint has turned to `rotation` and the root joint stands at `root`."""

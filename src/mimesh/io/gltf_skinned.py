@@ -43,7 +43,8 @@ def write_gltf_skinned(skeleton: Skeleton, fps: float, path: Path) -> None:
 def _add_joints(draft: Draft, skeleton: Skeleton) -> list[int]:
     """A node for each joint, standing as the mesh does; the root's at the root of the scene."""
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
-    turns, moves = local_frames(skeleton, skeleton.rig.rotation[None])[0], _bones(skeleton)
+    turns = local_frames(skeleton, skeleton.rig.rotation[None])[0]
+    moves = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
     for j, name in enumerate(skeleton.names):
         node: dict[str, Any] = {"name": name, "rotation": turns[j].tolist(), "translation": moves[j].tolist()}
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
@@ -127,10 +128,3 @@ def local_frames(skeleton: Skeleton, rotation: Float[np.ndarray, "T J 3 3"]) -> 
     sign = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)
     turns[1:] *= sign[..., None]
     return turns
-
-
-def _bones(skeleton: Skeleton) -> Float[np.ndarray, "J 3"]:
-    """Place of every joint as its parent sees it; the root's in the world."""
-    rig, above = skeleton.rig, list(skeleton.parents[1:])
-    bones = np.einsum("jba,jb->ja", rig.rotation[above], rig.joints[1:] - rig.joints[above])
-    return np.concatenate([rig.joints[:1], bones])

@@ -20,11 +20,9 @@ from ..mesh import InputError
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
 from .limp import LIMPConfig
-from .mime import Mime, MimeConfig
+from .mime import POINTS, Mime, MimeConfig
 from .npt import NPTConfig
 
-POINTS = 512
-"""That mime reads of a mesh."""
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
     "wide": "endless people of the shipped body; rest, Table 6, joint limits, frames of the shipped motions; headings",

@@ -22,12 +22,10 @@ from .clip_batches import ClipSource
 from .clip_losses import middle_of
 from .config import TrainConfig
 from .limp import LIMP, LIMPConfig
-from .mime import Mime, MimeConfig
+from .mime import POINTS, Mime, MimeConfig
 from .mime_batches import MimeBatch, MimeSource
 from .mime_loss import pmd
 
-READ = 512
-"""Points that mime reads of a mesh here."""
 WINDOW = 3
 """Frames of each clip that networks of pairs are judged by."""
 FRESH_SEED = 1_000_003
@@ -146,7 +144,7 @@ class MimeValidation(PairValidation):
         return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
 
     def _points(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
-        face, share = geometry.sample_surface(mesh.vertices, mesh.faces, READ, np.random.default_rng(0))
+        face, share = geometry.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
         points = geometry.at_barycentric(mesh.vertices, mesh.faces, face, share)
         return self._tensor(points), self._tensor(geometry.face_normals(mesh.vertices, mesh.faces)[face])
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import edges, face_vectors
+from ..geometry import edges, face_vectors, links
 from ..mesh import Mesh
 from .pairing import Ranked, rank_vertices
 
@@ -42,10 +42,8 @@ class Calm:
         faces = ranked.group[mesh.faces]
         if len(faces) == 0:
             return cls(ranked, faces, np.zeros((0, 2), np.int64), None)
-        pairs = edges(faces)
-        both = np.concatenate([pairs, pairs[:, ::-1]])
-        links = csr_array((np.ones(len(both)), both.T), shape=(len(ranked), len(ranked))) + eye_array(len(ranked))
-        return cls(ranked, faces, _beside(faces), csr_array(diags_array(1 / links.sum(axis=1)) @ links))
+        around = links(edges(faces), len(ranked)) + eye_array(len(ranked))
+        return cls(ranked, faces, _beside(faces), csr_array(diags_array(1 / around.sum(axis=1)) @ around))
 
     def __call__(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """A frame, smoothed as often as it needs."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..geometry import edges, face_areas, factor
+from ..geometry import edges, face_areas, factor, links
 
 FAR = 5
 """Joints so many bones apart do not hold neighbouring vertices."""
@@ -49,14 +49,11 @@ def _islands(
     faces: Int[np.ndarray, "F 3"],
 ) -> Bool[np.ndarray, " V"]:
     """Vertices that borders cut off from the largest part of their surface."""
-    from scipy.sparse import csr_array
     from scipy.sparse.csgraph import connected_components
 
-    def parts(kept: Int[np.ndarray, "K 2"]) -> Int[np.ndarray, " V"]:
-        links = csr_array((np.ones(len(kept)), kept.T), shape=(len(vertices), len(vertices)))
-        return connected_components(links, directed=False)[1]
-
-    surface, part = parts(pairs), parts(pairs[~border])
+    surface, part = (
+        connected_components(links(kept, len(vertices)), directed=False)[1] for kept in (pairs, pairs[~border])
+    )
     area = np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
     size = np.bincount(part, area)
     largest = np.zeros(surface.max() + 1)
@@ -70,10 +67,8 @@ def _filled(
     """The lost vertices take the mean of their neighbours, which take the mean of theirs (Laplace's equation)."""
     from scipy.sparse import csr_array, diags_array
 
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    links = csr_array((np.ones(len(both)), both.T), shape=(len(weights), len(weights)))
-    inside = links[lost][:, lost]
-    system = diags_array(links[lost].sum(axis=1)) - inside
+    around = links(pairs, len(weights))[lost]
+    system = diags_array(around.sum(axis=1)) - around[:, lost]
     filled = weights.copy()
-    filled[lost] = factor(csr_array(system)).solve(links[lost][:, ~lost] @ weights[~lost])
+    filled[lost] = factor(csr_array(system)).solve(around[:, ~lost] @ weights[~lost])
     return filled
