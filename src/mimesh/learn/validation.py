@@ -156,4 +156,4 @@ class MimeValidation(PairValidation):
         with self._cast():
             own, other, scores = model(*batch.given)
         few = batch.identity.points[:, : scores.shape[1]]
-        return pmd(model.moved(few, scores, own, other, batch.truth.joints[:, 0]), batch)
+        return pmd(model.moved(few, scores, own, other, batch.truth.joints[:, 0]), batch).mean()
