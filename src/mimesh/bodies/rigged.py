@@ -83,7 +83,7 @@ class RiggedBody:
                 bone = (joints[..., j, :] - joints[..., parent, :])[..., None]
                 rotation.append(rotation[parent] @ rotmat[..., j, :, :])
                 position.append(position[parent] + (rotation[parent] @ bone)[..., 0])
-        rotations, positions = np.stack(rotation, -3), np.stack(position, -2)
+        rotations, positions = np.stack(rotation, -3), np.stack(np.broadcast_arrays(*position), -2)
         return rotations, positions - (rotations @ joints[..., None])[..., 0]
 
     def mesh(self, vertices: Float[np.ndarray, "V 3"] | None = None) -> Mesh:

@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
+from ..bodies.contacts import CONTACTS, touching
 from ..bodies.dress import GARMENTS, dressed_body
 from ..bodies.sampling import (
     JOINT_LIMITS,
@@ -170,6 +171,27 @@ class Dressed(Wide):
 
 
 @dataclass(frozen=True)
+class Touching(Wide):
+    """Limbs that touch: a place on the surface is then near two limbs, and only one of them holds it.
+
+    Of three pairs, in one both people touch themselves, in one the mover alone, in one the actor alone.
+    """
+
+    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        people = self.people(human(), human(), split, kind, i)
+        seed = self.seed(f"{split}/{kind}")
+        poses = []
+        for k, person in enumerate(people):
+            pose = rng.random() * lowered_arms(human())
+            if k == 1:
+                pose = pose + sample_pose(human(), seed, i)
+            if i % 3 != 2 - k:
+                pose = touching(human(), person.shape, pose, kind, rng)
+            poses.append(Pose(rotvec_to_rotmat(pose), f"{kind}{2 * i + k}"))
+        return stage(*people, *poses)
+
+
+@dataclass(frozen=True)
 class Spoilt(HumanNpt):
     """Table 6 poses, and the same people and poses in all kinds: only what is done to the driving mesh differs."""
 
@@ -231,7 +253,9 @@ NOISE = Noise(
     "noise", 1, (*(f"noise-{percent}" for percent in range(6)), "holes", "cropped", "half"), pairs=18, spread=1.1
 )
 DRESSED = Dressed("dressed", 1, ("identity", "driving", "both"), pairs=18, spread=1.3)
-PROTOCOLS: dict[str, Protocol] = {p.name: p for p in (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED)}
+CONTACT = Touching("contact", 1, tuple(CONTACTS), pairs=18, spread=1.1)
+_ALL = (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED, CONTACT)
+PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}
 
 
 @cache

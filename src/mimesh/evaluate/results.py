@@ -19,6 +19,7 @@ COLUMNS = {
     "noise 2 %": ("noise", ("noise-2",)),
     "damaged": ("noise", ("holes", "cropped", "half")),
     "dressed": ("dressed", ("identity", "driving", "both")),
+    "limbs touch": ("contact", ("hands", "arms", "legs")),
     "others' rigs": ("cross-body", ("table6", "limits", "clips")),
     "clips, seen": ("clips-aniformer", ("seen",)),
     "clips, unseen": ("clips-aniformer", ("unseen",)),

@@ -1,7 +1,7 @@
 """What mime is trained on: the result itself, and what the generator knows of its joints and weights.
 
-Errors count squared up to their knee and about as they are beyond it (`pseudo_huber`): with plain squares the few people
-who lie or twist as nobody does would be most of the loss.
+Errors count squared up to their knee and about as they are beyond it (`pseudo_huber`): with plain squares the few
+people who lie or twist as nobody does would be most of the loss.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from torch import Tensor
 from .mime import Mime, Reading
 from .mime_batches import MimeBatch
 from .people import Surface
-
 
 RECONSTRUCTION, ROTATION, JOINT = 5e-4, 0.02, 0.002
 """Knees: squared errors of a pair (PMD), of a joint's rotation matrix, of a joint in units of the points' spread."""
