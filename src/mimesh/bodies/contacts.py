@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -27,6 +29,8 @@ MET, DEEP = 0.01, 0.02
 """Metres: places so near have met, vertices so far below the surface of another limb have cut through it."""
 STEP = 1e-4
 """Radians, of the numerical derivative."""
+BANK = Path(str(resources.files("mimesh.bodies"))) / "contacts.npz"
+"""People who touch themselves, for training; `scripts/build_contacts.py` made it."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +96,12 @@ def touching(
         if apart < MET and cut < DEEP:
             break
     return min(found, key=lambda each: each[0])[1]
+
+
+def contact_bank() -> tuple[Float[np.ndarray, "N K"], Float[np.ndarray, "N J 3"]]:
+    """Shape coefficients of people, and rotation vectors of poses in which each of them touches him- or herself."""
+    with np.load(BANK) as data:
+        return data["shapes"].astype(np.float64), data["rotvecs"].astype(np.float64)
 
 
 def _held(body: RiggedBody, names: tuple[str, ...]) -> Int[np.ndarray, " N"]:

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from .. import geometry
 from ..bodies import RiggedBody
+from ..bodies.contacts import contact_bank
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
@@ -42,6 +43,8 @@ class DataConfig:
     """`wide` only: the driving mesh looks up to this many degrees to either side."""
     tumble: float = 0.0
     """`wide` only: share of driving meshes that are turned any way at all, as people who lie, roll or hang are."""
+    contacts: float = 0.0
+    """`wide` only: share of people who touch themselves."""
 
 
 TABLES = ("table6", "clips80")
@@ -95,6 +98,7 @@ class PairSource:
             self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
             self.bank = self._tensor(pose_bank("train"))
             self.lowered = self._tensor(lowered_arms(body))
+            self.contacts = [self._tensor(array) for array in contact_bank()]
 
     def _tensor(self, array: np.ndarray) -> Tensor:
         return torch.from_numpy(array).float().to(self.device)
@@ -132,6 +136,8 @@ class PairSource:
             edges = IDENTITY_MIX if identity else DRIVING_MIX
             choice = torch.bucketize(kind, torch.tensor(edges, device=self.device))
             pose = torch.stack([rest, table, wide, clip])[choice, torch.arange(size, device=self.device)]
+            if self.config.contacts:
+                shapes[len(poses)], pose = self._touching(shapes[len(poses)], pose, rng)
             rotmat = rotvec_to_rotmat(pose)
             turn = math.radians(self.config.heading) * (0.25 if identity else 1.0)
             rotmat[:, 0] = self._headings(size, turn, rng) @ rotmat[:, 0]
@@ -139,6 +145,13 @@ class PairSource:
                 rotmat[:, 0] = self._tumbles(size, rng) @ rotmat[:, 0]
             poses.append(rotmat)
         return shapes, torch.stack(poses)
+
+    def _touching(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
+        """Some of the people give way to ones who touch themselves."""
+        some = torch.rand(len(shape), generator=rng, device=self.device) < self.config.contacts
+        drawn = self._below(len(self.contacts[0]), (len(shape),), rng)
+        shapes, poses = (bank[drawn] for bank in self.contacts)
+        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose)
 
     def _below(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
         return torch.randint(count, shape, generator=rng, device=self.device)
