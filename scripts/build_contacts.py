@@ -1,6 +1,6 @@
 """Build src/mimesh/bodies/contacts.npz: people who touch themselves, which mime is trained on. About ten minutes.
 
-    python scripts/build_contacts.py [--count N]
+python scripts/build_contacts.py [--count N]
 """
 
 from __future__ import annotations

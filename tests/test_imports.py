@@ -9,7 +9,7 @@ import mimesh
 
 ROOT = Path(mimesh.__file__).parent
 CLI = {"cli", "commands", "__main__"}
-BASE = {"mesh", "geometry", "frame", "paging", "rig"}
+BASE = {"mesh", "geometry", "frame", "paging", "rig", "track"}
 ALLOWED = {name: BASE for name in BASE} | {"io": BASE | {"io"}, "bodies": BASE | {"bodies"}}
 ALLOWED |= {"motions": BASE | {"motions", "bodies"}}
 FILES = sorted(path for path in ROOT.rglob("*.py") if "blender" not in path.parts)

@@ -1,32 +1,19 @@
-"""transfer() and animate(): read, normalise, move, undo, place."""
+"""transfer() and animate(): what they take, read and checked; `moving.py` does the work."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
-from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
-from .methods import Drive, Method, find_method
-from .methods.mime import Pose, Puppet
-from .paging import PAGED, let_go, new_frames
-from .refine import Refinement
-from .report import facing, facing_note, quality
+from .methods import Method, find_method
+from .moving import Choice, Progress, Travel, move
 from .result import ClipResult, Result, no_time_yet, timed
-from .rig import Rig, Skeleton
-
-Progress = Callable[[int, int], None]
-"""Called after each frame with (frames done, frames in all)."""
-GLIMPSES = 16
-"""Frames of a clip that a method may look at before it begins."""
-Choice = Callable[[Frame], Method]
-"""A method with its options, but for the driving's frame."""
 
 
 def transfer(
@@ -63,8 +50,8 @@ def transfer(
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, _, report, notes = _move(identity, Clip.still(driving), method, axes, seconds, refine, None, np.float64)
-    return Result(identity.with_vertices(moved[0]), model, seconds, report, notes)
+    done = move(identity, Clip.still(driving), method, axes, refine, seconds)
+    return Result(identity.with_vertices(done.vertices[0]), model, seconds, done.report, done.notes)
 
 
 def animate(
@@ -85,6 +72,9 @@ def animate(
     start: int = 0,
     stop: int | None = None,
     step: int = 1,
+    root: str = "scale",
+    ground: bool = False,
+    smooth: float = 0.0,
     progress: Progress | None = None,
 ) -> ClipResult:
     """Make the identity move as the driving clip does; see `transfer` for the arguments they share.
@@ -92,6 +82,10 @@ def animate(
     Args:
         fps: frame rate of the driving clip, where its file has none or a wrong one. Every `step`-th frame of it is
             taken from `start` up to `stop`, and the result plays at fps / step: as fast as the driving.
+        root: how far the result goes (mime only but for the default): "scale", as far as its legs take it; "keep", as
+            far as the driving; "drop", nowhere, but for up and down.
+        ground: keep feet where they stand on the floor (mime only). Where the driving's feet slide, they still slide.
+        smooth: average the turns of the joints over time, with a Gaussian of so many seconds (mime only).
 
     The first frame taken stands where the identity stood; later ones move by the driving's displacement, in the
     identity's size.
@@ -105,11 +99,13 @@ def animate(
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    moved, skeleton, report, notes = _move(identity, clip, method, axes, seconds, refine, progress, np.float32)
+    travel = Travel(root, ground, smooth)
+    done = move(identity, clip, method, axes, refine, seconds, travel, progress, np.float32)
+    notes = done.notes
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
-    mesh = identity.with_vertices(moved[0].astype(np.float64))
-    return ClipResult(Clip(mesh, moved, clip.fps), model, seconds, report, notes, skeleton)
+    mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
+    return ClipResult(Clip(mesh, done.vertices, clip.fps), model, seconds, done.report, notes, done.skeleton)
 
 
 def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
@@ -140,97 +136,6 @@ def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
             "rows are (identity vertex, driving vertex)"
         )
     return found.astype(np.int64)
-
-
-def _move(
-    identity: Mesh,
-    clip: Clip,
-    choice: Choice,
-    axes: tuple[str | None, str | None, str | None, str | None],
-    seconds: dict[str, float],
-    refine: bool | None,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> tuple[Float[np.ndarray, "T V 3"], Skeleton | None, dict, tuple[str, ...]]:
-    """Normalise, move, undo, place: vertices in the identity's axes, its joints, the report and the notes."""
-    with timed(seconds, "prepare"):
-        first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-        own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
-        still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
-        method = choice(theirs)
-        drive = method.prepare(still, _glimpses(clip, first, theirs))
-        surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
-    with timed(seconds, "drive"):
-        poses: list[Pose] = []
-        frames = _recorded(drive, (theirs.apply(vertices) for vertices in clip.vertices), poses)
-        shift, frames = _placed(_refined(frames, surface, seconds), still.vertices)
-        moved = new_frames(len(clip), len(identity.vertices), dtype)
-        for t, vertices in enumerate(frames):
-            moved[t] = own.undo(vertices + shift)
-            if t % PAGED == 0:
-                let_go(moved)
-                let_go(clip.vertices)
-            if progress is not None:
-                progress(t + 1, len(clip))
-    report = {**quality(identity, moved), "identity": facing(own), "driving": facing(theirs)}
-    notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
-    skeleton = _skeleton(identity, drive, poses, own, shift) if isinstance(drive, Puppet) else None
-    return moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ()))
-
-
-def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:
-    """The driving as methods are prepared for it: normalised, a few frames of it."""
-    chosen = np.linspace(0, len(clip) - 1, min(len(clip), GLIMPSES)).round().astype(int)
-    vertices = frame.apply(clip.vertices[chosen])
-    return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
-
-
-def _refined(
-    frames: Iterable[Float[np.ndarray, "V 3"]], surface: Refinement | None, seconds: dict[str, float]
-) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The frames on the identity's surface; the time that takes is taken off that of driving."""
-    for vertices in frames:
-        before = seconds["refine"]
-        with timed(seconds, "refine"):
-            refined = vertices if surface is None else surface(vertices)
-        seconds["drive"] -= seconds["refine"] - before
-        yield refined
-
-
-def _recorded(
-    drive: Drive, frames: Iterable[Float[np.ndarray, "U 3"]], poses: list[Pose]
-) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The results of all frames; what the joints do, if the method has some, is kept in `poses`."""
-    if not isinstance(drive, Puppet):
-        yield from drive(frames)
-        return
-    for pose in drive.poses(frames):
-        poses.append(pose)
-        yield drive.posed(*pose)
-
-
-def _placed(
-    frames: Iterator[Float[np.ndarray, "V 3"]], still: Float[np.ndarray, "V 3"]
-) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
-    """What shifts all frames so that the first stands on the identity's ground, in the middle of its place; frames."""
-    first = next(frames)
-    return _stand(still) - _stand(first), itertools.chain([first], frames)
-
-
-def _skeleton(
-    identity: Mesh, puppet: Puppet, poses: list[Pose], own: Frame, shift: Float[np.ndarray, " 3"]
-) -> Skeleton:
-    """The joints of a result in the identity's axes, unit and place."""
-    back = own.rotation.T
-    rotation, root = (np.stack(arrays) for arrays in zip(*poses, strict=True))
-    rig = Rig(back @ puppet.rig.rotation, own.undo(puppet.rig.joints), puppet.rig.weights)
-    return Skeleton(identity, puppet.joints, puppet.skinned.parents, rig, back @ rotation, own.undo(root + shift))
-
-
-def _stand(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
-    """Middle of the bounding box across the ground, its lowest point along up (y)."""
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
 
 
 def _read_mesh(mesh: Mesh | str | Path) -> Mesh:

@@ -1,4 +1,4 @@
-"""What the user is told about quality: how far edges stretched, how many triangles turned over, which way was front."""
+"""What the user is told: how far edges stretched, what turned over, what jitters, which way was front."""
 
 from __future__ import annotations
 
@@ -7,12 +7,17 @@ from jaxtyping import Float, Int
 
 from .frame import Frame
 from .geometry import edges, face_vectors
-from .mesh import Mesh
+from .mesh import Clip, Mesh
+from .methods.doubt import Doubt
 
 MOST_FRAMES = 32
 """A clip is judged by this many of its frames, evenly spread."""
 SHORT = 1e-3
 """Edges below this part of the mean length say nothing about stretch."""
+STRANGE_APART, STRANGE_UNDECIDED = 10.0, 0.75
+"""Readings this far apart (degrees), or weights as undecided as this, are hardly those of a person."""
+LEAST = {"head": 0.03, "left arm": 0.03, "right arm": 0.03, "left leg": 0.12, "right leg": 0.12}
+"""Shares of the surface that limbs hold at least on people."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -58,6 +63,43 @@ def facing_note(frame: Frame, name: str, option: str) -> tuple[str, ...]:
     if not frame.unsure:
         return ()
     return (f"the facing of {name} is uncertain (taken: up {frame.up}, front {frame.front}); give {option}",)
+
+
+def liveliness(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:
+    """Mean acceleration (sizes a second squared) of the result and of its driving; empty for fewer than three frames.
+
+    A result that is much livelier than what it imitates jitters.
+    """
+    if len(vertices) < 3:
+        return {}
+    clips = {"result": vertices, "driving": driving.vertices}
+    return {"acceleration": {name: acceleration(clip, driving.fps) for name, clip in clips.items()}}
+
+
+def acceleration(frames: Float[np.ndarray, "T V 3"], fps: float) -> float:
+    """Mean length of the second differences of vertices, in sizes of the first frame; of MOST_FRAMES places in time."""
+    chosen = np.unique(np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int))
+    second = [frames[t - 1].astype(np.float64) - 2.0 * frames[t] + frames[t + 1] for t in chosen]
+    return float(np.linalg.norm(second, axis=-1).mean() * fps**2 / np.ptp(frames[0], axis=0).max())
+
+
+def doubts(doubt: Doubt) -> dict[str, float | dict[str, float]]:
+    """How sure the model was of one input."""
+    limbs = {limb: round(share, 3) for limb, share in doubt.limbs.items()}
+    return {"readings_apart": round(doubt.apart, 2), "undecided": round(doubt.undecided, 3), "limbs": limbs}
+
+
+def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
+    """Notes for the user where an input does not look like what the model knows, and why."""
+    lacking = [limb for limb, share in doubt.limbs.items() if share < LEAST[limb]]
+    why = []
+    if doubt.apart > STRANGE_APART:
+        why.append(f"readings of it differ by {doubt.apart:.0f} degrees")
+    if doubt.undecided > STRANGE_UNDECIDED:
+        why.append("much of its surface belongs to no limb in particular")
+    if lacking:
+        why.append(f"no {' and no '.join(lacking)} was found")
+    return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
 
 
 def _against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:

@@ -40,6 +40,12 @@ Markers = Annotated[
     Path | None,
     typer.Option(help="Lines 'identity driving' of corresponding vertices (deformation-transfer).", metavar="FILE"),
 ]
+Root = Annotated[
+    str,
+    typer.Option(help="How far the result goes: scale (as its legs make it), keep (as DRIVING), drop (in place)."),
+]
+Ground = Annotated[bool, typer.Option("--ground", help="Keep feet where they stand on the floor (mime).")]
+Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the turns of joints over time (mime).")]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write pictures beside the output.")]
 
 
@@ -108,6 +114,9 @@ def animate(
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
+    root: Root = "scale",
+    ground: Ground = False,
+    smooth: Smooth = 0.0,
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
     ] = False,
@@ -144,6 +153,9 @@ def animate(
             start=start,
             stop=stop,
             step=step,
+            root=root,
+            ground=ground,
+            smooth=smooth,
             progress=advance,
         )
     result.seconds["load"] += seconds

@@ -18,7 +18,9 @@ from jaxtyping import Float, Int
 from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
 from ..rig import Rig, Skinned, leg_length
+from ..track import Feet, Track, grounded, soles, straight
 from .calm import Calm
+from .doubt import Doubt, turns_apart
 from .islands import without_islands
 from .network import batch_of_one, generator
 from .pairing import canonical_faces, rank_vertices
@@ -38,8 +40,8 @@ FOLLOWED = 2
 ASKED, DISAGREE = 4, 15.0
 """Further frames that may say which points are whose, where the readings turned back by the motion are so many degrees
 from their mean (the median of them)."""
-Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]
-"""Rotation of every joint, and the place of the root joint."""
+Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
+"""Rotation and place of every joint."""
 Weighed = tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3"]]
 """Points and normals of a mesh whose weights are wanted."""
 Follow = Callable[[Float[np.ndarray, "U 3"]], Pose]
@@ -58,23 +60,40 @@ class Puppet:
     follow: Follow
     stride: float
     """How much farther than the driving it goes."""
+    feet: Feet
     group: Int[np.ndarray, " V"]
     """Vertices at one place are moved as one."""
     name: str
     """Of the driving."""
+    doubts: tuple[Doubt, Doubt]
+    """Of the identity and of the driving."""
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        return (self.posed(*pose) for pose in self.poses(frames))
+        return (self.posed(rotation, self.stride * places[0]) for rotation, places in self._poses(frames))
 
-    def poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
-        """What the identity's joints do in each driving frame."""
-        for vertices in sized(frames, self.name):
-            rotation, root = self.follow(vertices)
-            yield rotation, self.stride * root
+    def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> Track:
+        """What the driving's joints do in all frames."""
+        rotation, places = (np.stack(arrays) for arrays in zip(*self._poses(frames), strict=True))
+        return Track(rotation, places, fps)
+
+    def path(self, track: Track, stride: float | None, drop: bool, ground: bool) -> Float[np.ndarray, "T 3"]:
+        """Where the identity's root joint goes: `stride` times the driving's way (None: as long as its legs make it).
+
+        With `drop` it stays where it is, but for up and down; with `ground` the feet stay where they stand.
+        """
+        stride = self.stride if stride is None else stride
+        path = straight(track, stride, drop)
+        if not ground:
+            return path
+        corrected = grounded(track, path, self.skinned, self.feet, stride)
+        return np.where([drop, False, drop], path, corrected)
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """All vertices in a pose."""
         return self.skinned.posed(rotation, root)[self.group]
+
+    def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
+        return (self.follow(vertices) for vertices in sized(frames, self.name))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,8 +104,7 @@ class Agreement:
     mean: Rig
     leg: float
     """Length of a leg."""
-    spread: float
-    """How far (degrees) the readings are from their mean."""
+    doubt: Doubt
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,14 +129,19 @@ class Mime:
         The root joint goes the driving's way, shorter or longer as the legs are.
         """
         ranked = rank_vertices(identity.vertices)
-        rig = self._rig(identity)
-        skinned = Skinned.of(ranked.merge(identity.vertices), rig, self.parents)
-        follow, length = self._follow(driving)
-        stride = leg_length(rig.joints, self.legs) / length
+        rig, doubt = self._rig(identity)
+        vertices = ranked.merge(identity.vertices)
+        skinned = Skinned.of(vertices, rig, self.parents)
+        follow, agreed = self._follow(driving)
+        stride = leg_length(rig.joints, self.legs) / agreed.leg
         every = dataclasses.replace(rig, weights=rig.weights[ranked.group])
-        return Puppet(self.joints, every, skinned, follow, stride, ranked.group, driving.mesh.name)
+        ankles = [leg[-1] for leg in self.legs]
+        stand = tuple(j for j, parent in enumerate(self.parents) if j in ankles or parent in ankles)
+        feet = Feet(stand, agreed.leg, soles(rig, vertices, stand))
+        names = (ranked.group, driving.mesh.name, (doubt, agreed.doubt))
+        return Puppet(self.joints, every, skinned, follow, stride, feet, *names)
 
-    def _rig(self, mesh: Mesh) -> Rig:
+    def _rig(self, mesh: Mesh) -> tuple[Rig, Doubt]:
         """Joints of a mesh and skinning weights of its distinct positions: the mean of several readings."""
         ranked = rank_vertices(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
@@ -127,11 +150,18 @@ class Mime:
         calm = Calm.of(mesh)(mesh.vertices)
         places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
         given = [(vertices, normals) if k < WEIGHING else None for k in range(READINGS)]
-        mean = _mean([self._read(places.part(k, READINGS), calm, given[k]) for k in range(READINGS)])
-        return dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
+        rigs = [self._read(places.part(k, READINGS), calm, given[k]) for k in range(READINGS)]
+        mean = _mean(rigs)
+        rig = dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
+        there = np.einsum("nc,ncj->nj", places.shares, rig.weights[ranked.group[places.corners]])
+        return rig, self._doubt(rigs, mean, there)
 
-    def _follow(self, glimpses: Clip) -> tuple[Follow, float]:
-        """How a clip turns the joints, frame by frame, and the length of its legs.
+    def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
+        apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
+        return Doubt.of(apart, weights, self.joints, self.parents)
+
+    def _follow(self, glimpses: Clip) -> tuple[Follow, Agreement]:
+        """How a clip turns the joints and takes them along, frame by frame.
 
         One glimpse says which points are whose; from there the others are tracked, and what is read of them is turned
         back by that motion. The robust mean holds for every frame, so no frame has errors of its own, and what stands
@@ -144,15 +174,15 @@ class Mime:
         followed = places.part(0, FOLLOWED)
         best = self._agreed(places, frames, seen, 0)
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
-            if best.spread > DISAGREE:
-                best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.spread)
+            if best.doubt.apart > DISAGREE:
+                best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
         parts = Parts.of(followed.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
             rotation, joints = parts.follow(followed.points(vertices))
-            return rotation @ best.mean.rotation, joints[0]
+            return rotation @ best.mean.rotation, joints
 
-        return follow, best.leg
+        return follow, best
 
     def _agreed(self, places: Samples, frames: list[np.ndarray], seen: list[np.ndarray], t: int) -> Agreement:
         """What glimpses say if frame t is right about which points are whose: followed as they are, read as `seen`."""
@@ -167,9 +197,10 @@ class Mime:
                 rigs.append(dataclasses.replace(rig, rotation=turns.mT @ turns[0] @ rig.rotation))
         joints = mean.joints
         mean = _mean(rigs)
-        spread = float(np.median([turns_apart(rig, mean) for rig in rigs]))
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        return Agreement(frames[t], dataclasses.replace(mean, joints=joints), leg, spread)
+        return Agreement(
+            frames[t], dataclasses.replace(mean, joints=joints), leg, self._doubt(rigs, mean, mean.weights)
+        )
 
     def _turned_back(
         self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
@@ -199,9 +230,3 @@ def _mean(rigs: list[Rig]) -> Rig:
     joints = np.mean([rig.joints for rig in rigs], axis=0)
     weights = np.mean([rig.weights for rig in rigs if len(rig.weights)], axis=0)
     return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
-
-
-def turns_apart(one: Rig, other: Rig) -> float:
-    """Mean angle (degrees) between the rotations of two readings."""
-    cosine = (np.einsum("jab,jab->j", one.rotation, other.rotation) - 1) / 2
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())

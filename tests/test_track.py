@@ -1,0 +1,123 @@
+"""Tracks of joints: smoothing keeps what is still, the root goes as asked, and feet that stand do not slide."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from people import person, walk
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.mesh import InputError
+from mimesh.pipeline import animate
+from mimesh.rig import Rig, Skinned, leg_length
+from mimesh.track import Feet, Track, grounded, skate, soles, straight
+
+BODY = load_body()
+LEGS = tuple(tuple(BODY.joint(f"{side}{name}") for name in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
+FEET = tuple(BODY.joint(f"{side}{name}") for side in ("Left", "Right") for name in ("Foot", "ToeBase"))
+
+
+def standing(longer=1.0):
+    """The body with longer bones, ready to be posed."""
+    vertices, joints = longer * BODY.vertices, longer * BODY.joints
+    rig = Rig(np.tile(np.eye(3), (len(joints), 1, 1)), joints, BODY.weights)
+    return vertices, rig, Skinned.of(vertices, rig, BODY.parents)
+
+
+def squat(count=12):
+    """Someone whose left foot stays while the knees bend and the hips go forward."""
+    _, rig, skinned = standing()
+    rotation = np.tile(rig.rotation, (count, 1, 1, 1))
+    below = {"UpLeg": -1.0, "Leg": 1.0, "Foot": 0.0, "ToeBase": 0.0}
+    for t in range(count):
+        bend = 0.6 * np.sin(np.pi * t / (count - 1))
+        for side in ("Left", "Right"):
+            for name, turn in below.items():
+                rotation[t, BODY.joint(side + name)] = Rotation.from_rotvec([turn * bend, 0, 0]).as_matrix()
+    places = np.stack([skinned.places(turned, np.zeros(3)) for turned in rotation])
+    fixed = BODY.joints[FEET[0]] - places[:, FEET[0]]
+    return Track(rotation, places + fixed[:, None], 30.0)
+
+
+def feet_of(longer):
+    vertices, rig, skinned = standing(longer)
+    return Feet(FEET, leg_length(BODY.joints, LEGS), soles(rig, vertices, FEET)), skinned
+
+
+def test_feet_of_longer_legs_stand_still_on_the_ground():
+    track, (feet, skinned) = squat(), feet_of(1.3)
+    # In a squat the body goes down by legs that are as they are: the same way for longer ones slides and floats.
+    way = straight(track, 1.0, drop=False)
+    path = grounded(track, way, skinned, feet, 1.3)
+    assert skate(track, path, skinned, feet) < 1e-6 < 0.01 < skate(track, way, skinned, feet)
+    ankles = np.stack([skinned.places(*frame)[FEET[0]] for frame in zip(track.rotation, path, strict=True)])
+    assert np.allclose(ankles[:, 1], feet.soles[0], atol=0.02)
+    assert np.abs(ankles - ankles[0]).max() < 0.02
+
+
+def test_what_is_in_the_air_keeps_its_way():
+    track = squat()
+    rising = Track(track.rotation, track.places + np.linspace(0, 3, 12)[:, None, None] * [0.2, 1.0, 0.0], 30.0)
+    feet, skinned = feet_of(1.0)
+    way = straight(rising, 1.0, drop=False)
+    assert not rising.standing(FEET, feet.leg).any()
+    assert np.array_equal(grounded(rising, way, skinned, feet, 1.0), way)
+    assert skate(rising, way, skinned, feet) is None
+
+
+def test_soles_are_as_deep_as_the_ankle_is_high():
+    feet, _ = feet_of(1.0)
+    floor = BODY.vertices[:, 1].min()
+    assert np.allclose(feet.soles, BODY.joints[list(FEET), 1] - floor, atol=0.02)
+
+
+def test_the_way_is_scaled_or_dropped():
+    track = squat()
+    assert np.allclose(straight(track, 2.0, drop=False), 2 * track.places[:, 0])
+    dropped = straight(track, 2.0, drop=True)
+    assert np.ptp(dropped[:, [0, 2]], axis=0).max() == 0
+    assert np.allclose(dropped[:, 1], 2 * track.places[:, 0, 1])
+
+
+def test_smoothing_keeps_what_is_still_and_calms_what_is_not():
+    track = squat()
+    still = Track(track.rotation[:1].repeat(9, axis=0), track.places[:1].repeat(9, axis=0), 30.0)
+    assert np.allclose(still.smoothed(0.1).rotation, still.rotation)
+    rng = np.random.default_rng(0)
+    shaken = Rotation.from_rotvec(0.1 * rng.normal(size=(12 * len(BODY.parents), 3))).as_matrix()
+    noisy = Track(shaken.reshape(track.rotation.shape) @ track.rotation, track.places, 30.0)
+    calm = noisy.smoothed(0.05)
+    assert np.allclose(np.linalg.det(calm.rotation), 1)
+    assert np.abs(np.diff(calm.rotation, 2, axis=0)).mean() < 0.3 * np.abs(np.diff(noisy.rotation, 2, axis=0)).mean()
+
+
+def middle(result):
+    return result.clip.vertices.mean(axis=1)
+
+
+def test_options_of_animate():
+    identity, clip = person(0), walk(faces=600)
+    near, far, none = (middle(animate(identity, clip, root=root)) for root in ("scale", "keep", "drop"))
+    assert np.ptp(none[:, 2]) < 0.3 * np.ptp(near[:, 2])
+    driven = clip.vertices.mean(axis=1)
+    assert abs(np.ptp(far[:, 2]) / np.ptp(driven[:, 2]) - 1) < 0.1
+    slow = dataclasses.replace(clip, fps=0.5)  # slow enough for feet that stand
+    skates = [animate(identity, slow, ground=ground).report["foot_skate"] for ground in (True, False)]
+    assert skates[0] < 0.6 * skates[1]
+    kept = animate(identity, clip)
+    assert animate(identity, clip, smooth=0.1).report["acceleration"]["result"] < kept.report["acceleration"]["driving"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"root": "stay"}, "--root: expected one of scale, keep, drop"),
+        ({"smooth": -1.0}, "--smooth: expected seconds"),
+        ({"model": "copy", "ground": True}, "--ground: expected a model with joints"),
+        ({"model": "copy", "root": "drop"}, "--root: expected a model with joints"),
+    ],
+)
+def test_options_that_cannot_be_used(options, message):
+    with pytest.raises(InputError, match=message):
+        animate(person(0), walk(faces=600), **options)
