@@ -34,11 +34,12 @@ ROOTS = ("scale", "keep", "drop")
 
 @dataclass(frozen=True)
 class Travel:
-    """How a model with joints takes over where the driving goes; see `pipeline.animate`."""
+    """What is wanted of a model with joints; see `pipeline.animate`."""
 
     root: str = "scale"
     ground: bool = False
     smooth: float = 0.0
+    skinned: bool = False
 
     def check(self, method: Method) -> None:
         """Raise InputError where a value makes no sense, or needs joints that the model has not."""

@@ -75,6 +75,7 @@ def animate(
     root: str = "scale",
     ground: bool = False,
     smooth: float = 0.0,
+    skinned: bool = False,
     progress: Progress | None = None,
 ) -> ClipResult:
     """Make the identity move as the driving clip does; see `transfer` for the arguments they share.
@@ -86,6 +87,7 @@ def animate(
             far as the driving; "drop", nowhere, but for up and down.
         ground: keep feet where they stand on the floor (mime only). Where the driving's feet slide, they still slide.
         smooth: average the turns of the joints over time, with a Gaussian of so many seconds (mime only).
+        skinned: refuse a model without joints, for `ClipResult.save_skinned`, before it has done its work.
 
     The first frame taken stands where the identity stood; later ones move by the driving's displacement, in the
     identity's size.
@@ -99,7 +101,7 @@ def animate(
         clip = _cut(_read_clip(driving, fps), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
-    travel = Travel(root, ground, smooth)
+    travel = Travel(root, ground, smooth, skinned)
     done = move(identity, clip, method, axes, refine, seconds, travel, progress, np.float32)
     notes = done.notes
     if len(clip) == 1:

@@ -156,6 +156,7 @@ def animate(
             root=root,
             ground=ground,
             smooth=smooth,
+            skinned=skinned,
             progress=advance,
         )
     result.seconds["load"] += seconds
