@@ -14,7 +14,7 @@ from mimesh.methods import Method, find_method
 from mimesh.methods import mime as module
 from mimesh.methods.calm import Calm
 from mimesh.methods.samples import Samples
-from mimesh.pipeline import animate
+from mimesh.pipeline import animate, transfer
 from mimesh.rig import leg_length
 
 pytest.importorskip("onnx")
@@ -50,6 +50,12 @@ def test_a_driving_that_turns_as_a_whole_turns_the_result_as_a_whole(method):
     first, second = moved(method, [DRIVING.vertices, DRIVING.vertices @ turn.T])
     first, second = (frame - frame.mean(axis=0) for frame in (first, second))
     assert np.allclose(second, first @ turn.T, atol=1e-5)
+
+
+def test_meshes_inside_out_are_read_all_the_same(path):
+    inside = [dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) for mesh in (IDENTITY, DRIVING)]
+    results = [transfer(*meshes, path).vertices for meshes in ((IDENTITY, DRIVING), inside)]
+    assert np.array_equal(*results)
 
 
 def test_other_poses_give_other_results(path):

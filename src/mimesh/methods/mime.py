@@ -19,7 +19,7 @@ from ..geometry import vertex_normals
 from ..mesh import Clip, Mesh
 from ..rig import Rig, Skinned, leg_length
 from ..track import Feet, Track, grounded, soles, straight
-from .calm import Calm
+from .calm import Calm, outward
 from .doubt import Doubt, turns_apart
 from .islands import without_islands
 from .network import batch_of_one, generator
@@ -129,10 +129,10 @@ class Mime:
         The root joint goes the driving's way, shorter or longer as the legs are.
         """
         ranked = rank_vertices(identity.vertices)
-        rig, doubt = self._rig(identity)
+        rig, doubt = self._rig(outward(identity))
         vertices = ranked.merge(identity.vertices)
         skinned = Skinned.of(vertices, rig, self.parents)
-        follow, agreed = self._follow(driving)
+        follow, agreed = self._follow(dataclasses.replace(driving, mesh=outward(driving.mesh)))
         stride = leg_length(rig.joints, self.legs) / agreed.leg
         every = dataclasses.replace(rig, weights=rig.weights[ranked.group])
         ankles = [leg[-1] for leg in self.legs]
