@@ -28,9 +28,6 @@ class Table(NamedTuple):
 
 
 LAST = {
-    "pmd_e4_median": "median",
-    "pmd_e4_p90": "90 %",
-    "pmd_e4_max": "largest",
     "mm": "mm",
     "edge_score": "edge score",
     "flipped": "flipped",
@@ -156,7 +153,10 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
 
 
 def markdown(report: dict[str, Any]) -> str:
-    """One report: a line a method, a column a kind of pair, and further figures of the last kind at the end."""
+    """One report: a line a method, a column a kind of pair, and further figures of the last kind at the end.
+
+    Then the same with the errors' tails, where users live.
+    """
     rows = report["results"]
     kinds = list(dict.fromkeys(row["split"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
@@ -173,7 +173,11 @@ def markdown(report: dict[str, Any]) -> str:
         lines.append([f"`{method}`", *cells, *tail, mine[-1].get("given", "-")])
     head = ["method", *kinds, *(f"{kinds[-1]}: {labels[name]}" for name in measured), "given"]
     title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
-    return f"{title}, {'/'.join(counts)} pairs a column.\n\n" + grid(head, lines)
+    tails = [[f"`{method}`", *(_tail(found[method, kind]) for kind in kinds)] for method in methods]
+    return (
+        f"{title}, {'/'.join(counts)} pairs a column.\n\n{grid(head, lines)}\n\n"
+        f"Median, 90th percentile and largest of the pairs:\n\n{grid(['method', *kinds], tails)}"
+    )
 
 
 def grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
@@ -190,6 +194,10 @@ def _mean_and_interval(row: dict[str, Any] | None) -> str:
     if row is not None and row.get("not_applicable") and row["pairs"]:
         text += f" ({row['pairs']} of {row['pairs'] + row['not_applicable']})"
     return text
+
+
+def _tail(row: dict[str, Any]) -> str:
+    return " / ".join(_figure(row, f"pmd_e4_{name}") for name in ("median", "p90", "max")) if row["pairs"] else "-"
 
 
 def _figure(row: dict[str, Any] | None, name: str) -> str:
