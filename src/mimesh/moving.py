@@ -14,6 +14,7 @@ from .frame import Frame
 from .mesh import Clip, InputError, Mesh
 from .methods import Method
 from .methods.mime import Mime, Puppet
+from .orient import known
 from .paging import PAGED, let_go, new_frames
 from .refine import Refinement
 from .report import doubt_notes, doubts, facing, facing_note, liveliness, quality
@@ -97,10 +98,15 @@ def move(
     with timed(seconds, "prepare"):
         first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
         own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
-        still = dataclasses.replace(identity, vertices=own.apply(identity.vertices))
         method = choice(theirs)
         travel.check(method)
-        drive = method.prepare(still, _glimpses(clip, first, theirs))
+        drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
+        if isinstance(method, Mime) and isinstance(drive, Puppet):
+            before, (ours, others) = (own, theirs), drive.doubts
+            own, theirs = known(method, identity, own, axes[:2], ours), known(method, first, theirs, axes[2:], others)
+            if (own, theirs) != before:
+                drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
+        still = _seen(identity, own)
         surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
     with timed(seconds, "drive"):
         given = _normalised(clip, theirs)
@@ -150,6 +156,11 @@ def _normalised(clip: Clip, frame: Frame) -> Iterator[Float[np.ndarray, "U 3"]]:
         yield frame.apply(vertices)
         if t % PAGED == 0:
             let_go(clip.vertices)
+
+
+def _seen(mesh: Mesh, frame: Frame) -> Mesh:
+    """A mesh in its Frame."""
+    return dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
 
 
 def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:

@@ -89,6 +89,11 @@ def doubts(doubt: Doubt) -> dict[str, float | dict[str, float]]:
     return {"readings_apart": round(doubt.apart, 2), "undecided": round(doubt.undecided, 3), "limbs": limbs}
 
 
+def strange(doubt: Doubt) -> bool:
+    """Whether readings of a mesh are hardly those of a person."""
+    return doubt.apart > STRANGE_APART or doubt.undecided > STRANGE_UNDECIDED
+
+
 def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
     """Notes for the user where an input does not look like what the model knows, and why."""
     lacking = [limb for limb, share in doubt.limbs.items() if share < LEAST[limb]]

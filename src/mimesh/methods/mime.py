@@ -141,6 +141,14 @@ class Mime:
         names = (ranked.group, driving.mesh.name, (doubt, agreed.doubt))
         return Puppet(self.joints, every, skinned, follow, stride, feet, *names)
 
+    def glance(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
+        """How undecided the skinning weights of a mesh are in one reading, and how the root joint is turned."""
+        mesh = outward(mesh)
+        places = Samples.of(mesh, self.points, generator(self.seed, 0))
+        given = (places.points(mesh.vertices), places.normals(mesh.vertices))
+        rig = self._read(places, mesh.vertices, given)
+        return Doubt.of(0.0, rig.weights, self.joints, self.parents).undecided, rig.rotation[0]
+
     def _rig(self, mesh: Mesh) -> tuple[Rig, Doubt]:
         """Joints of a mesh and skinning weights of its distinct positions: the mean of several readings."""
         ranked = rank_vertices(mesh.vertices)
