@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mimesh.evaluate.clip_metrics import clip_pmd, foot_skate, jitter, path_error_mm, unrest_mm
+from mimesh.evaluate.clip_metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
 
 FPS = 10.0
 
@@ -45,6 +45,16 @@ def test_path_error_is_the_drift():
     assert path_error_mm(drift, truth, 1.7) == pytest.approx(mean)
     assert path_error_mm(drift, truth, 0.85) == pytest.approx(2 * mean)
     assert path_error_mm(truth + [5.0, 0, 0], truth, 1.7) == pytest.approx(0, abs=1e-9)
+
+
+def test_liveliness_is_that_of_the_truth_at_the_truth_and_grows_with_flicker():
+    _, truth = clips(7)
+    assert liveliness(truth, truth) == pytest.approx(1)
+    assert liveliness(2 * truth + 3, truth) == pytest.approx(2)
+    flicker = 0.05 * (-1.0) ** np.arange(len(truth))[:, None, None] * [0, 1, 0]
+    assert liveliness(truth[:1] + flicker, truth[:1] + 0.5 * flicker) == pytest.approx(2)
+    assert liveliness(truth[:2], truth[:2]) is None
+    assert liveliness(truth, np.repeat(truth[:1], len(truth), axis=0)) is None
 
 
 def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():

@@ -15,7 +15,7 @@ from ..mesh import Clip
 from ..methods import find_method
 from ..methods.limp import Limp
 from ..pipeline import animate
-from .clip_metrics import clip_pmd, foot_skate, jitter, path_error_mm, unrest_mm
+from .clip_metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
 from .clip_protocols import ClipPair, on_template
 from .measure import AXES, GIVEN, NotApplicableError, helped, in_true_size, knows_no_size, shape_figures
 
@@ -68,6 +68,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         "stretch": max(shape["stretch"] for shape in shapes),
         "path_mm": path_error_mm(result, truth, trial.height),
         "jitter": jitter(result, truth, trial.height, fps),
+        "liveliness": liveliness(result, truth),
         "still_mm": unrest_mm(moved_clip(standing_still(trial), method, **options), trial.height),
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
         "seconds": seconds,

@@ -51,6 +51,16 @@ def jitter(
     return float(np.linalg.norm(np.diff(result - truth, 2, axis=0), axis=-1).mean() * fps**2 * 1.7 / height)
 
 
+def liveliness(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"]) -> float | None:
+    """Mean length of the result's accelerations over that of the truth's: above 1, more is going on than should.
+
+    None for fewer than three frames, and where the truth moves evenly.
+    """
+    _same_shape(result, truth)
+    ours, theirs = (np.linalg.norm(np.diff(clip, 2, axis=0), axis=-1) for clip in (result, truth))
+    return float(ours.mean() / theirs.mean()) if theirs.any() else None
+
+
 def unrest_mm(result: Float[np.ndarray, "T V 3"], height: float) -> float:
     """Farthest that any vertex goes from one frame to the next (mm): 0 is right where the driving clip stands still."""
     return float(np.linalg.norm(np.diff(result, axis=0), axis=-1).max(initial=0.0) * 1.7 / height * 1e3)

@@ -43,7 +43,7 @@ TRAINED_ON = {
     "clips": "endless people and motions",
 }
 """Kinds of training data, in words."""
-CLIP_FIGURES = {"path_mm": 2, "jitter": 4, "still_mm": 4, "skate_cm_s": 3}
+CLIP_FIGURES = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
 """Figures that only clips have, and their decimals; the mean is over the clips that have them."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 RESAMPLES = 2000

@@ -33,6 +33,7 @@ LAST = {
     "flipped": "flipped",
     "path_mm": "path, mm",
     "jitter": "jitter, m/s²",
+    "liveliness": "acceleration over the truth's",
     "still_mm": "unrest, mm",
     "skate_cm_s": "skate, cm/s",
     "seconds_per_frame": "s a pair",
