@@ -219,3 +219,16 @@ def test_refining_is_the_models_choice_and_the_users(tmp_path):
     )
     assert np.array_equal(given, smooth)
     assert not np.array_equal(given, kept)
+
+
+def test_a_clip_cannot_begin_with_a_collapsed_frame():
+    clip = walk(faces=600)
+    vertices = clip.vertices.copy()
+    vertices[2] = 0.0
+    with pytest.raises(InputError, match="walk"):
+        animate(person(0), dataclasses.replace(clip, vertices=vertices), "copy", start=2)
+
+
+def test_a_single_triangle_is_no_crash():
+    triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), name="triangle")
+    assert np.isfinite(transfer(triangle, person(0)).vertices).all()

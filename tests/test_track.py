@@ -42,13 +42,14 @@ def squat(count=12):
 
 def feet_of(longer):
     vertices, rig, skinned = standing(longer)
-    return Feet(FEET, leg_length(BODY.joints, LEGS), soles(rig, vertices, FEET)), skinned
+    theirs, rest, _ = standing()
+    return Feet(FEET, leg_length(BODY.joints, LEGS), soles(rig, vertices, FEET), soles(rest, theirs, FEET)), skinned
 
 
 def test_feet_of_longer_legs_stand_still_on_the_ground():
     track, (feet, skinned) = squat(), feet_of(1.3)
     # In a squat the body goes down by legs that are as they are: the same way for longer ones slides and floats.
-    way = straight(track, 1.0, drop=False)
+    way = straight(track, 1.0, 1.0, drop=False)
     path = grounded(track, way, skinned, feet, 1.3)
     assert skate(track, path, skinned, feet) < 1e-6 < 0.01 < skate(track, way, skinned, feet)
     ankles = np.stack([skinned.places(*frame)[FEET[0]] for frame in zip(track.rotation, path, strict=True)])
@@ -56,14 +57,42 @@ def test_feet_of_longer_legs_stand_still_on_the_ground():
     assert np.abs(ankles - ankles[0]).max() < 0.02
 
 
+def moved_by(track, way):
+    return Track(track.rotation, track.places + way[:, None], track.fps)
+
+
 def test_what_is_in_the_air_keeps_its_way():
-    track = squat()
-    rising = Track(track.rotation, track.places + np.linspace(0, 3, 12)[:, None, None] * [0.2, 1.0, 0.0], 30.0)
-    feet, skinned = feet_of(1.0)
-    way = straight(rising, 1.0, drop=False)
-    assert not rising.standing(FEET, feet.leg).any()
-    assert np.array_equal(grounded(rising, way, skinned, feet, 1.0), way)
-    assert skate(rising, way, skinned, feet) is None
+    """Someone stands, leaps forward and stands: the leap is as long as it was."""
+    up = 0.6 * np.sin(np.linspace(0, np.pi, 8)).clip(0)[1:-1]
+    still = np.zeros((10, 3))
+    leap = np.stack([0 * up, up, 0.3 * np.arange(1, 7)], axis=1)
+    way = np.concatenate([still, leap, still + [0, 0, 2.1]])
+    track = moved_by(Track(*(a[:1].repeat(26, axis=0) for a in (squat().rotation, squat().places)), 30.0), way)
+    feet, skinned = feet_of(1.2)
+    stands = track.standing(feet).any(axis=1)
+    assert stands[:9].all()
+    assert not stands[11:15].any()
+    assert stands[18:].all()
+    path = straight(track, 1.2, 1.2, drop=False)
+    found = grounded(track, path, skinned, feet, 1.2)
+    assert np.allclose(np.diff(found[10:16], axis=0)[:, [0, 2]], np.diff(path[10:16], axis=0)[:, [0, 2]])
+    assert np.ptp(found[18:], axis=0).max() < 1e-2
+
+
+def test_a_foot_that_is_held_up_does_not_stand():
+    """Whoever stands on one leg is not pulled down by the other, however still that is."""
+    _, rig, skinned = standing()
+    rotation = np.tile(rig.rotation, (10, 1, 1, 1))
+    for t in range(10):
+        bend = Rotation.from_rotvec([-1.2 + 0.1 * (t // 5), 0, 0]).as_matrix()
+        for name in ("UpLeg", "Leg", "Foot", "ToeBase"):
+            rotation[t, BODY.joint(f"Right{name}")] = bend
+    places = np.stack([skinned.places(turned, BODY.joints[0]) for turned in rotation])
+    track, (feet, _) = Track(rotation, places, 30.0), feet_of(1.0)
+    assert track.standing(feet)[:, :2].all()
+    assert not track.standing(feet)[:, 2:].any()
+    path = straight(track, 1.0, 1.0, drop=False)
+    assert np.abs(grounded(track, path, skinned, feet, 1.0) - path).max() < 0.02
 
 
 def test_soles_are_as_deep_as_the_ankle_is_high():
@@ -74,16 +103,18 @@ def test_soles_are_as_deep_as_the_ankle_is_high():
 
 def test_the_way_is_scaled_or_dropped():
     track = squat()
-    assert np.allclose(straight(track, 2.0, drop=False), 2 * track.places[:, 0])
-    dropped = straight(track, 2.0, drop=True)
+    assert np.allclose(straight(track, 2.0, 3.0, drop=False), [2, 3, 2] * track.places[:, 0])
+    dropped = straight(track, 2.0, 3.0, drop=True)
     assert np.ptp(dropped[:, [0, 2]], axis=0).max() == 0
-    assert np.allclose(dropped[:, 1], 2 * track.places[:, 0, 1])
+    assert np.allclose(dropped[:, 1], 3 * track.places[:, 0, 1])
 
 
 def test_smoothing_keeps_what_is_still_and_calms_what_is_not():
     track = squat()
     still = Track(track.rotation[:1].repeat(9, axis=0), track.places[:1].repeat(9, axis=0), 30.0)
     assert np.allclose(still.smoothed(0.1).rotation, still.rotation)
+    walking = moved_by(still, 0.1 * np.arange(9)[:, None] * [0, 0, 1])
+    assert np.allclose(walking.smoothed(0.3).places, walking.places)
     rng = np.random.default_rng(0)
     shaken = Rotation.from_rotvec(0.1 * rng.normal(size=(12 * len(BODY.parents), 3))).as_matrix()
     noisy = Track(shaken.reshape(track.rotation.shape) @ track.rotation, track.places, 30.0)

@@ -129,10 +129,9 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
 
 
 def _best(mesh: Mesh, fits: list[int]) -> tuple[int, float]:
-    if len(mesh.faces):
+    points, weights = mesh.vertices, np.ones(len(mesh.vertices))
+    if len(mesh.faces) > 1:  # one alone has a middle, but no extent
         points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
-    else:
-        points, weights = mesh.vertices, np.ones(len(mesh.vertices))
     scores = orientation_scores(occupancy(points.astype(np.float64), weights.astype(np.float64)), _detector())[fits]
     # Rounded, so that the order of a sum cannot decide between the equal facings of a symmetric shape.
     scores = np.round(scores, 6)

@@ -23,7 +23,7 @@ from .rig import Rig, Skeleton
 from .track import Track, skate
 
 Progress = Callable[[int, int], None]
-"""Called after each frame with (frames done, frames in all)."""
+"""Called as frames get done with (frames done, frames in all)."""
 Choice = Callable[[Frame], Method]
 """A method with its options, but for the driving's frame."""
 Axes = tuple[str | None, str | None, str | None, str | None]
@@ -109,24 +109,29 @@ def move(
         still = _seen(identity, own)
         surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
     with timed(seconds, "drive"):
-        given = _normalised(clip, theirs)
-        size = theirs.radius / own.radius
-        played = _played(drive, given, clip.fps, travel, size) if isinstance(drive, Puppet) else None
+        count, size = len(clip), theirs.radius / own.radius
+        given, played, done = _normalised(clip, theirs), None, 0
+        if isinstance(drive, Puppet):
+            # The driving is followed to its end before the first frame is made: half of the work.
+            given, done = _told(given, progress, count), count
+            played = _played(drive, given, clip.fps, travel, size)
         frames = drive(given) if played is None else played.frames()
         shift, frames = _placed(_refined(frames, surface, seconds), still.vertices)
-        moved = new_frames(len(clip), len(identity.vertices), dtype)
+        moved = new_frames(count, len(identity.vertices), dtype)
         for t, vertices in enumerate(frames):
             moved[t] = own.undo(vertices + shift)
             if t % PAGED == 0:
                 let_go(moved)
             if progress is not None:
-                progress(t + 1, len(clip))
+                progress((done + t + 1) * count // (done + count), count)
     report = {**quality(identity, moved), **liveliness(clip, moved), "identity": facing(own), "driving": facing(theirs)}
     notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
     skeleton = None
     if played is not None:
         skeleton = _skeleton(identity, played, own, shift)
         notes += _judged(played, report, (identity.name, first.name), np.ptp(still.vertices[:, 1]))
+        if travel.root == "drop":
+            report["foot_skate"] = None  # in place, feet slide as they should
     return Moved(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))
 
 
@@ -135,8 +140,8 @@ def _played(
 ) -> _Played:
     """What the puppet does, and its way through the world; `size` is the driving's unit over the identity's."""
     track = puppet.track(frames, fps).smoothed(travel.smooth)
-    stride = size if travel.root == "keep" else None
-    return _Played(puppet, track, puppet.path(track, stride, travel.root == "drop", travel.ground))
+    across = size if travel.root == "keep" else None
+    return _Played(puppet, track, puppet.path(track, across, travel.root == "drop", travel.ground))
 
 
 def _judged(played: _Played, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
@@ -156,6 +161,14 @@ def _normalised(clip: Clip, frame: Frame) -> Iterator[Float[np.ndarray, "U 3"]]:
         yield frame.apply(vertices)
         if t % PAGED == 0:
             let_go(clip.vertices)
+
+
+def _told(frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int) -> Iterator[np.ndarray]:
+    """The frames; each counts half."""
+    for t, vertices in enumerate(frames):
+        yield vertices
+        if progress is not None:
+            progress((t + 1) // 2, count)
 
 
 def _seen(mesh: Mesh, frame: Frame) -> Mesh:

@@ -32,10 +32,11 @@ def known(method: Mime, mesh: Mesh, frame: Frame, axes: tuple[str | None, str | 
         undecided, hips = method.glance(dataclasses.replace(mesh, vertices=fitted.apply(mesh.vertices)))
         tried.append((undecided, fitted, hips))
     least, best, hips = min(tried, key=lambda each: each[0])
-    if least > doubt.undecided - MUCH:
-        return frame
     names = tuple(_nearest_axis(best.rotation.T @ hips[:, k]) for k in (1, 2))
     chosen = Frame.fit(mesh, *names) if names in left else best
+    now = next(undecided for undecided, fitted, _ in tried if (fitted.up, fitted.front) == (frame.up, frame.front))
+    if least > now - MUCH or (chosen.up, chosen.front) == (frame.up, frame.front):
+        return frame
     return dataclasses.replace(chosen, detected=True, margin=0.0)
 
 

@@ -83,14 +83,14 @@ def animate(
     Args:
         fps: frame rate of the driving clip, where its file has none or a wrong one. Every `step`-th frame of it is
             taken from `start` up to `stop`, and the result plays at fps / step: as fast as the driving.
-        root: how far the result goes (mime only but for the default): "scale", as far as its legs take it; "keep", as
-            far as the driving; "drop", nowhere, but for up and down.
+        root: how far the result goes over the ground (mime only but for the default): "scale", as far as its legs take
+            it; "keep", as far as the driving; "drop", nowhere.
         ground: keep feet where they stand on the floor (mime only). Where the driving's feet slide, they still slide.
-        smooth: average the turns of the joints over time, with a Gaussian of so many seconds (mime only).
+        smooth: average turns and ways of the joints over time, with a Gaussian of so many seconds (mime only).
         skinned: refuse a model without joints, for `ClipResult.save_skinned`, before it has done its work.
 
     The first frame taken stands where the identity stood; later ones move by the driving's displacement, in the
-    identity's size.
+    identity's size unless `root` says otherwise.
 
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
@@ -165,4 +165,5 @@ def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
             f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
             f"{'the end' if stop is None else stop}, which leaves none; change them"
         )
+    check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)

@@ -25,31 +25,41 @@ class Track:
     fps: float
 
     def smoothed(self, seconds: float) -> Track:
-        """Rotations and places averaged over time, with weights of a Gaussian of this standard deviation."""
+        """Rotations and places averaged over time, with weights of a Gaussian of this standard deviation.
+
+        Places are averaged about the line from the first to the last, so that the way is as long as before.
+        """
         if seconds <= 0 or len(self.places) == 1:
             return self
-        rotation, places = (_blurred(array, seconds * self.fps) for array in (self.rotation, self.places))
-        return replace(self, rotation=nearest_rotation(rotation), places=places)
+        line = np.linspace(self.places[0], self.places[-1], len(self.places))
+        rotation, off = (_blurred(array, seconds * self.fps) for array in (self.rotation, self.places - line))
+        return replace(self, rotation=nearest_rotation(rotation), places=line + off)
 
-    def standing(self, feet: tuple[int, ...], leg: float) -> Bool[np.ndarray, "T F"]:
+    def above(self, feet: Feet) -> Float[np.ndarray, "T F"]:
+        """How high each foot joint is over where it is when it stands; the ground is where the lowest of all stands."""
+        height = self.places[:, list(feet.joints), 1] - feet.theirs
+        return height - height.min()
+
+    def standing(self, feet: Feet) -> Bool[np.ndarray, "T F"]:
         """Which of the feet's joints stand on the ground: low and slow, as this clip goes."""
-        places = self.places[:, list(feet)]
-        if len(places) == 1:
-            return np.ones((1, len(feet)), bool)
-        height = places[..., 1] - places[..., 1].min(axis=0)
-        speed = np.linalg.norm(np.gradient(places, axis=0), axis=-1) * self.fps
-        return (height < LOW * leg) & (speed < SLOW * leg)
+        low = self.above(feet) < LOW * feet.leg
+        if len(self.places) == 1:
+            return low
+        speed = np.linalg.norm(np.gradient(self.places[:, list(feet.joints)], axis=0), axis=-1) * self.fps
+        return low & (speed < SLOW * feet.leg)
 
 
 @dataclass(frozen=True)
 class Feet:
-    """Joints that may stand on the ground, and the two that move."""
+    """Joints that may stand on the ground."""
 
     joints: tuple[int, ...]
     leg: float
     """Length of the driving's leg."""
     soles: Float[np.ndarray, " F"]
     """Height of each of these joints over the identity's ground when its foot is flat on it."""
+    theirs: Float[np.ndarray, " F"]
+    """The same of the driving."""
 
 
 def soles(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...]) -> Float[np.ndarray, " F"]:
@@ -59,22 +69,25 @@ def soles(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...])
     return np.array([depth.max(initial=0.0) for depth in down])
 
 
-def straight(track: Track, stride: float, drop: bool) -> Float[np.ndarray, "T 3"]:
-    """The root joint's way, `stride` times the driving's; with `drop` it goes up and down alone."""
-    path = stride * track.places[:, 0]
+def straight(track: Track, across: float, up: float, drop: bool) -> Float[np.ndarray, "T 3"]:
+    """The root joint's way: the driving's, so many times as long across the ground and up and down.
+
+    With `drop` it goes up and down alone.
+    """
+    path = np.array([across, up, across]) * track.places[:, 0]
     return np.where([drop, False, drop], path[:1], path)
 
 
-def grounded(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, feet: Feet, stride: float) -> np.ndarray:
+def grounded(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, feet: Feet, up: float) -> np.ndarray:
     """A path near the given one on which joints that stand in the driving do not slide, and stand on the ground.
 
     Sideways, what stands keeps its place and what is in the air keeps its way. Up and down, what stands is as high over
-    the ground as in the driving, and the way between is blended.
+    the ground as in the driving (`up` times that), and the way between is blended.
 
     Returns:
         Root joint, (T, 3).
     """
-    stands = track.standing(feet.joints, feet.leg)
+    stands = track.standing(feet)
     if not stands.any():
         return path
     own = np.stack([skinned.places(turned, np.zeros(3))[list(feet.joints)] for turned in track.rotation])
@@ -82,8 +95,7 @@ def grounded(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, fee
     both = stands[1:] & stands[:-1]
     slide = np.diff(own + path[:, None], axis=0)
     off[1:, [0, 2]] = -np.cumsum(_mean(slide, both)[:, [0, 2]], axis=0)
-    theirs = track.places[:, list(feet.joints), 1]
-    height = feet.soles + stride * (theirs - theirs.min(axis=0)) - own[..., 1]
+    height = feet.soles + up * track.above(feet) - own[..., 1]
     known = stands.any(axis=1)
     lift = _mean(height[..., None], stands)[known, 0] - path[known, 1]
     off[:, 1] = np.interp(np.arange(len(path)), np.flatnonzero(known), lift)
@@ -93,7 +105,7 @@ def grounded(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, fee
 
 def skate(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, feet: Feet) -> float | None:
     """Mean speed (a second) along the ground of the identity's joints while they stand in the driving; None: never."""
-    stands = track.standing(feet.joints, feet.leg)
+    stands = track.standing(feet)
     both = stands[1:] & stands[:-1]
     if not both.any():
         return None

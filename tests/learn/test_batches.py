@@ -64,7 +64,7 @@ def test_subsets_are_normalised_as_the_whole():
     body = load_body()
     some, whole = (PairSource(DataConfig("wide", n), body, torch.device("cpu"), seed=3) for n in (64, 0))
     rng = torch.Generator().manual_seed(0)
-    shapes, poses = some._endless(8, rng)
+    shapes, poses, _ = some._endless(8, rng)
     index = torch.arange(0, 6890, 10).expand(8, -1)
     subset, radius = some._mesh(shapes[1], poses[1], index)
     full, full_radius = whole._mesh(shapes[1], poses[1], torch.arange(6890).expand(8, -1))

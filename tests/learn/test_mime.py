@@ -30,6 +30,17 @@ def batch():
     return MimeSource(DataConfig("wide", 64, "identity"), BODY, torch.device("cpu"), 0).batch(2, 0)
 
 
+def test_people_who_touch_themselves_have_the_shapes_that_their_poses_are_for():
+    """Hands that touch do so on the body that the pose was found for, and on no other."""
+    source = MimeSource(DataConfig("wide", 400, "identity", heading=0.0, contacts=1.0), BODY, torch.device("cpu"), 0)
+    shapes, _, touching = source._endless(4, torch.Generator().manual_seed(0))
+    assert touching.all()
+    assert (shapes.flatten(0, 1)[:, None] == source.contacts[0]).all(-1).any(1).all()
+    before = source.batch(4, 0)
+    source.contacts[0] = source.contacts[0] + 1.0
+    assert not torch.equal(before.identity.points, source.batch(4, 0).identity.points)
+
+
 @torch.no_grad()
 def test_a_reading_knows_no_order_and_follows_place_and_size(model, batch):
     points, normals = batch.given[0]

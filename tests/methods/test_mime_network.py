@@ -149,3 +149,20 @@ def test_a_file_that_does_not_say_its_skeleton_is_told(path, tmp_path, key):
     onnx.save(model, str(tmp_path / "odd.onnx"))
     with pytest.raises(InputError, match=f"expected {key} in its metadata"):
         find_method(str(tmp_path / "odd.onnx"))
+
+
+def test_coarse_people_are_people():
+    """What the model doubts does not depend on how fine a mesh is."""
+    for faces in (600, 1000):
+        result = transfer(person(0, faces=faces), person(1, pose=1, faces=faces))
+        assert result.notes == ()
+        assert result.report["identity"]["margin"] > 0.9
+
+
+def test_progress_goes_on_to_the_end(path):
+    calls = []
+    clip = walk(faces=600)
+    animate(IDENTITY, clip, path, progress=lambda done, count: calls.append((done, count)))
+    assert calls[-1] == (len(clip), len(clip))
+    assert [done for done, _ in calls] == sorted(done for done, _ in calls)
+    assert len(calls) == 2 * len(clip)

@@ -12,7 +12,8 @@ from .terminal import Json, Quiet, print_json, print_next, progress
 Protocol = Annotated[
     str,
     typer.Argument(
-        metavar="PROTOCOL", help="human-npt, human-wide, cross-topology, noise, dressed, cross-body or clips-aniformer."
+        metavar="PROTOCOL",
+        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body or clips-aniformer.",
     ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]

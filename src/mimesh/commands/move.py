@@ -42,10 +42,12 @@ Markers = Annotated[
 ]
 Root = Annotated[
     str,
-    typer.Option(help="How far the result goes: scale (as its legs make it), keep (as DRIVING), drop (in place)."),
+    typer.Option(
+        help="How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime)."
+    ),
 ]
 Ground = Annotated[bool, typer.Option("--ground", help="Keep feet where they stand on the floor (mime).")]
-Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the turns of joints over time (mime).")]
+Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write pictures beside the output.")]
 
 

@@ -106,7 +106,7 @@ class PairSource:
     def batch(self, size: int, step: int) -> Batch:
         """The pairs of training step `step`."""
         rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
-        shapes, poses = (self._from_table if self.config.kind in TABLES else self._endless)(size, rng)
+        shapes, poses, _ = (self._from_table if self.config.kind in TABLES else self._endless)(size, rng)
         identity_shape, driving_shape = shapes
         identity_pose, driving_pose = poses
         index, driving_index, edges, share = self._vertices(size, rng)
@@ -120,14 +120,18 @@ class PairSource:
         """Two of the 16 people for each pair, the identity in a Table 6 pose, the driving in that or in a frame."""
         who = self._below(len(self.people), (2, size), rng)
         stand, frames = self._below(len(self.stands), (size,), rng), self.motions.flatten(0, 1)
-        return self.people[who], (self.stands[stand], frames[self._below(len(frames), (size,), rng)])
+        nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
+        return self.people[who], (self.stands[stand], frames[self._below(len(frames), (size,), rng)]), nobody
 
     def _endless(self, size: int, rng: torch.Generator):
-        """Fresh people; identities mostly near a rest pose, driving meshes in all that people do."""
+        """Fresh people; identities mostly near a rest pose, driving meshes in all that people do.
+
+        Beside shapes and poses, both for identities and driving, who touch themselves: their pose is for their shape.
+        """
         shapes = torch.randn(2, size, len(self.body.components), generator=rng, device=self.device)
         shapes = self.config.spread * shapes.clamp(-2.5, 2.5)
         kinds = torch.rand(2, size, generator=rng, device=self.device)
-        poses = []
+        poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
         for kind, identity in zip(kinds, (True, False), strict=True):
             table, wide = self._within(self.table6, size, rng), self._within(self.limits, size, rng)
             clip = self.bank[torch.randint(len(self.bank), (size,), generator=rng, device=self.device)]
@@ -137,21 +141,22 @@ class PairSource:
             choice = torch.bucketize(kind, torch.tensor(edges, device=self.device))
             pose = torch.stack([rest, table, wide, clip])[choice, torch.arange(size, device=self.device)]
             if self.config.contacts:
-                shapes[len(poses)], pose = self._touching(shapes[len(poses)], pose, rng)
+                who = len(poses)
+                shapes[who], pose, touching[who] = self._touching(shapes[who], pose, rng)
             rotmat = rotvec_to_rotmat(pose)
             turn = math.radians(self.config.heading) * (0.25 if identity else 1.0)
             rotmat[:, 0] = self._headings(size, turn, rng) @ rotmat[:, 0]
             if self.config.tumble and not identity:
                 rotmat[:, 0] = self._tumbles(size, rng) @ rotmat[:, 0]
             poses.append(rotmat)
-        return shapes, torch.stack(poses)
+        return shapes, torch.stack(poses), touching
 
     def _touching(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
         """Some of the people give way to ones who touch themselves."""
         some = torch.rand(len(shape), generator=rng, device=self.device) < self.config.contacts
         drawn = self._below(len(self.contacts[0]), (len(shape),), rng)
         shapes, poses = (bank[drawn] for bank in self.contacts)
-        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose)
+        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
 
     def _below(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
         return torch.randint(count, shape, generator=rng, device=self.device)

@@ -80,7 +80,7 @@ class ClipSource(PairSource):
 
     def _endless_windows(self, size: int, rng: torch.Generator):
         """Fresh people as `wide` has them; windows of captures at some speed, or a way between two poses; a heading."""
-        shapes, poses = self._endless(size, rng)
+        shapes, poses, _ = self._endless(size, rng)
         at = torch.arange(self.frames, device=self.device)
         first = self.starts[self._below(len(self.starts), (size, 1), rng)]
         speed = 1 + self._below(FASTEST, (size, 1), rng)

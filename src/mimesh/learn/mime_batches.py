@@ -46,8 +46,11 @@ class MimeSource(PairSource):
         """The pairs of training step `step`."""
         rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
         table = self.config.kind in TABLES
-        shapes, poses = (self._from_table if table else self._endless)(size, rng)
-        people = [plain(shape, self.surface) if table else self.crowd.draw(size, rng) for shape in shapes]
+        shapes, poses, touching = (self._from_table if table else self._endless)(size, rng)
+        people = [plain(shape, self.surface) for shape in shapes]
+        if not table:
+            drawn = [self.crowd.draw(size, rng) for _ in shapes]
+            people = [one.where(some, other) for one, some, other in zip(people, touching, drawn, strict=True)]
         count = self.config.vertices or POINTS
         index = [
             self.surface.choose(who, count, rng, 0.0 if table else lost) for who, lost in zip(people, LOST, strict=True)

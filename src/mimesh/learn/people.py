@@ -6,6 +6,7 @@ under linear blend skinning, so one person in two poses is a true transfer.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 from dataclasses import dataclass
@@ -36,6 +37,14 @@ class People:
     """Waves over the surface at rest: direction times frequency (radians a metre), phase, height (metres)."""
     worn: Bool[Tensor, "B G"]
     """Garments, one column each after the skin, which all wear."""
+
+    def where(self, some: Bool[Tensor, " B"], others: People) -> People:
+        """These people where `some` says so, and others elsewhere."""
+        arrays = {}
+        for field in dataclasses.fields(self):
+            one, other = getattr(self, field.name), getattr(others, field.name)
+            arrays[field.name] = torch.where(some.view(-1, *[1] * (one.ndim - 1)), one, other)
+        return People(**arrays)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ class Doubt:
     undecided: float
     """Mean entropy (nats) of the skinning weights over the surface: 0 where every point knows its joint."""
     limbs: dict[str, float]
-    """Share of the surface that the joints of each limb hold."""
+    """Share of the surface that the joints of each limb hold; empty where points need not be spread evenly."""
 
     @classmethod
     def of(

@@ -76,16 +76,16 @@ class Puppet:
         rotation, places = (np.stack(arrays) for arrays in zip(*self._poses(frames), strict=True))
         return Track(rotation, places, fps)
 
-    def path(self, track: Track, stride: float | None, drop: bool, ground: bool) -> Float[np.ndarray, "T 3"]:
-        """Where the identity's root joint goes: `stride` times the driving's way (None: as long as its legs make it).
+    def path(self, track: Track, across: float | None, drop: bool, ground: bool) -> Float[np.ndarray, "T 3"]:
+        """Where the identity's root joint goes: `across` times the driving's way (None: as far as its legs make it).
 
-        With `drop` it stays where it is, but for up and down; with `ground` the feet stay where they stand.
+        Up and down it goes as its legs make it. With `drop` it stays where it is, but for up and down; with `ground`
+        the feet stay where they stand.
         """
-        stride = self.stride if stride is None else stride
-        path = straight(track, stride, drop)
+        path = straight(track, self.stride if across is None else across, self.stride, drop)
         if not ground:
             return path
-        corrected = grounded(track, path, self.skinned, self.feet, stride)
+        corrected = grounded(track, path, self.skinned, self.feet, self.stride)
         return np.where([drop, False, drop], path, corrected)
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
@@ -100,8 +100,10 @@ class Puppet:
 class Agreement:
     """What the glimpses of a clip say of its joints in one of them."""
 
-    reference: Float[np.ndarray, "U 3"]
+    points: Float[np.ndarray, "N 3"]
+    """That are followed, in that frame."""
     mean: Rig
+    """Weights are those of the points."""
     leg: float
     """Length of a leg."""
     doubt: Doubt
@@ -137,16 +139,18 @@ class Mime:
         every = dataclasses.replace(rig, weights=rig.weights[ranked.group])
         ankles = [leg[-1] for leg in self.legs]
         stand = tuple(j for j, parent in enumerate(self.parents) if j in ankles or parent in ankles)
-        feet = Feet(stand, agreed.leg, soles(rig, vertices, stand))
-        names = (ranked.group, driving.mesh.name, (doubt, agreed.doubt))
-        return Puppet(self.joints, every, skinned, follow, stride, feet, *names)
+        feet = Feet(stand, agreed.leg, soles(rig, vertices, stand), soles(agreed.mean, agreed.points, stand))
+        # Vertices of a point cloud may be denser on one limb than on another.
+        pairs = ((doubt, identity), (agreed.doubt, driving.mesh))
+        one, other = (d if len(mesh.faces) else dataclasses.replace(d, limbs={}) for d, mesh in pairs)
+        facts = (ranked.group, driving.mesh.name, (one, other))
+        return Puppet(self.joints, every, skinned, follow, stride, feet, *facts)
 
     def glance(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """How undecided the skinning weights of a mesh are in one reading, and how the root joint is turned."""
         mesh = outward(mesh)
-        places = Samples.of(mesh, self.points, generator(self.seed, 0))
-        given = (places.points(mesh.vertices), places.normals(mesh.vertices))
-        rig = self._read(places, mesh.vertices, given)
+        mesh = dataclasses.replace(mesh, vertices=Calm.of(mesh)(mesh.vertices))
+        rig = self._glanced(Samples.of(mesh, self.points, generator(self.seed, 0)), mesh.vertices)
         return Doubt.of(0.0, rig.weights, self.joints, self.parents).undecided, rig.rotation[0]
 
     def _rig(self, mesh: Mesh) -> tuple[Rig, Doubt]:
@@ -154,15 +158,14 @@ class Mime:
         ranked = rank_vertices(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
-        normals = vertex_normals(vertices, faces)
+        normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         calm = Calm.of(mesh)(mesh.vertices)
         places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
         given = [(vertices, normals) if k < WEIGHING else None for k in range(READINGS)]
         rigs = [self._read(places.part(k, READINGS), calm, given[k]) for k in range(READINGS)]
         mean = _mean(rigs)
         rig = dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
-        there = np.einsum("nc,ncj->nj", places.shares, rig.weights[ranked.group[places.corners]])
-        return rig, self._doubt(rigs, mean, there)
+        return rig, self._doubt(rigs, mean, self._glanced(places.part(0, READINGS), calm).weights)
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
@@ -184,7 +187,7 @@ class Mime:
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.doubt.apart > DISAGREE:
                 best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
-        parts = Parts.of(followed.points(best.reference), best.mean.weights, best.mean.joints, self.parents)
+        parts = Parts.of(best.points, best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
             rotation, joints = parts.follow(followed.points(vertices))
@@ -206,9 +209,8 @@ class Mime:
         joints = mean.joints
         mean = _mean(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        return Agreement(
-            frames[t], dataclasses.replace(mean, joints=joints), leg, self._doubt(rigs, mean, mean.weights)
-        )
+        doubt = self._doubt(rigs, mean, mean.weights)
+        return Agreement(followed.points(frames[t]), dataclasses.replace(mean, joints=joints), leg, doubt)
 
     def _turned_back(
         self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
@@ -217,6 +219,10 @@ class Mime:
         stood, followed = vertices @ turn, places.part(0, FOLLOWED)
         given = (followed.points(stood), followed.normals(stood)) if k < WEIGHING else None
         return self._read(places.part(k, READINGS), stood, given)
+
+    def _glanced(self, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> Rig:
+        """Joints from places on a mesh, and skinning weights of those places."""
+        return self._read(places, vertices, (places.points(vertices), places.normals(vertices)))
 
     def _read(self, places: Samples, vertices: Float[np.ndarray, "U 3"], given: Weighed | None) -> Rig:
         """Joints from places on a mesh, and skinning weights of what is given, some of it at a time."""
