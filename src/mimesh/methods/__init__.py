@@ -20,7 +20,7 @@ Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray
 
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 ROWS = (
-    *("npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
+    *("mime-table", "npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
