@@ -1,6 +1,7 @@
 """ONNX gives what torch gives, at any vertex count; half-precision storage is small and close."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -83,3 +84,10 @@ def test_export_knows_two_sizes(tmp_path):
 def test_export_wants_an_onnx_name(tmp_path):
     with pytest.raises(InputError, match=r"ends in \.onnx"):
         export_command(tmp_path / "best.safetensors", tmp_path / "mine.pt")
+
+
+def test_files_do_not_say_whose_machine_they_came_from():
+    """What is shipped, and the rows of the tables in a checkout."""
+    folder = Path(__file__).parents[2]
+    for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "rows").glob("*.onnx")]:
+        assert b".py" not in path.read_bytes(), path.name

@@ -78,7 +78,16 @@ def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
             verbose=False,
         )
     assert program is not None
-    return program.model_proto
+    return without_traces(program.model_proto)
+
+
+def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
+    """The network without what the exporter says of where in whose files each operation came from."""
+    graph = network.graph
+    for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
+        del thing.metadata_props[:]
+        thing.ClearField("doc_string")
+    return network
 
 
 class ReadAndWeigh(nn.Module):
