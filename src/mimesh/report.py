@@ -14,7 +14,7 @@ MOST_FRAMES = 32
 """A clip is judged by this many of its frames, evenly spread."""
 SHORT = 1e-3
 """Edges below this part of the mean length say nothing about stretch."""
-STRANGE_APART, STRANGE_UNDECIDED = 12.0, 0.81
+STRANGE_APART, STRANGE_UNDECIDED = 15.0, 0.81
 """Readings this far apart (degrees), or weights as undecided as this, are hardly those of a person."""
 LEAST = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, "right leg": 0.12}
 """Shares of the surface that limbs hold at least on people."""
