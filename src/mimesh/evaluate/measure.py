@@ -63,7 +63,7 @@ def given(method: str) -> str:
 
 
 def trained(method: str) -> str:
-    """The training behind a method, from the card beside its weights."""
+    """The training behind a method, from the card beside its weights; `before` are trainings that it went on from."""
     path = weights_path(method)
     if method in GIVEN:
         return "none"
@@ -72,8 +72,9 @@ def trained(method: str) -> str:
     card = json.loads(path.with_suffix(".json").read_text())
     count = card["config"]["data"]["vertices"] or 6890
     data = TRAINED_ON[card["config"]["data"]["kind"]]
-    minutes = f"{card['seconds_trained'] / 60:.0f} min, {card['hardware']}"
-    return f"{minutes}; {card['pairs']:,} pairs of {count:,} vertices; {data}"
+    stages = [card, *card.get("before", [])]
+    minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
+    return f"{minutes}; {sum(stage['pairs'] for stage in stages):,} pairs of {count:,} vertices; {data}"
 
 
 def moved(pair: Pair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "V 3"]:
