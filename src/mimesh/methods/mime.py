@@ -150,7 +150,8 @@ class Mime:
         """How undecided the skinning weights of a mesh are in one reading, and how the root joint is turned."""
         mesh = outward(mesh)
         mesh = dataclasses.replace(mesh, vertices=Calm.of(mesh)(mesh.vertices))
-        rig = self._glanced(Samples.of(mesh, self.points, generator(self.seed, 0)), mesh.vertices)
+        places = Samples.of(mesh, self.points, generator(self.seed, 0))
+        rig = self._read(places, mesh.vertices, (places.points(mesh.vertices), places.normals(mesh.vertices)))
         return Doubt.of(0.0, rig.weights, self.joints, self.parents).undecided, rig.rotation[0]
 
     def _rig(self, mesh: Mesh) -> tuple[Rig, Doubt]:
@@ -161,11 +162,15 @@ class Mime:
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         calm = Calm.of(mesh)(mesh.vertices)
         places = Samples.of(dataclasses.replace(mesh, vertices=calm), READINGS * self.points, generator(self.seed, 0))
-        given = [(vertices, normals) if k < WEIGHING else None for k in range(READINGS)]
-        rigs = [self._read(places.part(k, READINGS), calm, given[k]) for k in range(READINGS)]
+        # Places are spread evenly, which vertices are not: what is doubtful is asked of them.
+        even = places.part(0, READINGS)
+        given = np.concatenate([vertices, even.points(calm)]), np.concatenate([normals, even.normals(calm)])
+        which = [given if k < WEIGHING else None for k in range(READINGS)]
+        rigs = [self._read(places.part(k, READINGS), calm, which[k]) for k in range(READINGS)]
         mean = _mean(rigs)
-        rig = dataclasses.replace(mean, weights=without_islands(mean.weights, vertices, faces, self.parents))
-        return rig, self._doubt(rigs, mean, self._glanced(places.part(0, READINGS), calm).weights)
+        weights, there = np.split(mean.weights, [len(vertices)])
+        rig = dataclasses.replace(mean, weights=without_islands(weights, vertices, faces, self.parents))
+        return rig, self._doubt(rigs, mean, there)
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
@@ -219,10 +224,6 @@ class Mime:
         stood, followed = vertices @ turn, places.part(0, FOLLOWED)
         given = (followed.points(stood), followed.normals(stood)) if k < WEIGHING else None
         return self._read(places.part(k, READINGS), stood, given)
-
-    def _glanced(self, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> Rig:
-        """Joints from places on a mesh, and skinning weights of those places."""
-        return self._read(places, vertices, (places.points(vertices), places.normals(vertices)))
 
     def _read(self, places: Samples, vertices: Float[np.ndarray, "U 3"], given: Weighed | None) -> Rig:
         """Joints from places on a mesh, and skinning weights of what is given, some of it at a time."""
