@@ -1,0 +1,74 @@
+"""Whole people raise no doubts; halves, limbs that lack and chairs do, and the note says why."""
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.mesh import Mesh
+from mimesh.methods.doubt import Doubt
+from mimesh.pipeline import transfer
+from mimesh.report import doubt_notes
+
+BODY = load_body()
+AXES = {"up": "+y", "front": "+z"}
+HELD = BODY.weights.argmax(axis=1)
+
+
+def below(top):
+    """A joint and all that hang from it."""
+    found = [BODY.joint(top)]
+    for j, parent in enumerate(BODY.parents):
+        if parent in found:
+            found.append(j)
+    return found
+
+
+def without(kept):
+    """The body's faces whose corners are all kept."""
+    faces = BODY.faces[kept[BODY.faces].all(axis=1)]
+    used, index = np.unique(faces, return_inverse=True)
+    return Mesh(BODY.vertices[used], index.reshape(-1, 3), name="part")
+
+
+def chair():
+    """A seat, a back and four legs, each a box."""
+    boxes = [((0, 0.5, 0), (0.5, 0.06, 0.5)), ((0, 0.85, -0.22), (0.5, 0.7, 0.06))]
+    boxes += [((x, 0.25, z), (0.06, 0.5, 0.06)) for x in (-0.2, 0.2) for z in (-0.2, 0.2)]
+    corners = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    box = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)]
+    box += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+    vertices = np.concatenate([corners * size + middle for middle, size in boxes])
+    return Mesh(vertices, np.concatenate([np.array(box) + 8 * k for k in range(len(boxes))]), name="chair")
+
+
+def notes(mesh):
+    return " ".join(transfer(mesh, BODY.mesh(), **AXES).notes)
+
+
+def test_a_whole_person_is_none_to_speak_of():
+    assert notes(BODY.mesh()) == ""
+
+
+@pytest.mark.parametrize(
+    ("mesh", "why"),
+    [
+        (chair(), "belongs to no limb in particular"),
+        (without(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])), "belongs to no limb in particular"),
+        (without(~np.isin(HELD, below("Neck1"))), "no head"),
+        (without(~np.isin(HELD, below("LeftArm"))), "no left arm"),
+    ],
+    ids=["chair", "upper half", "headless", "one arm"],
+)
+def test_others_are(mesh, why):
+    said = notes(mesh)
+    assert "hardly looks like a whole person" in said
+    assert why in said
+
+
+def test_every_reason_is_said():
+    doubt = Doubt(40.0, 2.0, {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2})
+    (note,) = doubt_notes(doubt, "thing")
+    assert "40 degrees" in note
+    assert "no limb in particular" in note
+    assert "no head and no right arm" in note
+    assert doubt_notes(Doubt(2.0, 0.5, {"head": 0.1}), "person") == ()
