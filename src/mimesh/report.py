@@ -18,6 +18,8 @@ STRANGE_APART, STRANGE_UNDECIDED = 15.0, 0.81
 """Readings this far apart (degrees), or weights as undecided as this, are hardly those of a person."""
 LEAST = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, "right leg": 0.12}
 """Shares of the surface that limbs hold at least on people."""
+LOPSIDED = 0.45
+"""A limb that holds less than this part of what its twin holds is not whole."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -96,15 +98,21 @@ def strange(doubt: Doubt) -> bool:
 
 def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
     """Notes for the user where an input does not look like what the model knows, and why."""
-    lacking = [limb for limb, share in doubt.limbs.items() if share < LEAST[limb]]
+    lacking = [limb for limb, share in doubt.limbs.items() if share < max(LEAST[limb], LOPSIDED * _twin(limb, doubt))]
     why = []
     if doubt.apart > STRANGE_APART:
         why.append(f"readings of it differ by {doubt.apart:.0f} degrees")
     if doubt.undecided > STRANGE_UNDECIDED:
         why.append("much of its surface belongs to no limb in particular")
     if lacking:
-        why.append(f"no {' and no '.join(lacking)} was found")
+        why.append(f"no whole {' and no whole '.join(lacking)} was found")
     return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
+
+
+def _twin(limb: str, doubt: Doubt) -> float:
+    """Share of the surface that the same limb of the other side holds; 0 where there is none."""
+    side, _, kind = limb.partition(" ")
+    return doubt.limbs.get(f"{'right' if side == 'left' else 'left'} {kind}", 0.0)
 
 
 def _against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:

@@ -54,8 +54,8 @@ def test_a_whole_person_is_none_to_speak_of():
     [
         (chair(), "belongs to no limb in particular"),
         (without(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])), "belongs to no limb in particular"),
-        (without(~np.isin(HELD, below("Neck1"))), "no head"),
-        (without(~np.isin(HELD, below("LeftArm"))), "no left arm"),
+        (without(~np.isin(HELD, below("Neck1"))), "no whole head"),
+        (without(~np.isin(HELD, below("LeftShoulder"))), "no whole left arm"),
     ],
     ids=["chair", "upper half", "headless", "one arm"],
 )
@@ -70,5 +70,5 @@ def test_every_reason_is_said():
     (note,) = doubt_notes(doubt, "thing")
     assert "40 degrees" in note
     assert "no limb in particular" in note
-    assert "no head and no right arm" in note
+    assert "no whole head and no whole right arm" in note
     assert doubt_notes(Doubt(2.0, 0.5, {"head": 0.1}), "person") == ()
