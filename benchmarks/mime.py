@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import statistics
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from bench import seconds
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
+from mimesh.evaluate.remesh import split_faces
 from mimesh.geometry import edges
 from mimesh.io.atomic import whole_file
 from mimesh.mesh import Clip, Mesh
@@ -88,24 +88,14 @@ def others(name: str, identity: Mesh, clip: Clip) -> float:
 def divided(mesh: Mesh) -> Mesh:
     """Each triangle in four."""
     pairs = edges(mesh.faces)
-    number = {tuple(pair): len(mesh.vertices) + k for k, pair in enumerate(pairs.tolist())}
-    faces = []
-    for a, b, c in mesh.faces.tolist():
-        ab, bc, ca = (number[min(pair), max(pair)] for pair in ((a, b), (b, c), (c, a)))
-        faces += [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
     middles = mesh.vertices[pairs].mean(axis=1)
-    return Mesh(np.concatenate([mesh.vertices, middles]), np.array(faces), name=mesh.name)
+    faces = split_faces(mesh.faces, pairs, len(mesh.vertices))
+    return Mesh(np.concatenate([mesh.vertices, middles]), faces, name=mesh.name)
 
 
 def milliseconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
     """Median wall time of a call, after one that warms up."""
-    work()
-    times = []
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - begin)
-    return 1e3 * statistics.median(times)
+    return 1e3 * seconds(work, repeats)
 
 
 if __name__ == "__main__":

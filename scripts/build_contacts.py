@@ -1,6 +1,8 @@
 """Build src/mimesh/bodies/contacts.npz: people who touch themselves, which mime is trained on. About ten minutes.
 
-python scripts/build_contacts.py [--count N]
+    python scripts/build_contacts.py [--count N]
+
+Person i depends on i and on nothing else.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size
     return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1).astype(float)
 
 
-def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+def _unit(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
 

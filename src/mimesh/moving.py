@@ -17,7 +17,7 @@ from .methods.mime import Mime, Puppet
 from .orient import known
 from .paging import PAGED, let_go, new_frames
 from .refine import Refinement
-from .report import doubt_notes, doubts, facing, facing_note, liveliness, quality
+from .report import accelerations, doubt_notes, doubts, facing, facing_note, quality
 from .result import timed
 from .rig import Rig, Skeleton
 from .track import Track, skate
@@ -124,7 +124,12 @@ def move(
                 let_go(moved)
             if progress is not None:
                 progress((done + t + 1) * count // (done + count), count)
-    report = {**quality(identity, moved), **liveliness(clip, moved), "identity": facing(own), "driving": facing(theirs)}
+    report = {
+        **quality(identity, moved),
+        **accelerations(clip, moved),
+        "identity": facing(own),
+        "driving": facing(theirs),
+    }
     notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
     skeleton = None
     if played is not None:

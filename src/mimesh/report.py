@@ -67,7 +67,7 @@ def facing_note(frame: Frame, name: str, option: str) -> tuple[str, ...]:
     return (f"the facing of {name} is uncertain (taken: up {frame.up}, front {frame.front}); give {option}",)
 
 
-def liveliness(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:
+def accelerations(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:
     """Mean acceleration (sizes a second squared) of the result and of its driving; empty for fewer than three frames.
 
     A result that is much livelier than what it imitates jitters.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -91,6 +92,15 @@ class Skeleton:
         chosen = np.unique(np.linspace(0, len(frames) - 1, 16).round().astype(int))
         off = [skinned.posed(self.rotation[t], self.root[t]) - frames[t] for t in chosen]
         return float(np.linalg.norm(off, axis=-1).max() / np.ptp(self.mesh.vertices, axis=0).max())
+
+
+def hanging(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
+    """Some joints and all that hang from them; parents come before their children."""
+    found = set(tops)
+    for j, parent in enumerate(parents):
+        if parent in found:
+            found.add(j)
+    return sorted(found)
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], legs: tuple[tuple[int, ...], ...]) -> float:

@@ -11,7 +11,7 @@ from .geometry import nearest_rotation
 from .rig import Rig, Skinned
 
 LOW, SLOW = 0.06, 0.15
-"""A foot stands where it is no higher over its lowest place (leg lengths), nor faster (leg lengths a second)."""
+"""A foot stands where it is no higher over the ground (leg lengths), nor faster (leg lengths a second)."""
 LANDING = 0.05
 """Standard deviation (seconds) over which a path that feet correct is smoothed up and down."""
 

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .. import geometry
+from ..rig import hanging
 from .rigged import RiggedBody
 from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
 
@@ -27,6 +28,8 @@ TRIES = 12
 """Pairs of places that are tried, until one is met without cutting through."""
 MET, DEEP = 0.01, 0.02
 """Metres: places so near have met, vertices so far below the surface of another limb have cut through it."""
+CORNERS = np.arange(6).reshape(2, 3)
+"""Of the two triangles that are brought together."""
 STEP = 1e-4
 """Radians, of the numerical derivative."""
 BANK = Path(str(resources.files("mimesh.bodies"))) / "contacts.npz"
@@ -132,9 +135,9 @@ def _brought(
     def gaps(many):
         poses = np.repeat(rotvec[None], len(many), axis=0)
         poses[:, index] = many.reshape(len(many), -1, 3)
-        triangles = small.posed(shape, rotvec_to_rotmat(poses)).reshape(-1, 2, 3, 3)
-        middle, (one, two) = triangles.mean(axis=2), np.moveaxis(_normals(triangles), 1, 0)
-        return middle[:, 0] - middle[:, 1], one + two, many - start
+        points = small.posed(shape, rotvec_to_rotmat(poses))
+        one, other = np.moveaxis(points.reshape(-1, 2, 3, 3).mean(axis=2), 1, 0)
+        return one - other, geometry.face_normals(points, CORNERS).sum(axis=1), many - start
 
     def residuals(many):
         scaled = (gap / scale for gap, scale in zip(gaps(many), (DISTANCE, FACING, KEEPING), strict=True))
@@ -164,28 +167,14 @@ def _cut_through(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], moving: t
     most, normals = body.weights.argmax(axis=1), geometry.vertex_normals(vertices, body.faces)
     depth = np.zeros(len(vertices))
     for side in ("Left", "Right"):
-        ours = {body.joint(name) for name in moving if name.startswith(side)}
-        ends = _below(body, ours)
-        limb = np.flatnonzero(np.isin(most, list(ends)))
+        ours = [body.joint(name) for name in moving if name.startswith(side)]
+        ends = hanging(ours, body.parents)
+        limb = np.flatnonzero(np.isin(most, ends))
         # What the limb hangs from always touches it.
-        near = ends | {body.parents[j] for j in ours} | {body.parents[body.parents[j]] for j in ours}
-        rest = np.flatnonzero(~np.isin(most, list(near)))
+        above = [body.parents[j] for j in ours]
+        rest = np.flatnonzero(~np.isin(most, [*ends, *above, *(body.parents[j] for j in above)]))
         if len(limb):
             nearest = rest[KDTree(vertices[rest]).query(vertices[limb])[1]]
             depth[limb] = ((vertices[nearest] - vertices[limb]) * normals[nearest]).sum(axis=1)
     moved = np.sort(depth)[::-1]
     return float(moved[len(moved) // 100])
-
-
-def _below(body: RiggedBody, joints: set[int]) -> set[int]:
-    """These joints and all that hang from them."""
-    found = set(joints)
-    for j, parent in enumerate(body.parents):
-        if parent in found:
-            found.add(j)
-    return found
-
-
-def _normals(triangles: Float[np.ndarray, "B N 3 3"]) -> Float[np.ndarray, "B N 3"]:
-    crossed = np.cross(triangles[..., 1, :] - triangles[..., 0, :], triangles[..., 2, :] - triangles[..., 0, :])
-    return crossed / np.maximum(np.linalg.norm(crossed, axis=-1, keepdims=True), 1e-12)

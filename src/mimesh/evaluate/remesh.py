@@ -74,7 +74,7 @@ def subdivided() -> Remesh:
     pairs = edges(body.faces)
     corners = np.concatenate([np.repeat(np.arange(len(body.vertices))[:, None], 3, axis=1), pairs[:, [0, 1, 1]]])
     weights = np.concatenate([np.tile([1.0, 0, 0], (len(body.vertices), 1)), np.tile([0.5, 0.5, 0], (len(pairs), 1))])
-    return Remesh(_split_faces(body.faces, pairs, len(body.vertices)), corners, weights)
+    return Remesh(split_faces(body.faces, pairs, len(body.vertices)), corners, weights)
 
 
 @cache
@@ -140,7 +140,7 @@ def _projected(body: RiggedBody, vertices: np.ndarray, faces: np.ndarray) -> Rem
     return Remesh(faces.astype(np.int64), body.faces[face], weights)
 
 
-def _split_faces(faces: Int[np.ndarray, "F 3"], pairs: Int[np.ndarray, "E 2"], count: int) -> Int[np.ndarray, "4*F 3"]:
+def split_faces(faces: Int[np.ndarray, "F 3"], pairs: Int[np.ndarray, "E 2"], count: int) -> Int[np.ndarray, "4*F 3"]:
     """Four triangles for each: three at the corners and the one between the edges' middles (numbered from `count`)."""
     key = pairs[:, 0] * count + pairs[:, 1]
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)

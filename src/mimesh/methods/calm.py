@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,26 +35,27 @@ class Calm:
     ranked: Ranked
     faces: Int[np.ndarray, "F 3"]
     beside: Int[np.ndarray, "P 2"]
-    """Faces that share an edge."""
-    mean: csr_array | None
-    """(W, W) of every point and its neighbours; None for a point cloud."""
+    """Faces that share an edge; none of a point cloud."""
 
     @classmethod
     def of(cls, mesh: Mesh) -> Calm:
         """For all frames of a mesh."""
-        from scipy.sparse import csr_array, diags_array, eye_array
-
         ranked = rank_vertices(mesh.vertices)
         faces = ranked.group[mesh.faces]
-        if len(faces) == 0:
-            return cls(ranked, faces, np.zeros((0, 2), np.int64), None)
-        around = links(edges(faces), len(ranked)) + eye_array(len(ranked))
-        return cls(ranked, faces, _beside(faces), csr_array(diags_array(1 / around.sum(axis=1)) @ around))
+        return cls(ranked, faces, _beside(faces) if len(faces) else np.zeros((0, 2), np.int64))
+
+    @cached_property
+    def mean(self) -> csr_array:
+        """(W, W) of every point and its neighbours; few meshes are so noisy that it is wanted."""
+        from scipy.sparse import csr_array, diags_array, eye_array
+
+        around = links(edges(self.faces), len(self.ranked)) + eye_array(len(self.ranked))
+        return csr_array(diags_array(1 / around.sum(axis=1)) @ around)
 
     def __call__(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
         """A frame, smoothed as often as it needs."""
         points = self.ranked.merge(vertices)
-        if self.mean is None or self.folded(points) < NOISY:
+        if self.folded(points) < NOISY:
             return vertices
         for _ in range(MOST):
             points = self.mean @ points

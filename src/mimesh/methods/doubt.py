@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..rig import Rig
+from ..rig import Rig, hanging
 
 LIMBS = {
     "head": "Neck",
@@ -42,7 +42,7 @@ class Doubt:
         undecided = -(weights * np.log(np.maximum(weights, 1e-12))).sum(axis=1).mean()
         held = weights.mean(axis=0)
         tops = {limb: joints.index(top) for limb, top in LIMBS.items() if top in joints}
-        limbs = {limb: float(held[_below(top, parents)].sum()) for limb, top in tops.items()}
+        limbs = {limb: float(held[hanging([top], parents)].sum()) for limb, top in tops.items()}
         return cls(apart, float(undecided), limbs)
 
 
@@ -50,12 +50,3 @@ def turns_apart(one: Rig, other: Rig) -> float:
     """Mean angle (degrees) between the rotations of two readings."""
     cosine = (np.einsum("jab,jab->j", one.rotation, other.rotation) - 1) / 2
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
-
-
-def _below(top: int, parents: tuple[int, ...]) -> list[int]:
-    """A joint and all that hang from it; parents come before children."""
-    found = [top]
-    for j, parent in enumerate(parents):
-        if parent in found:
-            found.append(j)
-    return found
