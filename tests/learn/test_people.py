@@ -107,3 +107,22 @@ def test_the_truth_is_the_identity_in_the_driving_pose(kind):
     again = source.batch(3, 0)
     assert torch.equal(again.truth.points, batch.truth.points)
     assert not math.isclose(float(source.batch(3, 1).truth.points.mean()), float(batch.truth.points.mean()))
+
+
+def test_one_side_of_some_driving_meshes(monkeypatch):
+    monkeypatch.setattr("mimesh.learn.mime_batches.HALF", 1.0)
+    batch = MimeSource(DataConfig("wide", 64, "identity"), BODY, CPU, 0).batch(8, 0)
+    for whole, (_, normals) in zip(batch.driving.normals, zip(*batch.given[1], strict=True), strict=True):
+        given = {tuple(n) for n in normals.tolist()} - {(0.0, 0.0, 0.0)}
+        assert not given or 10 < len(given) < 54
+        across = torch.tensor(sorted(given))[:, [0, 2]]
+        angles = torch.linspace(0, 2 * math.pi, 361)
+        facing = across @ torch.stack([angles.sin(), angles.cos()])
+        assert not given or (facing > -1e-6).all(0).any()
+        assert given <= {tuple(n) for n in whole.tolist()}
+
+
+def test_strange_people_have_larger_heads():
+    who = Crowd(BODY, 1.3, CPU).draw(400, torch.Generator().manual_seed(5))
+    head, hand = BODY.joint("Head"), BODY.joint("LeftHand")
+    assert who.girth[:, head].log().mean() > 0.08 > abs(who.girth[:, hand].log().mean())

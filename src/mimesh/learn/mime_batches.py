@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..bodies import RiggedBody
@@ -14,10 +15,12 @@ from .people import Crowd, People, Surface, SurfaceBody
 
 POINTS = 320
 """Of each mesh, unless the configuration says more."""
-LOST = (0.05, 0.15)
+LOST = (0.08, 0.25)
 """Share of identities and of driving meshes that lack the points of a ball."""
 BARE = (0.1, 0.2)
 """Share of identities and of driving meshes without normals, as point clouds are."""
+HALF = 0.1
+"""Share of driving meshes of which only one side is given, as a scan from there would see it."""
 NOISE = 0.02
 """Most standard deviation of the noise on driving points (metres); mostly it is far less."""
 
@@ -63,17 +66,32 @@ class MimeSource(PairSource):
         return MimeBatch(identity, driving, truth, self._damaged(identity, driving, rng))
 
     def _damaged(self, identity: Surface, driving: Surface, rng: torch.Generator):
-        """Noise on driving points, and meshes whose normals are not known."""
-        size, noise = len(driving.points), torch.randn(driving.points.shape, generator=rng, device=self.device)
-        height = NOISE * self._uniform(size, rng).square()
-        points = (identity.points, driving.points + height * noise)
+        """Driving meshes with noise, some seen from one side only, and meshes whose normals are not known."""
+        size, side = len(driving.points), self._side(driving.normals, rng)
+        noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
+        noisy = _pick(driving.points, side) + NOISE * self._uniform(size, rng).square() * noise
+        meshes = ((identity.points, identity.normals), (noisy, _pick(driving.normals, side)))
         return tuple(
-            (x, mesh.normals * (self._uniform(size, rng) >= bare))
-            for x, mesh, bare in zip(points, (identity, driving), BARE, strict=True)
+            (points, normals * (self._uniform(size, rng) >= bare))
+            for (points, normals), bare in zip(meshes, BARE, strict=True)
         )
+
+    def _side(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
+        """All points, or of some meshes those that face one side, over and over."""
+        size, count = normals.shape[:2]
+        angle = 2 * math.pi * self._uniform(size, rng)
+        side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
+        hidden = ((normals * side).sum(-1) <= 0) & (self._uniform(size, rng)[..., 0] < HALF)
+        order = hidden.int().argsort(dim=1, stable=True)
+        seen = (~hidden).sum(1, keepdim=True)
+        return order.gather(1, torch.arange(count, device=self.device) % seen)
 
     def _uniform(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 1 1"]:
         return torch.rand(size, 1, 1, generator=rng, device=self.device)
+
+
+def _pick(values: Float[Tensor, "B N 3"], index: Int[Tensor, "B N"]) -> Float[Tensor, "B N 3"]:
+    return values.gather(1, index[..., None].expand(-1, -1, 3))
 
 
 def plain(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:

@@ -22,6 +22,10 @@ from ..bodies.dress import GARMENTS, dressed_body, load_garment
 
 WAVES = 6
 """Of which a person's bumps are the sum."""
+STRANGE, HEADS = 0.4, 0.6
+"""Share of people with proportions of their own; logarithm of the most that their heads are larger by, beside those."""
+LOST_REACH = 0.45
+"""Largest radius of what a surface lacks (metres, at rest)."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +105,7 @@ class SurfaceBody(nn.Module):
         key = torch.rand(size, total, generator=rng, device=self.rest.device)
         key = key + 2.0 * (~people.worn)[:, self.piece]
         ball = torch.randint(total, (size,), generator=rng, device=self.rest.device)
-        reach = 0.35 * torch.rand(size, 1, generator=rng, device=self.rest.device)
+        reach = LOST_REACH * torch.rand(size, 1, generator=rng, device=self.rest.device)
         reach = reach * (torch.rand(size, 1, generator=rng, device=self.rest.device) < lost)
         apart = (self.rest[:, None] - self.rest[:, ball, None]).square().sum(0)
         key = key + (apart < reach.square())
@@ -152,14 +156,17 @@ class Crowd:
     def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
         self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
         self.group = torch.from_numpy(_groups(body)).to(device)
+        self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
 
     def draw(self, size: int, rng: torch.Generator) -> People:
-        """Mostly everyday people; a quarter have proportions of their own, bone by bone, alike on both sides."""
+        """Everyday people, and some with larger heads and bones of other proportions, alike on both sides."""
         shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
-        strange = (self._uniform(rng, size, 1) < 0.25) * 0.3 + 0.06 * self._uniform(rng, size, 1)
+        odd = self._uniform(rng, size, 1) < STRANGE
+        strange = odd * 0.3 + 0.06 * self._uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
         drawn = [strange * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
-        length, girth = (scale.exp()[:, self.group] for scale in drawn)
+        larger = HEADS * odd * self._uniform(rng, size, 1) * self.head
+        length, girth = ((scale[:, self.group] + larger).exp() for scale in drawn)
         height = 0.02 * self._uniform(rng, size, 1, 1).square() * self._normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
         direction = 25.0 * self._normal(rng, size, WAVES, 3) * self._uniform(rng, size, WAVES, 1)
         bumps = torch.cat([direction, 2 * math.pi * self._uniform(rng, size, WAVES, 1), height], -1)
