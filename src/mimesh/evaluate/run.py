@@ -12,7 +12,7 @@ from typing import Any
 
 from ..io.atomic import whole_file
 from ..mesh import InputError
-from ..methods import MODELS, ROWS, check_row, weights_path
+from ..methods import ALONE, MODELS, ROWS, check_row, weights_path
 from ..provenance import code_fingerprint, commit, libraries, machine
 from .clip_measure import measure_clip
 from .clip_protocols import ClipPair, clips_aniformer
@@ -157,7 +157,7 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the names there are, for a method that cannot be measured."""
     names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *ROWS) and not (method.endswith(".onnx") and Path(method).is_file()):
+    if method not in (*names, *ROWS, *ALONE) and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_row(method)
 

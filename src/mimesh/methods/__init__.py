@@ -25,19 +25,22 @@ ROWS = (
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
 """Lines of the papers' tables, to be compared rather than used: not shipped, but in a checkout's folder `rows`."""
+ALONE = {"mime-network": "mime", "mime-table-network": "mime-table"}
+"""What networks of mime read, without the fit of the body that starts from it: what the fit is worth."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 
 def weights_path(model: str) -> Path:
-    """Where the weights of a network lie: one that is shipped, one of ROWS, or the path of an `.onnx` file."""
+    """Where the weights of a network lie: one that is shipped, one of ROWS or ALONE, or the path of an `.onnx` file."""
+    model = ALONE.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path("rows", f"{model}.onnx") if model in ROWS else Path(model)
 
 
 def check_row(model: str) -> None:
-    """Raise InputError if this is one of ROWS whose weights are not here."""
-    if model in ROWS and not weights_path(model).is_file():
+    """Raise InputError if this is one of ROWS, or of ALONE, whose weights are not here."""
+    if ALONE.get(model, model) in ROWS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
             "repository, or train them with scripts/train_rows.py"
@@ -70,7 +73,7 @@ def find_method(
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
 ) -> Method:
-    """The method of a name in MODELS or ROWS, or of the path of an `.onnx` file written by `mimesh export`.
+    """The method of a name in MODELS, ROWS or ALONE, or of the path of an `.onnx` file written by `mimesh export`.
 
     Args:
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
@@ -100,5 +103,6 @@ def find_method(
     check_row(model)
     path = weights_path(model)
     if path.suffix == ".onnx":
-        return load_network(path, name=path.stem, ensemble=ensemble, seed=seed)
+        name = model if model in ALONE else path.stem
+        return load_network(path, name=name, ensemble=ensemble, seed=seed, fits=model not in ALONE)
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -29,8 +29,14 @@ LONGEST = 64
 """Most driving frames of a window."""
 
 
-def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2) -> Method:
+def load_network(
+    path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2, fits: bool = True
+) -> Method:
     """Open an ONNX file written by `mimesh export`.
+
+    Args:
+        ensemble: see `find_method`.
+        fits: whether mime's readings are the start of a fit (see `fitting.py`).
 
     Raises:
         InputError: no such file, not an ONNX network, or one that does not say it is ours.
@@ -45,7 +51,7 @@ def load_network(path: Path, *, name: str, ensemble: int = 1, seed: int = 0, thr
         return Limp(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
-        return Mime(name, session, joints, parents, legs, card["points"], seed)
+        return Mime(name, session, joints, parents, legs, card["points"], fits, seed)
     return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 

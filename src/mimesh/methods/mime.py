@@ -21,6 +21,7 @@ from ..rig import Rig, Skinned, leg_length
 from ..track import Feet, Track, grounded, soles, straight
 from .calm import Calm, outward
 from .doubt import Doubt, turns_apart
+from .fitting import Cloud, figure, fitted
 from .islands import without_islands
 from .network import batch_of_one, generator
 from .pairing import canonical_faces, rank_vertices
@@ -100,6 +101,8 @@ class Puppet:
 class Agreement:
     """What the glimpses of a clip say of its joints in one of them."""
 
+    frame: int
+    """Which."""
     points: Float[np.ndarray, "N 3"]
     """That are followed, in that frame."""
     mean: Rig
@@ -123,6 +126,8 @@ class Mime:
     """Joints from hip to ankle."""
     points: int
     """That are read of a mesh."""
+    fits: bool = True
+    """Whether what is read is the start of a fit of the shipped body, where these are its joints."""
     seed: int = 0
 
     def prepare(self, identity: Mesh, driving: Clip) -> Puppet:
@@ -170,7 +175,14 @@ class Mime:
         mean = _mean(rigs)
         weights, there = np.split(mean.weights, [len(vertices)])
         rig = dataclasses.replace(mean, weights=without_islands(weights, vertices, faces, self.parents))
-        return rig, self._doubt(rigs, mean, there)
+        return self._fitted(rig, places, calm), self._doubt(rigs, mean, there)
+
+    def _fitted(self, rig: Rig, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> Rig:
+        """The rig with the joints of the body that fits the surface."""
+        if not self.fits or self.joints != figure().names:
+            return rig
+        cloud = Cloud(places.points(vertices), places.normals(vertices))
+        return dataclasses.replace(rig, **dataclasses.asdict(fitted(cloud, rig.rotation, rig.joints)))
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
@@ -192,6 +204,8 @@ class Mime:
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.doubt.apart > DISAGREE:
                 best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
+        mean = self._fitted(best.mean, places, seen[best.frame])
+        best = dataclasses.replace(best, mean=mean, leg=leg_length(mean.joints, self.legs) if self.fits else best.leg)
         parts = Parts.of(best.points, best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
@@ -215,7 +229,7 @@ class Mime:
         mean = _mean(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
         doubt = self._doubt(rigs, mean, mean.weights)
-        return Agreement(followed.points(frames[t]), dataclasses.replace(mean, joints=joints), leg, doubt)
+        return Agreement(t, followed.points(frames[t]), dataclasses.replace(mean, joints=joints), leg, doubt)
 
     def _turned_back(
         self, places: Samples, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
