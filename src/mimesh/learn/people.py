@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +18,7 @@ from torch import Tensor, nn
 from .. import geometry
 from ..bodies import RiggedBody
 from ..bodies.dress import GARMENTS, dressed_body, load_garment
+from ..bodies.figure import bone_directions, kinds_of_bones
 
 WAVES = 6
 """Of which a person's bumps are the sum."""
@@ -84,7 +84,7 @@ class SurfaceBody(nn.Module):
         face, share = geometry.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
         corners = dressed.faces[face]
         starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
-        bones, branching = _bones(body)
+        bones, branching = bone_directions(body)
         arrays = {
             "rest": _mix(dressed.vertices, corners, share).T,
             "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
@@ -155,7 +155,7 @@ class Crowd:
 
     def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
         self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
-        self.group = torch.from_numpy(_groups(body)).to(device)
+        self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
         self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
 
     def draw(self, size: int, rng: torch.Generator) -> People:
@@ -183,21 +183,3 @@ class Crowd:
 
 def _mix(values: np.ndarray, corners: np.ndarray, share: np.ndarray) -> np.ndarray:
     return (values[corners] * share[..., None]).sum(axis=1)
-
-
-def _bones(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np.ndarray, " J"]]:
-    """Direction of each joint's bone at rest, and which joints have several (these scale alike in all directions)."""
-    children = [[c for c, p in enumerate(body.parents) if p == j] for j in range(len(body.parents))]
-    ends = []
-    for j, below in enumerate(children):
-        own = body.weights[:, j]
-        ends.append(body.joints[below[0]] if len(below) == 1 else own @ body.vertices / max(own.sum(), 1e-9))
-    direction = np.stack(ends) - body.joints
-    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
-    return direction, np.array([len(below) > 1 for below in children])
-
-
-def _groups(body: RiggedBody) -> Int[np.ndarray, " J"]:
-    """Joints that are each other's mirror image share a number."""
-    names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in body.joint_names]
-    return np.unique(names, return_inverse=True)[1]

@@ -1,23 +1,28 @@
 """A person of the shipped body laid onto a surface, from where a network has read its joints to be.
 
 A network sees a few hundred points once. What it reads is good enough to say which of a body's points is near which of
-the surface's, and from there least squares know better: Gauss-Newton over pose, shape and proportions, with the nearest
-points of both sides (symmetric ICP, Rusinkiewicz 2019) and what was read as a prior.
+the surface's, and from there least squares know better: Gauss-Newton over pose, shape and proportions, what was read
+being the prior. Matches are the nearest points of both sides, in planes halfway between both normals (symmetric ICP,
+Rusinkiewicz 2019), with the robust weights of Geman and McClure (1985).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.figure import Figure, Posed
+from ..bodies.figure import Figure, Posed, Stance
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 POINTS = 1000
-"""Of the body; and twice as many of the surface look for the nearest of them."""
+"""Of the body; for twice as many of the surface the nearest of them is looked for."""
 ROUNDS, ROUGH, FEW = 6, 3, 400
 """How often points are matched, how many of the first times are for FEW points of the body."""
 FAR, NEAR = 0.03, 0.003
@@ -41,28 +46,30 @@ class Cloud:
     """Of unit length, or zero where they are not known."""
 
 
-@dataclass(frozen=True, eq=False)
-class Fit:
-    """What was found; the same fields as in `Rig`."""
-
-    rotation: Float[np.ndarray, "J 3 3"]
-    joints: Float[np.ndarray, "J 3"]
-
-
 @cache
 def figure() -> Figure:
     """The shipped body in few points."""
     return Figure.of(load_body(), POINTS)
 
 
-def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> Fit:
-    """Rotation and place of every joint of a surface, from what was read of them; any unit and place."""
+def fitted(
+    cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
+) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+    """Rotation and place of every joint of a surface, from what was read of them.
+
+    Any unit, place and heading will do. Joints are those of the shipped body, in its order.
+    """
+    body = figure()
+    stance = body.upright(_size(body, joints), joints[0].copy(), rotation)
+    stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud)
+    return stance.rotation, Posed(body, stance).joints
+
+
+def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud) -> Stance:
+    """Match, take a step of Gauss-Newton, and again; from rough to fine."""
     from scipy.spatial import KDTree
 
-    body, tree = figure(), KDTree(cloud.points)
-    few = body.first(FEW)
-    stance = body.upright(_size(body, joints), joints[0].copy(), rotation)
-    prior = Prior(body, stance.size, rotation, joints)
+    few, tree = body.first(FEW), KDTree(cloud.points)
     for k in range(ROUNDS):
         expected = stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1))
         posed = Posed(few if k < ROUGH else body, stance)
@@ -71,10 +78,10 @@ def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.
         normal, slope = (rows * weight[:, None]).T @ rows, rows.T @ (weight * residual)
         held, pull = prior(posed)
         stance = body.stepped(stance, -np.linalg.solve(normal + held, slope + pull))
-    return Fit(stance.rotation, Posed(body, stance).joints)
+    return stance
 
 
-def _matches(posed: Posed, cloud: Cloud, tree, wild: float):
+def _matches(posed: Posed, cloud: Cloud, tree: KDTree, wild: float):
     """Rows, residuals and weights: the body's points to the nearest of the surface, and the other way round."""
     from scipy.spatial import KDTree
 
@@ -100,20 +107,19 @@ class Prior:
         self.joint = 1 / (READ_JOINT * size) ** 2
         self.turns = body.unknowns["turns"]
         self.carried = np.kron(body.below.T, np.eye(3))
+        shape, bones = body.unknowns["shape"], body.unknowns["bones"]
+        self.person = slice(shape.start, bones.stop)
         self.plain = np.zeros(self.turns.stop)
-        self.plain[body.unknowns["shape"]], self.plain[body.unknowns["bones"]] = SHAPE**-2, BONES**-2
+        self.plain[shape], self.plain[bones] = SHAPE**-2, BONES**-2
 
     def __call__(self, posed: Posed) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
         """Left and right side of the normal equations."""
         stance, rows = posed.stance, posed.of_joints()
         held = self.joint * rows.T @ rows + np.diag(self.plain)
         pull = self.joint * rows.T @ (posed.joints - self.joints).reshape(-1)
-        pull[posed.figure.unknowns["shape"]] += stance.shape * SHAPE**-2
-        pull[posed.figure.unknowns["bones"]] += stance.bones * BONES**-2
+        pull[self.person] += self.plain[self.person] * np.concatenate([stance.shape, stance.bones])
         off = stance.rotation @ self.rotation.mT
-        turned = (
-            np.stack([off[:, 2, 1] - off[:, 1, 2], off[:, 0, 2] - off[:, 2, 0], off[:, 1, 0] - off[:, 0, 1]], 1) / 2
-        )
+        turned = (off - off.mT)[:, [2, 0, 1], [1, 2, 0]] / 2
         held[self.turns, self.turns] += self.carried.T @ self.carried / READ_TURN**2
         pull[self.turns] += self.carried.T @ turned.reshape(-1) / READ_TURN**2
         return held, pull

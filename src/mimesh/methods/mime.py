@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
@@ -136,10 +137,12 @@ class Mime:
         The root joint goes the driving's way, shorter or longer as the legs are.
         """
         ranked = rank_vertices(identity.vertices)
-        rig, doubt = self._rig(outward(identity))
+        with ThreadPoolExecutor(1) as beside:
+            own = beside.submit(self._rig, outward(identity))
+            follow, agreed = self._follow(dataclasses.replace(driving, mesh=outward(driving.mesh)))
+            rig, doubt = own.result()
         vertices = ranked.merge(identity.vertices)
         skinned = Skinned.of(vertices, rig, self.parents)
-        follow, agreed = self._follow(dataclasses.replace(driving, mesh=outward(driving.mesh)))
         stride = leg_length(rig.joints, self.legs) / agreed.leg
         every = dataclasses.replace(rig, weights=rig.weights[ranked.group])
         ankles = [leg[-1] for leg in self.legs]
@@ -182,7 +185,8 @@ class Mime:
         if not self.fits or self.joints != figure().names:
             return rig
         cloud = Cloud(places.points(vertices), places.normals(vertices))
-        return dataclasses.replace(rig, **dataclasses.asdict(fitted(cloud, rig.rotation, rig.joints)))
+        rotation, joints = fitted(cloud, rig.rotation, rig.joints)
+        return dataclasses.replace(rig, rotation=rotation, joints=joints)
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
