@@ -20,6 +20,8 @@ LEAST = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, 
 """Shares of the surface that limbs hold at least on people."""
 LOPSIDED = 0.45
 """A limb that holds less than this part of what its twin holds is not whole."""
+ASTRAY = 0.05
+"""A limb of which more than this lies off the surface was not found."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -87,8 +89,9 @@ def acceleration(frames: Float[np.ndarray, "T V 3"], fps: float) -> float:
 
 def doubts(doubt: Doubt) -> dict[str, float | dict[str, float]]:
     """How sure the model was of one input."""
-    limbs = {limb: round(share, 3) for limb, share in doubt.limbs.items()}
-    return {"readings_apart": round(doubt.apart, 2), "undecided": round(doubt.undecided, 3), "limbs": limbs}
+    limbs, astray = ({limb: round(share, 3) for limb, share in d.items()} for d in (doubt.limbs, doubt.astray))
+    sure = {"readings_apart": round(doubt.apart, 2), "undecided": round(doubt.undecided, 3), "limbs": limbs}
+    return sure | ({"astray": astray} if astray else {})
 
 
 def strange(doubt: Doubt) -> bool:
@@ -106,6 +109,9 @@ def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
         why.append("much of its surface belongs to no limb in particular")
     if lacking:
         why.append(f"no whole {' and no whole '.join(lacking)} was found")
+    lost = [limb for limb, share in doubt.astray.items() if share > ASTRAY and limb not in lacking]
+    if lost:
+        why.append(f"there is no surface where the {' and the '.join(lost)} should be")
     return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
 
 

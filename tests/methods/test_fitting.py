@@ -11,7 +11,7 @@ from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.geometry import at_barycentric, face_normals, sample_surface
 from mimesh.mesh import permute_vertices
-from mimesh.methods.fitting import Cloud, fitted
+from mimesh.methods.fitting import Cloud, Fit, fitted
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -35,17 +35,20 @@ def misread(rotation, joints, seed=0, turn=0.1, away=0.03):
 
 def errors(found, true):
     """Mean error of rotations (degrees) and joints (metres)."""
-    cosine = (np.einsum("jab,jab->j", found[0], true[0]) - 1) / 2
+    rotation, joints = (found.rotation, found.joints) if isinstance(found, Fit) else found
+    cosine = (np.einsum("jab,jab->j", rotation, true[0]) - 1) / 2
     degrees = np.degrees(np.arccos(cosine.clip(-1, 1))).mean()
-    return degrees, np.linalg.norm(found[1] - true[1], axis=1).mean()
+    return degrees, np.linalg.norm(joints - true[1], axis=1).mean()
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_joints_are_found(seed):
     cloud, *true = person(seed)
     read = misread(*true, seed)
-    degrees, metres = errors(fitted(cloud, *read), true)
+    fit = fitted(cloud, *read)
+    degrees, metres = errors(fit, true)
     before = errors(read, true)
+    assert max(fit.astray.values()) < 0.01
     assert degrees < 4 < before[0]
     assert metres < 0.01 < 0.04 < before[1]
 
@@ -70,10 +73,10 @@ def test_any_unit_place_and_turn():
     read = misread(*true)
     turn, shift = Rotation.from_rotvec([0.4, 2.0, -1.0]).as_matrix(), np.array([3.0, -2.0, 50.0])
     moved = Cloud(100 * cloud.points @ turn.T + shift, cloud.normals @ turn.T)
-    rotation, joints = fitted(cloud, *read)
-    again = fitted(moved, turn @ read[0], 100 * read[1] @ turn.T + shift)
-    assert np.allclose(again[0], turn @ rotation, atol=1e-5)
-    assert np.allclose(again[1], 100 * joints @ turn.T + shift, atol=1e-3)
+    here, there = fitted(cloud, *read), fitted(moved, turn @ read[0], 100 * read[1] @ turn.T + shift)
+    assert np.allclose(there.rotation, turn @ here.rotation, atol=1e-5)
+    assert np.allclose(there.joints, 100 * here.joints @ turn.T + shift, atol=1e-3)
+    assert there.astray == here.astray
 
 
 def test_what_no_point_tells_is_as_it_was_read():
@@ -82,19 +85,18 @@ def test_what_no_point_tells_is_as_it_was_read():
     hand, spine = BODY.joint("LeftHand"), BODY.joint("Spine1")
     read = misread(*true, away=0.01)
     kept = cloud.points @ [1, 0, 0] < true[1][BODY.joint("LeftArm"), 0]
-    rotation, joints = fitted(Cloud(cloud.points[kept], cloud.normals[kept]), *read)
-    assert np.linalg.norm(joints[spine] - true[1][spine]) < 0.02
-    assert np.linalg.norm(joints[hand] - read[1][hand]) < 0.3
-    assert np.isfinite(rotation).all()
+    fit = fitted(Cloud(cloud.points[kept], cloud.normals[kept]), *read)
+    assert np.linalg.norm(fit.joints[spine] - true[1][spine]) < 0.02
+    assert np.linalg.norm(fit.joints[hand] - read[1][hand]) < 0.3
+    assert fit.astray["left arm"] > 0.2 > 0.02 > fit.astray["right arm"]
 
 
 @pytest.mark.parametrize("flat", [[1, 1, 0], [1, 0, 0], [1e-9, 1e-9, 1e-9]])
 def test_what_is_no_person_gives_numbers_all_the_same(flat):
     cloud, *true = person()
-    rotation, joints = fitted(Cloud(cloud.points * flat, cloud.normals), *true)
-    assert np.isfinite(rotation).all()
-    assert np.isfinite(joints).all()
-    assert np.allclose(rotation @ rotation.mT, np.eye(3), atol=1e-6)
+    fit = fitted(Cloud(cloud.points * flat, cloud.normals), *true)
+    assert np.isfinite(fit.joints).all()
+    assert np.allclose(fit.rotation @ fit.rotation.mT, np.eye(3), atol=1e-6)
 
 
 def pair():

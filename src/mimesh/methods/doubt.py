@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -29,6 +29,8 @@ class Doubt:
     """Mean entropy (nats) of the skinning weights over the surface: 0 where every point knows its joint."""
     limbs: dict[str, float]
     """Share of the surface that the joints of each limb hold; empty where points need not be spread evenly."""
+    astray: dict[str, float] = field(default_factory=dict)
+    """Share of each limb of the body that no surface is near, after the fit; empty without one."""
 
     @classmethod
     def of(

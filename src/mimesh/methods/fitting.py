@@ -13,10 +13,12 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..bodies import load_body
 from ..bodies.figure import Figure, Posed, Stance
+from ..rig import hanging
+from .doubt import LIMBS
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -35,6 +37,8 @@ READ_TURN, READ_JOINT = 0.2, 0.1
 """How far a network's rotations (radians) and joints (metres) may well be off."""
 SHAPE, BONES = 3.0, 0.1
 """How far shape coefficients and the logarithms of bones' lengths and girths are from zero."""
+AWAY = 0.05
+"""Metres of the body from which on a point of it has missed the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,30 +50,48 @@ class Cloud:
     """Of unit length, or zero where they are not known."""
 
 
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What was found of a surface."""
+
+    rotation: Float[np.ndarray, "J 3 3"]
+    joints: Float[np.ndarray, "J 3"]
+    astray: dict[str, float]
+    """Share of each limb of the body that is AWAY from the surface."""
+
+
 @cache
 def figure() -> Figure:
     """The shipped body in few points."""
     return Figure.of(load_body(), POINTS)
 
 
-def fitted(
-    cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
-) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> Fit:
     """Rotation and place of every joint of a surface, from what was read of them.
 
     Any unit, place and heading will do. Joints are those of the shipped body, in its order.
     """
-    body = figure()
-    stance = body.upright(_size(body, joints), joints[0].copy(), rotation)
-    stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud)
-    return stance.rotation, Posed(body, stance).joints
-
-
-def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud) -> Stance:
-    """Match, take a step of Gauss-Newton, and again; from rough to fine."""
     from scipy.spatial import KDTree
 
-    few, tree = body.first(FEW), KDTree(cloud.points)
+    body, tree = figure(), KDTree(cloud.points)
+    stance = body.upright(_size(body, joints), joints[0].copy(), rotation)
+    stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud, tree)
+    posed = Posed(body, stance)
+    away = tree.query(posed.points)[0] > AWAY * stance.size
+    return Fit(stance.rotation, posed.joints, {limb: float(away[which].mean()) for limb, which in _limbs().items()})
+
+
+@cache
+def _limbs() -> dict[str, Bool[np.ndarray, " N"]]:
+    """Which points of the body each limb holds."""
+    body = figure()
+    held = {limb: hanging([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
+    return {limb: body.weights[:, joints].sum(axis=1) > 0.5 for limb, joints in held.items()}
+
+
+def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud, tree: KDTree) -> Stance:
+    """Match, take a step of Gauss-Newton, and again; from rough to fine."""
+    few = body.first(FEW)
     for k in range(ROUNDS):
         expected = stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1))
         posed = Posed(few if k < ROUGH else body, stance)

@@ -178,15 +178,15 @@ class Mime:
         mean = _mean(rigs)
         weights, there = np.split(mean.weights, [len(vertices)])
         rig = dataclasses.replace(mean, weights=without_islands(weights, vertices, faces, self.parents))
-        return self._fitted(rig, places, calm), self._doubt(rigs, mean, there)
+        return self._fitted(rig, self._doubt(rigs, mean, there), places, calm)
 
-    def _fitted(self, rig: Rig, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> Rig:
-        """The rig with the joints of the body that fits the surface."""
+    def _fitted(self, rig: Rig, doubt: Doubt, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> tuple[Rig, Doubt]:
+        """The rig with the joints of the body that fits the surface, where joints are the body's."""
         if not self.fits or self.joints != figure().names:
-            return rig
-        cloud = Cloud(places.points(vertices), places.normals(vertices))
-        rotation, joints = fitted(cloud, rig.rotation, rig.joints)
-        return dataclasses.replace(rig, rotation=rotation, joints=joints)
+            return rig, doubt
+        fit = fitted(Cloud(places.points(vertices), places.normals(vertices)), rig.rotation, rig.joints)
+        rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
+        return rig, dataclasses.replace(doubt, astray=fit.astray)
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
@@ -208,8 +208,9 @@ class Mime:
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.doubt.apart > DISAGREE:
                 best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
-        mean = self._fitted(best.mean, places, seen[best.frame])
-        best = dataclasses.replace(best, mean=mean, leg=leg_length(mean.joints, self.legs) if self.fits else best.leg)
+        mean, doubt = self._fitted(best.mean, best.doubt, places, seen[best.frame])
+        leg = leg_length(mean.joints, self.legs) if doubt.astray else best.leg
+        best = dataclasses.replace(best, mean=mean, leg=leg, doubt=doubt)
         parts = Parts.of(best.points, best.mean.weights, best.mean.joints, self.parents)
 
         def follow(vertices):
