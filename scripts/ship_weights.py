@@ -1,7 +1,7 @@
 """Ship a trained checkpoint: export it into the zoo, and fill the cards with what was measured in docs/results.
 
 A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower. Where the
-data differ otherwise, so do the figures: then both are run on the split `val` of the protocols in COMMON.
+data differ otherwise, so do the figures: then both are run on the split `val` of every kind of pair there is.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
     python scripts/measure_all.py human-npt clips-aniformer --clips DIR
@@ -26,8 +26,8 @@ from mimesh.learn.batches import DataConfig
 from mimesh.learn.export import export_command, test_set
 from mimesh.mesh import InputError
 
-COMMON = (("human-npt", "unseen"), ("human-wide", "limits"), ("human-wide", "clips"), ("contact", "arms"))
-PAIRS = 12
+COMMON = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)
+PAIRS = 8
 """Of each of COMMON."""
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
 
