@@ -21,7 +21,7 @@ from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
 from mimesh.frame import bbox_centre, radius
 from mimesh.io import load_mesh
 from mimesh.mesh import InputError
-from mimesh.methods import MODELS, ROWS
+from mimesh.methods import ALONE, MODELS, ROWS
 from mimesh.pipeline import transfer
 
 
@@ -147,7 +147,7 @@ def test_every_row_of_a_table_can_be_trained_and_is_told_where_it_is_missing(tmp
     trained = {*pytest.importorskip("train_rows").ROWS, "npt-table", "mime-table"}
     assert trained == set(ROWS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(ROWS) <= methods <= {*ROWS, *GIVEN, *MODELS}
+    assert set(ROWS) <= methods <= {*ROWS, *ALONE, *GIVEN, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"rows.npt-equal\.onnx.*train_rows"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)

@@ -59,7 +59,8 @@ def given(method: str) -> str:
     if method in GIVEN:
         return GIVEN[method]
     network = find_method(method)
-    return "trained on our body" + (", true size" if knows_no_size(network) else "")
+    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits", False) else ""
+    return f"trained on our body{more}"
 
 
 def trained(method: str) -> str:
