@@ -124,6 +124,7 @@ def test_a_training_may_begin_with_the_network_of_another(tmp_path):
     for name, weight in checkpoint.load(first / "last.safetensors").weights().items():
         torch.testing.assert_close(second.weights()[name], weight, atol=1e-3, rtol=0)
     assert second.config.seed == 5
+    assert [dict(stage) for stage in second.before] == [checkpoint.load(first / "last.safetensors").spent()]
     with pytest.raises(InputError, match=r"--weights .*: expected no changes with --resume"):
         train_command("npt", "small", None, first, None, [], first / "last.safetensors")
     with pytest.raises(InputError, match="expected the network of the configuration"):

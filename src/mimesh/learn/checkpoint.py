@@ -27,6 +27,10 @@ Network = NPT | AniFormer | LIMP | Mime
 """Whatever can be trained."""
 
 
+POSITION = ("step", "seconds", "best", "metrics", "before")
+"""Fields of a State that are neither configuration nor tensors."""
+
+
 @dataclass(frozen=True)
 class State:
     """Where a training stands; `tensors` holds `model.*`, `ema.*` and `optimizer.<which>.<parameter>.<field>`."""
@@ -39,6 +43,12 @@ class State:
     metrics: dict[str, float]
     """Validation figures of these weights, if they were validated."""
     tensors: dict[str, Tensor]
+    before: tuple[dict[str, int], ...] = ()
+    """Trainings that this one went on from, as `spent` gives them."""
+
+    def spent(self) -> dict[str, int]:
+        """What this training took so far."""
+        return {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
 
     def weights(self) -> dict[str, Tensor]:
         """The weights to use: the running average if there is one."""
@@ -50,9 +60,7 @@ def save(path: Path, state: State) -> None:
     """Write a checkpoint whole or not at all."""
     header = {
         "config": json.dumps(dataclasses.asdict(state.config)),
-        "state": json.dumps(
-            {"step": state.step, "seconds": state.seconds, "best": state.best, "metrics": state.metrics}
-        ),
+        "state": json.dumps({key: getattr(state, key) for key in POSITION}),
         "commit": commit(),
         "hardware": hardware(),
     }
@@ -69,7 +77,9 @@ def load(path: Path) -> State:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (OSError, SafetensorError, KeyError) as error:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
-    return State(config_from(json.loads(header["config"]), str(path)), tensors=tensors, **json.loads(header["state"]))
+    position = json.loads(header["state"])
+    position["before"] = tuple(position.get("before", ()))
+    return State(config_from(json.loads(header["config"]), str(path)), tensors=tensors, **position)
 
 
 def read_header(path: Path) -> dict[str, Any]:

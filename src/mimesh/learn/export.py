@@ -186,8 +186,8 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
         "seed": config["seed"],
         "commit": header["commit"],
         "hardware": header["hardware"],
-        "seconds_trained": round(state.seconds),
-        "pairs": state.step * state.config.batch,
+        **state.spent(),
+        **({"before": list(state.before)} if state.before else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in state.metrics.items()}},
     }
 

@@ -81,6 +81,7 @@ def begin(config: TrainConfig, weights: Path, folder: Path) -> None:
     run = Run.start(config, folder)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
+    run.before = (*state.before, state.spent())
     run.save(folder / "last.safetensors")
 
 
@@ -123,6 +124,8 @@ class Run:
     saved: float = 0.0
     metrics: dict[str, float] | None = None
     """Validation figures of the current weights; None once they have changed."""
+    before: tuple[dict[str, int], ...] = ()
+    """Trainings that this one went on from."""
 
     @classmethod
     def start(cls, config: TrainConfig, folder: Path) -> Run:
@@ -139,7 +142,7 @@ class Run:
         if last.exists():
             state = checkpoint.load(last)
             checkpoint.unpack(state, model, ema, optimizers)
-            run.step, run.seconds, run.best = state.step, state.seconds, state.best
+            run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
         return run
 
     def clock(self) -> float:
@@ -215,8 +218,8 @@ class Run:
     def save(self, path: Path) -> None:
         """Write a checkpoint."""
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
-        state = checkpoint.State(self.config, self.step, self.seconds, self.best, self.metrics or {}, tensors)
-        checkpoint.save(path, state)
+        facts = (self.config, self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before)
+        checkpoint.save(path, checkpoint.State(*facts))
         self.saved = time.monotonic()
 
 
