@@ -20,8 +20,11 @@ LEAST = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, 
 """Shares of the surface that limbs hold at least on people."""
 LOPSIDED = 0.45
 """A limb that holds less than this part of what its twin holds is not whole."""
-ASTRAY = 0.05
-"""A limb of which more than this lies off the surface was not found."""
+ASTRAY, BARE = 0.025, 0.002
+"""A limb of which more than this lies off the surface, where more than that of the surface is left over, was not found.
+Only the first is so where there are holes, only the second where there are clothes and hair."""
+MISSING = 0.4
+"""A limb of which more than this lies off the surface is not there; of one that is seen from one side it is 0.3."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
@@ -91,7 +94,7 @@ def doubts(doubt: Doubt) -> dict[str, float | dict[str, float]]:
     """How sure the model was of one input."""
     limbs, astray = ({limb: round(share, 3) for limb, share in d.items()} for d in (doubt.limbs, doubt.astray))
     sure = {"readings_apart": round(doubt.apart, 2), "undecided": round(doubt.undecided, 3), "limbs": limbs}
-    return sure | ({"astray": astray} if astray else {})
+    return sure | ({"astray": astray, "bare": round(doubt.bare, 4)} if astray else {})
 
 
 def strange(doubt: Doubt) -> bool:
@@ -101,7 +104,8 @@ def strange(doubt: Doubt) -> bool:
 
 def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
     """Notes for the user where an input does not look like what the model knows, and why."""
-    lacking = [limb for limb, share in doubt.limbs.items() if share < max(LEAST[limb], LOPSIDED * _twin(limb, doubt))]
+    lacking = [limb for limb in LEAST if _lacks(limb, doubt)]
+    lost = [limb for limb, share in doubt.astray.items() if share > ASTRAY and doubt.bare > BARE]
     why = []
     if doubt.apart > STRANGE_APART:
         why.append(f"readings of it differ by {doubt.apart:.0f} degrees")
@@ -109,10 +113,15 @@ def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
         why.append("much of its surface belongs to no limb in particular")
     if lacking:
         why.append(f"no whole {' and no whole '.join(lacking)} was found")
-    lost = [limb for limb, share in doubt.astray.items() if share > ASTRAY and limb not in lacking]
-    if lost:
+    if lost and not lacking:
         why.append(f"there is no surface where the {' and the '.join(lost)} should be")
     return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
+
+
+def _lacks(limb: str, doubt: Doubt) -> bool:
+    """Whether a limb holds too little of the surface, or has too little of it near."""
+    least = max(LEAST[limb], LOPSIDED * _twin(limb, doubt))
+    return doubt.limbs.get(limb, 1.0) < least or doubt.astray.get(limb, 0.0) > MISSING
 
 
 def _twin(limb: str, doubt: Doubt) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
+from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.mesh import Mesh
 from mimesh.methods.doubt import Doubt
 from mimesh.pipeline import transfer
@@ -72,3 +73,22 @@ def test_every_reason_is_said():
     assert "no limb in particular" in note
     assert "no whole head and no whole right arm" in note
     assert doubt_notes(Doubt(2.0, 0.5, {"head": 0.1}), "person") == ()
+
+
+def test_a_limb_off_the_surface_is_said_where_some_surface_is_left_over():
+    limbs = {"head": 0.1, "left arm": 0.1, "right arm": 0.1, "left leg": 0.2, "right leg": 0.2}
+    (note,) = doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.1}, 0.05), "person")
+    assert "no surface where the left arm should be" in note
+    assert doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.1}, 0.0), "holed") == ()
+    assert doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.0}, 0.05), "dressed") == ()
+    (note,) = doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.5}, 0.0), "one arm")
+    assert "no whole left arm" in note
+
+
+def test_holes_are_no_doubt_and_lost_forearms_are():
+    noise = PROTOCOLS["noise"]
+    for kind, said in (("holes", ()), ("cropped", ("no whole",))):
+        trial = noise.pair("val", kind, 0)
+        notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
+        assert all(words in notes for words in said)
+        assert bool(said) == ("whole person" in notes)

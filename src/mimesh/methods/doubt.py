@@ -31,6 +31,8 @@ class Doubt:
     """Share of the surface that the joints of each limb hold; empty where points need not be spread evenly."""
     astray: dict[str, float] = field(default_factory=dict)
     """Share of each limb of the body that no surface is near, after the fit; empty without one."""
+    bare: float = 0.0
+    """Share of the surface that no part of the body is near, after the fit."""
 
     @classmethod
     def of(

@@ -37,8 +37,8 @@ READ_TURN, READ_JOINT = 0.2, 0.1
 """How far a network's rotations (radians) and joints (metres) may well be off."""
 SHAPE, BONES = 3.0, 0.1
 """How far shape coefficients and the logarithms of bones' lengths and girths are from zero."""
-AWAY = 0.05
-"""Metres of the body from which on a point of it has missed the surface."""
+AWAY, BARE = 0.05, 0.08
+"""Metres of the body: so far from the surface a point of the body has missed it, and the other way round."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +58,8 @@ class Fit:
     joints: Float[np.ndarray, "J 3"]
     astray: dict[str, float]
     """Share of each limb of the body that is AWAY from the surface."""
+    bare: float
+    """Share of the surface that is BARE of the body."""
 
 
 @cache
@@ -78,7 +80,9 @@ def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.
     stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud, tree)
     posed = Posed(body, stance)
     away = tree.query(posed.points)[0] > AWAY * stance.size
-    return Fit(stance.rotation, posed.joints, {limb: float(away[which].mean()) for limb, which in _limbs().items()})
+    astray = {limb: float(away[which].mean()) for limb, which in _limbs().items()}
+    bare = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > BARE * stance.size
+    return Fit(stance.rotation, posed.joints, astray, float(bare.mean()))
 
 
 @cache
@@ -91,11 +95,12 @@ def _limbs() -> dict[str, Bool[np.ndarray, " N"]]:
 
 def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud, tree: KDTree) -> Stance:
     """Match, take a step of Gauss-Newton, and again; from rough to fine."""
-    few = body.first(FEW)
+    few, spread = body.first(FEW), 0.0
     for k in range(ROUNDS):
-        expected = stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1))
+        expected = max(stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1)), spread)
         posed = Posed(few if k < ROUGH else body, stance)
         rows, residual, weight = _matches(posed, cloud, tree, WILD * expected)
+        spread = 1.48 * float(np.median(np.abs(residual)))
         weight *= CERTAIN / expected**2
         normal, slope = (rows * weight[:, None]).T @ rows, rows.T @ (weight * residual)
         held, pull = prior(posed)

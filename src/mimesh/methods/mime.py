@@ -178,15 +178,17 @@ class Mime:
         mean = _mean(rigs)
         weights, there = np.split(mean.weights, [len(vertices)])
         rig = dataclasses.replace(mean, weights=without_islands(weights, vertices, faces, self.parents))
-        return self._fitted(rig, self._doubt(rigs, mean, there), places, calm)
+        # Smoothing shrinks a surface: its normals are the better for it, its points are not.
+        cloud = Cloud(places.points(mesh.vertices), places.normals(calm))
+        return self._fitted(rig, self._doubt(rigs, mean, there), cloud)
 
-    def _fitted(self, rig: Rig, doubt: Doubt, places: Samples, vertices: Float[np.ndarray, "V 3"]) -> tuple[Rig, Doubt]:
+    def _fitted(self, rig: Rig, doubt: Doubt, cloud: Cloud) -> tuple[Rig, Doubt]:
         """The rig with the joints of the body that fits the surface, where joints are the body's."""
         if not self.fits or self.joints != figure().names:
             return rig, doubt
-        fit = fitted(Cloud(places.points(vertices), places.normals(vertices)), rig.rotation, rig.joints)
+        fit = fitted(cloud, rig.rotation, rig.joints)
         rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
-        return rig, dataclasses.replace(doubt, astray=fit.astray)
+        return rig, dataclasses.replace(doubt, astray=fit.astray, bare=fit.bare)
 
     def _doubt(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Doubt:
         apart = float(np.median([turns_apart(rig, mean) for rig in rigs]))
@@ -208,7 +210,8 @@ class Mime:
         for t in range(1, len(seen), max(1, len(seen) // ASKED)):
             if best.doubt.apart > DISAGREE:
                 best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
-        mean, doubt = self._fitted(best.mean, best.doubt, places, seen[best.frame])
+        cloud = Cloud(places.points(frames[best.frame]), places.normals(seen[best.frame]))
+        mean, doubt = self._fitted(best.mean, best.doubt, cloud)
         leg = leg_length(mean.joints, self.legs) if doubt.astray else best.leg
         best = dataclasses.replace(best, mean=mean, leg=leg, doubt=doubt)
         parts = Parts.of(best.points, best.mean.weights, best.mean.joints, self.parents)
