@@ -1,7 +1,7 @@
 """Ship a trained checkpoint: export it into the zoo, and fill the cards with what was measured in docs/results.
 
 A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower. Where the
-data differ otherwise, so do the figures: then both are run on the split `val` of every kind of pair there is.
+data differ otherwise, so do the figures: then both are run (mime with its fit) on the split `val` of all kinds of pair.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
     python scripts/measure_all.py human-npt clips-aniformer --clips DIR

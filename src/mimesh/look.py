@@ -62,6 +62,8 @@ class Facts:
     """1 for a mesh that does not move."""
     fps: float | None
     seconds: float | None
+    animations: tuple[str, ...]
+    """Names of those in the file; the clip is the first."""
     notes: tuple[str, ...]
     """What the file holds that a moved copy of it will not, one line each."""
 
@@ -137,7 +139,8 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         frames=len(clip) if clip is not None else 1,
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
-        notes=getattr(mesh.source, "notes", ()),  # only some formats have anything to say
+        animations=getattr(mesh.source, "animations", ()),  # only some formats have anything to say
+        notes=getattr(mesh.source, "notes", ()),
     )
 
 
@@ -160,6 +163,8 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
         yield "materials", _names(facts.materials)
     if facts.fps and facts.seconds:
         yield "clip", f"{facts.frames:,} frames at {facts.fps:g} fps, {facts.seconds:.2f} s"
+    if len(facts.animations) > 1:
+        yield "animations", _names(facts.animations, 20)
 
 
 def _warnings(facts: Facts) -> Iterator[str]:

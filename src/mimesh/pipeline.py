@@ -69,6 +69,7 @@ def animate(
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
     fps: float | None = None,
+    animation: str | None = None,
     start: int = 0,
     stop: int | None = None,
     step: int = 1,
@@ -81,6 +82,7 @@ def animate(
     """Make the identity move as the driving clip does; see `transfer` for the arguments they share.
 
     Args:
+        animation: which one of a driving glTF file, by name or number; the first by default.
         fps: frame rate of the driving clip, where its file has none or a wrong one. Every `step`-th frame of it is
             taken from `start` up to `stop`, and the result plays at fps / step: as fast as the driving.
         root: how far the result goes over the ground (mime only but for the default): "scale", as far as its legs take
@@ -98,14 +100,14 @@ def animate(
     seconds = no_time_yet()
     with timed(seconds, "load"):
         identity = _read_mesh(identity)
-        clip = _cut(_read_clip(driving, fps), start, stop, step)
+        clip = _cut(_read_clip(driving, fps, animation), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
     travel = Travel(root, ground, smooth, skinned)
     done = move(identity, clip, method, axes, refine, seconds, travel, progress, np.float32)
     notes = done.notes
     if len(clip) == 1:
-        notes += (f"{clip.mesh.name} has one frame, a pose; animations inside glTF files are not read: give a folder",)
+        notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
     return ClipResult(Clip(mesh, done.vertices, clip.fps), model, seconds, done.report, notes, done.skeleton)
 
@@ -148,12 +150,12 @@ def _read_mesh(mesh: Mesh | str | Path) -> Mesh:
     return load_mesh(Path(mesh))
 
 
-def _read_clip(clip: Clip | str | Path, fps: float | None) -> Clip:
+def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | None) -> Clip:
     if isinstance(clip, Clip):
         return check_clip(clip if fps is None else dataclasses.replace(clip, fps=fps), clip.mesh.name)
     from .io import load_clip
 
-    return load_clip(Path(clip), fps=fps)
+    return load_clip(Path(clip), fps=fps, animation=animation)
 
 
 def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:

@@ -20,7 +20,7 @@ LEAST = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, 
 """Shares of the surface that limbs hold at least on people."""
 LOPSIDED = 0.45
 """A limb that holds less than this part of what its twin holds is not whole."""
-ASTRAY, BARE = 0.025, 0.002
+ASTRAY, LEFT_OVER = 0.025, 0.006
 """A limb of which more than this lies off the surface, where more than that of the surface is left over, was not found.
 Only the first is so where there are holes, only the second where there are clothes and hair."""
 MISSING = 0.4
@@ -105,7 +105,7 @@ def strange(doubt: Doubt) -> bool:
 def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
     """Notes for the user where an input does not look like what the model knows, and why."""
     lacking = [limb for limb in LEAST if _lacks(limb, doubt)]
-    lost = [limb for limb, share in doubt.astray.items() if share > ASTRAY and doubt.bare > BARE]
+    lost = [limb for limb, share in doubt.astray.items() if share > ASTRAY and doubt.bare > LEFT_OVER]
     why = []
     if doubt.apart > STRANGE_APART:
         why.append(f"readings of it differ by {doubt.apart:.0f} degrees")

@@ -16,7 +16,9 @@ FIGURE = Figure.of(BODY, 400)
 
 def stance(seed=0, turn=0.5, bones=0.2, size=1.3):
     rng = np.random.default_rng(seed)
-    figure = FIGURE.upright(size, rng.normal(size=3), Rotation.from_rotvec(turn * rng.normal(size=(31, 3))).as_matrix())
+    figure = FIGURE.mean_person(
+        size, rng.normal(size=3), Rotation.from_rotvec(turn * rng.normal(size=(31, 3))).as_matrix()
+    )
     shape, grown = rng.normal(size=len(figure.shape)), bones * rng.normal(size=len(figure.bones))
     return dataclasses.replace(figure, shape=shape, bones=grown)
 

@@ -87,8 +87,14 @@ def test_a_limb_off_the_surface_is_said_where_some_surface_is_left_over():
 
 def test_holes_are_no_doubt_and_lost_forearms_are():
     noise = PROTOCOLS["noise"]
-    for kind, said in (("holes", ()), ("cropped", ("no whole",))):
+    for kind, said in (("holes", ()), ("half", ()), ("cropped", ("no whole",))):
         trial = noise.pair("val", kind, 0)
         notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
         assert all(words in notes for words in said)
         assert bool(said) == ("whole person" in notes)
+
+
+def test_a_sparse_point_cloud_of_a_person_is_no_doubt():
+    points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
+    said = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
+    assert "whole" not in said

@@ -60,6 +60,13 @@ def test_without_normals_too():
     assert metres < 0.02
 
 
+def test_a_surface_inside_out_is_turned_over():
+    cloud, *true = person()
+    read = misread(*true)
+    over = fitted(Cloud(cloud.points, -cloud.normals), *read)
+    assert np.array_equal(over.joints, fitted(cloud, *read).joints)
+
+
 def test_one_side_is_enough():
     cloud, *true = person()
     seen = cloud.normals[:, 2] > 0

@@ -1,7 +1,8 @@
 """A rigged body as points of people of any shape and proportions, and how each point moves with every unknown.
 
 Unknowns, in one vector of U: logarithm of the size, place of the root joint (3), shape coefficients (K), logarithms of
-length and then of girth for each kind of bone (G each; left and right are one kind), and a small turn of each joint
+length and then of girth for each kind of bone (G each; left and right are one kind; where bones branch girth counts
+for both), and a small turn of each joint
 about the world's axes (3 J), which all that hangs from the joint follows.
 """
 
@@ -103,7 +104,7 @@ class Figure:
         ends = np.cumsum(sizes)
         return {name: slice(end - n, end) for name, n, end in zip(_GROUPS, sizes, ends, strict=True)}
 
-    def upright(self, size: float, root: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "J 3 3"]) -> Stance:
+    def mean_person(self, size: float, root: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "J 3 3"]) -> Stance:
         """The mean person in a pose."""
         groups = self.unknowns
         shape, bones = (np.zeros(groups[name].stop - groups[name].start) for name in ("shape", "bones"))

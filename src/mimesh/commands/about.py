@@ -52,7 +52,7 @@ WHAT = {
     "copy": "the driving vertices themselves, as they are: what every method must beat",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
     "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
-    "mime": "ours, the default: reads the joints of both meshes and skins one to the other's turns",
+    "mime": "ours, the default: reads the joints of both meshes, fits a person to each, skins one to the other's turns",
     "npt": "Neural Pose Transfer, trained on endless people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on endless people and motions",

@@ -101,10 +101,11 @@ def transfer(
 
 def animate(
     identity: Identity,
-    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A folder of numbered meshes, or an NPZ clip.")],
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A folder of numbered meshes, a GLB, an NPZ.")],
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
+    animation: Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")] = None,
     start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
@@ -137,7 +138,7 @@ def animate(
     output = output or output_beside(identity, driving, ".glb")
     refuse_inputs(output, identity, driving)
     _check_suffix(output, (".glb", ".gltf") if skinned else (*clip_suffixes(), ""))
-    (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps=fps)))
+    (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
         result = run(
             mesh,

@@ -59,7 +59,7 @@ def given(method: str) -> str:
     if method in GIVEN:
         return GIVEN[method]
     network = find_method(method)
-    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits", False) else ""
+    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fitting", False) else ""
     return f"trained on our body{more}"
 
 

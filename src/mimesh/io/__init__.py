@@ -91,6 +91,8 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path], None]] = {
     ".gltf": _write_gltf_clip,
     ".npz": write_npz_clip,
 }
+ANIMATED = (".glb", ".gltf", ".vrm")
+"""Files that may hold animations."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """What a clip is written as when it goes into a folder."""
 
@@ -111,15 +113,22 @@ def load_mesh(path: str | Path) -> Mesh:
     return check_mesh(mesh, path)
 
 
-def load_clip(path: str | Path, fps: float | None = None) -> Clip:
+def load_clip(path: str | Path, fps: float | None = None, animation: str | None = None) -> Clip:
     """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
 
-    `fps` overrides the file's own frame rate; without either it is 30 per second.
+    Args:
+        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file is
+            sampled at it.
+        animation: which one of a glTF file, by name or number; None: the first.
 
     Raises:
-        InputError: as `load_mesh`, or frames that do not share one topology.
+        InputError: as `load_mesh`, frames that do not share one topology, or no such animation.
     """
     path = Path(path)
+    if animation is not None and path.suffix.lower() not in ANIMATED:
+        raise InputError(
+            f"{path}: expected {' or '.join(ANIMATED)} with --animation, found '{path.suffix}'; leave it out"
+        )
     if fps is not None and not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
     _must_exist(path)
@@ -131,6 +140,13 @@ def load_clip(path: str | Path, fps: float | None = None) -> Clip:
     if path.suffix.lower() in CLIP_READERS:
         with _reading(path):
             return check_clip(CLIP_READERS[path.suffix.lower()](path, fps), path)
+    if path.suffix.lower() in ANIMATED:
+        from .gltf import read_gltf_clip
+
+        with _reading(path):
+            clip = read_gltf_clip(path, fps, animation)
+        if clip is not None:
+            return check_clip(clip, path)
     mesh = load_mesh(path)
     return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
 

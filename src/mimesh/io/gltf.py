@@ -13,12 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from ..mesh import Clip, Mesh, check_mesh
+from ..paging import PAGED, let_go, new_frames
+from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
 from .gltf_build import build_document
 from .gltf_check import is_understood
 from .gltf_clip import add_frames
 from .gltf_document import Document, open_document
 from .gltf_edit import GltfSource, edit_document, with_normals
 from .gltf_read import Rest, read_rest
+
+DEFAULT_FPS = 30.0
+"""Of animations whose keys lie on no usual rate."""
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -36,6 +41,32 @@ def read_gltf(path: Path) -> Mesh:
     check_mesh(mesh, path)
     source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _notes(document, rest))
     return dataclasses.replace(mesh, source=source)
+
+
+def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None = None) -> Clip | None:
+    """An animation of a .glb, .vrm or .gltf file, baked to points; None where the file has none and none is wanted.
+
+    Args:
+        fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
+        animation: its name, the name behind its last "|", or its number; None: the first.
+
+    Raises:
+        InputError: as `read_gltf`, no such animation, or a damaged one.
+    """
+    document = open_document(path)
+    if animation is None and not document.gltf.get("animations"):
+        return None
+    mesh = read_gltf(path)
+    assert isinstance(mesh.source, GltfSource)
+    channels = read_channels(document, find_animation(document, animation))
+    fps = fps or frame_rate(channels) or DEFAULT_FPS
+    count, frames = baked_frames(document, mesh.source.rest, channels, fps)
+    vertices = new_frames(count, len(mesh.vertices), np.float64)
+    for t, points in enumerate(frames):
+        vertices[t] = points
+        if t % PAGED == 0:
+            let_go(vertices)
+    return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:

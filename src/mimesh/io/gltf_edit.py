@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from ..geometry import vertex_normals, weld
 from ..mesh import Mesh
+from .gltf_animation import animation_names
 from .gltf_document import Document
 from .gltf_draft import Carrier, Draft
 from .gltf_move import has_turning_data, surface_turns
@@ -40,6 +41,11 @@ class GltfSource:
     suffix: str
     notes: tuple[str, ...]
     """One line for each thing of the file that is not in the written one."""
+
+    @property
+    def animations(self) -> tuple[str, ...]:
+        """Names of the file's animations."""
+        return animation_names(self.document)
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file with the vertices of `mesh`, as .gltf or .glb by the suffix of `path`."""

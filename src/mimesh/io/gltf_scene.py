@@ -6,6 +6,7 @@ same functions serve the file's rest state and any frame of its animations.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,16 @@ from .gltf_document import Document, read_accessor, read_floats
 REST_TURN_AND_SCALE = {"rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
-def node_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
-    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale."""
-    nodes = document.gltf.get("nodes", [])
+def node_matrices(
+    document: Document, moved: Mapping[tuple[int, str], np.ndarray] | None = None
+) -> Float[np.ndarray, "N 4 4"]:
+    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale.
+
+    `moved` gives the translation, rotation or scale of nodes (by number and name) where an animation has changed it.
+    """
+    nodes = [dict(node) for node in document.gltf.get("nodes", [])]
+    for (node, path), value in (moved or {}).items():
+        nodes[node][path] = value
     return np.array([_node_matrix(node) for node in nodes], np.float64).reshape(-1, 4, 4)
 
 

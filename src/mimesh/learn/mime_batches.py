@@ -34,7 +34,7 @@ class MimeBatch:
     truth: Surface
     """The identity's points in the driving pose."""
     given: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]], ...]
-    """Points and normals of identity and of driving."""
+    """Points and normals of identity and of driving; those of the driving are not row by row those of `driving`."""
 
 
 class MimeSource(PairSource):

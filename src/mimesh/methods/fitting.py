@@ -8,7 +8,7 @@ Rusinkiewicz 2019), with the robust weights of Geman and McClure (1985).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -37,17 +37,25 @@ READ_TURN, READ_JOINT = 0.2, 0.1
 """How far a network's rotations (radians) and joints (metres) may well be off."""
 SHAPE, BONES = 3.0, 0.1
 """How far shape coefficients and the logarithms of bones' lengths and girths are from zero."""
-AWAY, BARE = 0.05, 0.08
+AWAY, LEFT_OVER = 0.05, 0.08
 """Metres of the body: so far from the surface a point of the body has missed it, and the other way round."""
 
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """A surface as points, spread evenly."""
+    """A surface as points in random order, spread evenly: the first few stand for all."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     """Of unit length, or zero where they are not known."""
+
+    def outward(self, posed: Posed) -> Cloud:
+        """The same with normals that look as the body's near them do, should most of them be turned over."""
+        from scipy.spatial import KDTree
+
+        near = KDTree(posed.points).query(self.points)[1]
+        over = np.median((posed.normals[near] * self.normals).sum(axis=1)) < 0
+        return replace(self, normals=-self.normals) if over else self
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +67,7 @@ class Fit:
     astray: dict[str, float]
     """Share of each limb of the body that is AWAY from the surface."""
     bare: float
-    """Share of the surface that is BARE of the body."""
+    """Share of the surface that is LEFT_OVER from the body."""
 
 
 @cache
@@ -76,12 +84,13 @@ def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.
     from scipy.spatial import KDTree
 
     body, tree = figure(), KDTree(cloud.points)
-    stance = body.upright(_size(body, joints), joints[0].copy(), rotation)
+    stance = body.mean_person(_size(body, joints), joints[0].copy(), rotation)
+    cloud = cloud.outward(Posed(body, stance))
     stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud, tree)
     posed = Posed(body, stance)
     away = tree.query(posed.points)[0] > AWAY * stance.size
     astray = {limb: float(away[which].mean()) for limb, which in _limbs().items()}
-    bare = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > BARE * stance.size
+    bare = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > LEFT_OVER * stance.size
     return Fit(stance.rotation, posed.joints, astray, float(bare.mean()))
 
 

@@ -1,4 +1,5 @@
-"""mime as an ONNX file, run by onnxruntime: both meshes are read once, then each frame is measured and skinned.
+"""mime as an ONNX file, run by onnxruntime: both meshes are read once, and the shipped body is fitted to them from
+there; then each frame is measured and skinned.
 
 Inputs "points", "normals" (1, N, 3) of a surface and "vertices", "vertex_normals" (1, V, 3) of the same mesh; outputs
 "rotation" (1, J, 3, 3) and "joints" (1, J, 3), and "scores" (1, V, J), whose softmax is the skinning weights. Any unit
@@ -131,6 +132,11 @@ class Mime:
     """Whether what is read is the start of a fit of the shipped body, where these are its joints."""
     seed: int = 0
 
+    @property
+    def fitting(self) -> bool:
+        """Whether a fit starts from what is read."""
+        return self.fits and self.joints == figure().names
+
     def prepare(self, identity: Mesh, driving: Clip) -> Puppet:
         """Read the identity and the driving's glimpses, once for all; every frame is then measured against those.
 
@@ -148,9 +154,9 @@ class Mime:
         ankles = [leg[-1] for leg in self.legs]
         stand = tuple(j for j, parent in enumerate(self.parents) if j in ankles or parent in ankles)
         feet = Feet(stand, agreed.leg, soles(rig, vertices, stand), soles(agreed.mean, agreed.points, stand))
-        # Vertices of a point cloud may be denser on one limb than on another.
+        # Vertices of a point cloud may be denser on one limb than on another, and sparse on all.
         pairs = ((doubt, identity), (agreed.doubt, driving.mesh))
-        one, other = (d if len(mesh.faces) else dataclasses.replace(d, limbs={}) for d, mesh in pairs)
+        one, other = (d if len(mesh.faces) else dataclasses.replace(d, limbs={}, astray={}) for d, mesh in pairs)
         facts = (ranked.group, driving.mesh.name, (one, other))
         return Puppet(self.joints, every, skinned, follow, stride, feet, *facts)
 
@@ -184,7 +190,7 @@ class Mime:
 
     def _fitted(self, rig: Rig, doubt: Doubt, cloud: Cloud) -> tuple[Rig, Doubt]:
         """The rig with the joints of the body that fits the surface, where joints are the body's."""
-        if not self.fits or self.joints != figure().names:
+        if not self.fitting:
             return rig, doubt
         fit = fitted(cloud, rig.rotation, rig.joints)
         rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
@@ -212,7 +218,7 @@ class Mime:
                 best = min(best, self._agreed(places, frames, seen, t), key=lambda found: found.doubt.apart)
         cloud = Cloud(places.points(frames[best.frame]), places.normals(seen[best.frame]))
         mean, doubt = self._fitted(best.mean, best.doubt, cloud)
-        leg = leg_length(mean.joints, self.legs) if doubt.astray else best.leg
+        leg = leg_length(mean.joints, self.legs) if self.fitting else best.leg
         best = dataclasses.replace(best, mean=mean, leg=leg, doubt=doubt)
         parts = Parts.of(best.points, best.mean.weights, best.mean.joints, self.parents)
 

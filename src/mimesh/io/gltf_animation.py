@@ -1,0 +1,176 @@
+"""Animations of a glTF file, baked: node transforms, skins and morph weights become points, frame by frame.
+
+Keys are read as the standard has them: STEP, LINEAR (rotations along the great arc) and CUBICSPLINE; before the first
+key and after the last one a channel holds its value. Animated pointers of extensions are not read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import InputError
+from .gltf_document import Document, read_floats
+from .gltf_read import Rest, primitive_of
+from .gltf_scene import morph_weights, morphed, node_matrices, transform, vertex_matrices, world_matrices
+
+RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 15.0, 12.0, 120.0, 10.0)
+"""Frames a second that the keys of a file may lie on, likeliest first."""
+ON_GRID = 0.02
+"""Of a frame: keys this near to whole frames lie on them."""
+PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
+"""What moves, and how many numbers that is; as many as there are targets for weights."""
+LONGEST = 3600.0
+"""Seconds; an animation that lasts longer has broken times."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """What one node's translation, rotation, scale or weights do."""
+
+    node: int
+    path: str
+    times: Float[np.ndarray, " K"]
+    values: Float[np.ndarray, "K C"]
+    """At the keys; three times as wide with in- and out-tangents around them if cubic."""
+    interpolation: str
+
+    def at(self, time: float) -> Float[np.ndarray, " C"]:
+        """The value at a time in seconds."""
+        width = self.values.shape[1] // (3 if self.interpolation == "CUBICSPLINE" else 1)
+        middle = slice(width, 2 * width) if self.interpolation == "CUBICSPLINE" else slice(0, width)
+        after = int(np.searchsorted(self.times, time, side="right"))
+        if after == 0 or after == len(self.times):
+            value = self.values[min(after, len(self.times) - 1), middle]
+        else:
+            value = self._between(after, time, middle)
+        return value / (np.linalg.norm(value) or 1.0) if self.path == "rotation" else value
+
+    def _between(self, after: int, time: float, middle: slice) -> Float[np.ndarray, " C"]:
+        start, end = self.times[after - 1 : after + 1]
+        s, a, b = (time - start) / (end - start), self.values[after - 1], self.values[after]
+        if self.interpolation == "STEP":
+            return a[middle]
+        if self.interpolation == "CUBICSPLINE":
+            width = middle.stop - middle.start
+            leaving, arriving = (end - start) * a[2 * width :], (end - start) * b[:width]
+            hermite = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
+            return hermite[0] * a[middle] + hermite[1] * leaving + hermite[2] * b[middle] + hermite[3] * arriving
+        return _slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
+
+
+def animation_names(document: Document) -> tuple[str, ...]:
+    """Of all animations, by their numbers where they have no name."""
+    return tuple(str(entry.get("name") or i) for i, entry in enumerate(document.gltf.get("animations", [])))
+
+
+def find_animation(document: Document, wanted: str | None) -> int:
+    """Number of the animation of a name or number; the first if none is wanted.
+
+    Raises:
+        InputError: there is none of that name, with the names there are.
+    """
+    names = animation_names(document)
+    if wanted is None:
+        return 0
+    if wanted in names:
+        return names.index(wanted)
+    endings = [i for i, name in enumerate(names) if name.rpartition("|")[2] == wanted]
+    if len(endings) == 1:
+        return endings[0]
+    if wanted.isdecimal() and int(wanted) < len(names):
+        return int(wanted)
+    raise InputError(
+        f"{document.path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {wanted!r}; "
+        "check --animation"
+    )
+
+
+def read_channels(document: Document, animation: int) -> list[Channel]:
+    """What moves in an animation; channels of extensions and of nodes that are not named are left out.
+
+    Raises:
+        InputError: keys without values, times that do not rise, an interpolation that is not of the standard.
+    """
+    found = []
+    try:
+        entry = document.gltf["animations"][animation]
+        for channel in entry["channels"]:
+            target = channel["target"]
+            if target["path"] in PATHS and target.get("node") is not None:
+                found.append(_channel(document, target, entry["samplers"][channel["sampler"]]))
+    except (KeyError, IndexError, TypeError) as error:
+        raise InputError(
+            f"{document.path}: expected channels with samplers in animation {animation}, found a gap ({error!r}); "
+            "the file is damaged, export it again"
+        ) from error
+    return found
+
+
+def frame_rate(channels: list[Channel]) -> float | None:
+    """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate."""
+    times = np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)]))
+    for rate in RATES:
+        if len(times) > 2 and np.abs(times * rate - np.round(times * rate)).max() < ON_GRID:
+            return rate
+    return None
+
+
+def baked_frames(
+    document: Document, rest: Rest, channels: list[Channel], fps: float
+) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
+    """How many frames an animation has, and the vertices of the Mesh in each: frame k is at k / fps seconds."""
+    last = max((float(channel.times[-1]) for channel in channels), default=0.0)
+    if last > LONGEST:
+        raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
+    count = int(np.floor(last * fps + ON_GRID)) + 1
+    return count, (_frame(document, rest, channels, t / fps) for t in range(count))
+
+
+def _frame(document: Document, rest: Rest, channels: list[Channel], time: float) -> Float[np.ndarray, "V 3"]:
+    values = {(channel.node, channel.path): channel.at(time) for channel in channels}
+    T_world_node = world_matrices(document, node_matrices(document, values))
+    points = []
+    for run in rest.runs:
+        primitive = primitive_of(document, (run.node, run.primitives[0]))
+        weights = values.get((run.node, "weights"))
+        weights = morph_weights(document, run.node) if weights is None else weights.tolist()
+        still = morphed(document, primitive, "POSITION", weights)
+        assert still is not None
+        points.append(transform(vertex_matrices(document, run.node, primitive, T_world_node), still))
+    return np.concatenate(points)
+
+
+def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> Channel:
+    times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
+    interpolation = sampler.get("interpolation", "LINEAR")
+    if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
+        raise InputError(
+            f"{document.path}: expected keys of STEP, LINEAR or CUBICSPLINE, found {interpolation}; export it again"
+        )
+    times = times[:, 0]
+    keys = len(times)
+    per_key = values.size // keys if keys else 0
+    cubic = 3 if interpolation == "CUBICSPLINE" else 1
+    fits = per_key == cubic * PATHS[target["path"]] or (target["path"] == "weights" and per_key and not per_key % cubic)
+    known = 0 <= target["node"] < len(document.gltf.get("nodes", []))
+    if not (fits and known and values.size == keys * per_key and (np.diff(times) > 0).all()):
+        raise InputError(
+            f"{document.path}: expected rising times with a value each, found {keys} times and {values.size} numbers; "
+            "the file is damaged, export it again"
+        )
+    return Channel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
+
+
+def _slerp(a: Float[np.ndarray, 4], b: Float[np.ndarray, 4], s: float) -> Float[np.ndarray, 4]:
+    """Along the shorter arc between two unit quaternions."""
+    cosine = float(a @ b)
+    b, cosine = (-b, -cosine) if cosine < 0 else (b, cosine)
+    if cosine > 0.9995:
+        return (1 - s) * a + s * b
+    angle = np.arccos(cosine)
+    return (np.sin((1 - s) * angle) * a + np.sin(s * angle) * b) / np.sin(angle)

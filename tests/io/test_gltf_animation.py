@@ -1,0 +1,139 @@
+"""Animations baked: keys as the standard has them, and frames as a file at rest in that pose has them."""
+
+from __future__ import annotations
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+import zoo
+from scipy.spatial.transform import Rotation, Slerp
+
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf import write_gltf_clip
+from mimesh.io.gltf_animation import Channel, frame_rate
+from mimesh.mesh import Clip, InputError
+
+TURNS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
+"""What the hero's hip does from 0 to 1 s."""
+
+
+def hero_turned(tmp_path, quaternion):
+    """The hero at rest with its hip turned."""
+    sample = samples.hero()
+    sample.gltf["nodes"][1]["rotation"] = list(quaternion)
+    return load_mesh(sample.glb(tmp_path / "turned.glb")).vertices
+
+
+def test_our_own_clips_come_back(tmp_path):
+    cube = zoo.cube()
+    frames = np.stack([cube.vertices * [1, 1 + 0.1 * t, 1] + [t, 0, 0] for t in range(7)])
+    write_gltf_clip(Clip(cube, frames, 24.0), tmp_path / "clip.glb")
+    clip = load_clip(tmp_path / "clip.glb")
+    assert (len(clip), clip.fps) == (7, 24.0)
+    for t in range(7):
+        points = {tuple(np.round(p, 4)) for p in clip.vertices[t]}
+        assert points == {tuple(np.round(p, 4)) for p in frames[t]}
+
+
+def test_a_skin_is_where_its_joints_take_it(tmp_path):
+    path = samples.hero().glb(tmp_path / "hero.glb")
+    clip = load_clip(path, fps=4.0)
+    assert len(clip) == 5
+    slerp = Slerp([0, 1], Rotation.from_quat(TURNS))
+    for t in range(5):
+        wanted = hero_turned(tmp_path, slerp(t / 4).as_quat())
+        assert np.allclose(clip.vertices[t], wanted, atol=1e-6 * np.ptp(wanted))
+    assert np.array_equal(clip.mesh.vertices, clip.vertices[0])
+    assert not np.allclose(clip.vertices[0], clip.vertices[4])
+
+
+def test_weights_of_morph_targets(tmp_path):
+    sample = samples.hero()
+    still = load_mesh(sample.glb(tmp_path / "still.glb")).vertices
+    node = next(i for i, n in enumerate(sample.gltf["nodes"]) if n.get("mesh") == 1)
+    count = len(sample.gltf["meshes"][1]["primitives"][0]["targets"])
+    keys = np.zeros((2, count))
+    keys[1, 0] = 1.0
+    times = sample.accessor([0.0, 0.5])
+    channel = {"sampler": 0, "target": {"node": node, "path": "weights"}}
+    samplers = [{"input": times, "output": sample.accessor(keys.ravel())}]
+    sample.gltf["animations"] = [{"channels": [channel], "samplers": samplers}]
+    clip = load_clip(sample.glb(tmp_path / "morph.glb"), fps=4.0)
+    assert len(clip) == 3
+    middle = (clip.vertices[0] + clip.vertices[2]) / 2
+    assert np.allclose(clip.vertices[1], middle)
+    assert not np.allclose(clip.vertices[2], clip.vertices[0])
+    sample.gltf["nodes"][node]["weights"] = keys[1].tolist()
+    assert np.allclose(load_mesh(sample.glb(tmp_path / "posed.glb")).vertices, clip.vertices[2])
+    assert still.shape == clip.vertices[2].shape
+
+
+def channel(values, interpolation, path="translation"):
+    return Channel(0, path, np.array([1.0, 2.0, 4.0]), np.array(values, float), interpolation)
+
+
+def test_values_between_keys():
+    steps = channel([[0], [10], [20]], "STEP")
+    assert [steps.at(float(t))[0] for t in (0, 1, 1.99, 2, 3.9, 4, 9)] == [0, 0, 0, 10, 10, 20, 20]
+    lines = channel([[0], [10], [20]], "LINEAR")
+    assert [lines.at(float(t))[0] for t in (0, 1.5, 3, 9)] == [0, 5, 15, 20]
+    # A cubic whose tangents are those of a parabola is that parabola.
+    cubic = channel([[2 * t, t * t, 2 * t] for t in (1.0, 2.0, 4.0)], "CUBICSPLINE")
+    assert np.allclose([cubic.at(float(t))[0] for t in (1.0, 1.3, 2.0, 3.1, 4.0, 7.0)], [1, 1.69, 4, 9.61, 16, 16])
+
+
+def test_rotations_take_the_shorter_arc_and_stay_of_unit_length():
+    half = np.sqrt(0.5)
+    turning = channel([[0, 0, 0, 1], [0, 0, -half, -half], [0, 0, 1, 0]], "LINEAR", "rotation")
+    wanted = Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix()
+    assert np.allclose(Rotation.from_quat(turning.at(1.5)).as_matrix(), wanted)
+    assert np.allclose([np.linalg.norm(turning.at(float(t))) for t in np.linspace(0, 5, 21)], 1)
+
+
+def test_the_rate_is_the_one_that_keys_lie_on():
+    def keys(times):
+        return [Channel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
+
+    assert frame_rate(keys(np.arange(9) / 24)) == 24
+    assert frame_rate(keys(np.arange(9) / 30)) == 30
+    assert frame_rate(keys([0, 0.0171, 0.0533, 0.2019])) is None
+
+
+def named(tmp_path):
+    sample = samples.hero()
+    first = sample.gltf["animations"][0]
+    times = sample.accessor([0.0, 0.5])
+    still = {"channels": first["channels"], "samplers": [{**first["samplers"][0], "input": times}]}
+    sample.gltf["animations"] = [first, {**still, "name": "rig|short"}, still]
+    return sample.glb(tmp_path / "named.glb")
+
+
+@pytest.mark.parametrize(("wanted", "frames"), [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6)])
+def test_animations_are_chosen_by_name_or_number(tmp_path, wanted, frames):
+    assert len(load_clip(named(tmp_path), fps=10.0, animation=wanted)) == frames
+
+
+def test_an_animation_that_is_not_there_is_told_with_those_that_are(tmp_path):
+    with pytest.raises(InputError, match=r"turn, rig\|short, 2.*--animation"):
+        load_clip(named(tmp_path), animation="walk")
+    (tmp_path / "cube.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    with pytest.raises(InputError, match="--animation"):
+        load_clip(tmp_path / "cube.obj", animation="walk")
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda gltf: gltf["animations"][0].pop("samplers"),
+        lambda gltf: gltf["animations"][0]["channels"][0].update(sampler=7),
+        lambda gltf: gltf["animations"][0]["channels"][0]["target"].update(node=99),
+        lambda gltf: gltf["animations"][0]["samplers"][0].update(input=gltf["animations"][0]["samplers"][0]["output"]),
+        lambda gltf: gltf["animations"][0]["samplers"][0].update(interpolation="WAVES"),
+    ],
+    ids=["no samplers", "no such sampler", "no such node", "times do not rise", "unknown interpolation"],
+)
+def test_damaged_animations_are_told(tmp_path, damage):
+    sample = samples.hero()
+    damage(sample.gltf)
+    with pytest.raises(InputError, match="export it again"):
+        load_clip(sample.glb(tmp_path / "damaged.glb"))
