@@ -139,7 +139,7 @@ def test_options_of_animate():
     noise = np.random.default_rng(0).normal(scale=0.01, size=clip.vertices.shape)
     noisy = dataclasses.replace(clip, vertices=clip.vertices[:1] + noise)
     lively = [animate(identity, noisy, smooth=s).report["acceleration"] for s in (0.0, 0.2)]
-    assert lively[1]["result"] < 0.5 * lively[0]["result"] < lively[0]["driving"]
+    assert lively[1]["result"] < 0.2 * lively[0]["driving"] < 0.2 * lively[0]["result"]
 
 
 @pytest.mark.parametrize(
