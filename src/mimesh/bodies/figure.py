@@ -2,8 +2,7 @@
 
 Unknowns, in one vector of U: logarithm of the size, place of the root joint (3), shape coefficients (K), logarithms of
 length and then of girth for each kind of bone (G each; left and right are one kind; where bones branch girth counts
-for both), and a small turn of each joint
-about the world's axes (3 J), which all that hangs from the joint follows.
+for both), and a small turn of each joint about the world's axes (3 J), which all that hangs from the joint follows.
 """
 
 from __future__ import annotations

@@ -109,7 +109,7 @@ def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud, tree: K
         expected = max(stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1)), spread)
         posed = Posed(few if k < ROUGH else body, stance)
         rows, residual, weight = _matches(posed, cloud, tree, WILD * expected)
-        spread = 1.48 * float(np.median(np.abs(residual)))
+        spread = 1.48 * float(np.median(np.abs(residual)))  # the deviation of a normal distribution of that median
         weight *= CERTAIN / expected**2
         normal, slope = (rows * weight[:, None]).T @ rows, rows.T @ (weight * residual)
         held, pull = prior(posed)
