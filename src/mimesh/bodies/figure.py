@@ -62,7 +62,7 @@ class Figure:
         """About so many points, spread evenly over each part of the body, denser on small parts, in random order."""
         rng = np.random.default_rng(seed)
         face, share = sample_surface(body.vertices, body.faces, 30 * count, rng)
-        weights = _mixed(body.weights, body.faces[face], share)
+        weights = mixed(body.weights, body.faces[face], share)
         dense = np.cumsum(weights @ np.maximum(weights.mean(axis=0), LEAST) ** -FINE)
         chosen = np.unique(np.searchsorted(dense, dense[-1] * (np.arange(count) + 0.5) / count))
         chosen = rng.permutation(chosen)
@@ -71,9 +71,9 @@ class Figure:
         return cls(
             names=body.joint_names,
             parents=body.parents,
-            vertices=_mixed(body.vertices, corners, share),
+            vertices=mixed(body.vertices, corners, share),
             normals=face_normals(body.vertices, body.faces)[face[chosen]],
-            components=np.stack([_mixed(component, corners, share) for component in body.components], axis=2),
+            components=np.stack([mixed(component, corners, share) for component in body.components], axis=2),
             weights=weights[chosen],
             joints=body.joints,
             joint_components=np.moveaxis(body.joint_components, 0, 2),
@@ -231,7 +231,7 @@ def _cross(a: Float[np.ndarray, "M #J 3"], b: Float[np.ndarray, "M #J 3"]) -> Fl
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def _mixed(values: np.ndarray, corners: Int[np.ndarray, "N 3"], shares: Float[np.ndarray, "N 3"]) -> np.ndarray:
+def mixed(values: np.ndarray, corners: Int[np.ndarray, "N 3"], shares: Float[np.ndarray, "N 3"]) -> np.ndarray:
     """Values of vertices at places on triangles."""
     return (values[corners] * shares[..., None]).sum(axis=1)
 

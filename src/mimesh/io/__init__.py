@@ -144,9 +144,7 @@ def load_clip(path: str | Path, fps: float | None = None, animation: str | None 
         from .gltf import read_gltf_clip
 
         with _reading(path):
-            clip = read_gltf_clip(path, fps, animation)
-        if clip is not None:
-            return check_clip(clip, path)
+            return check_clip(read_gltf_clip(path, fps, animation), path)
     mesh = load_mesh(path)
     return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
 

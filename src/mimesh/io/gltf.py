@@ -14,6 +14,7 @@ import numpy as np
 
 from ..mesh import Clip, Mesh, check_mesh
 from ..paging import PAGED, let_go, new_frames
+from . import DEFAULT_FPS
 from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
 from .gltf_build import build_document
 from .gltf_check import is_understood
@@ -21,9 +22,6 @@ from .gltf_clip import add_frames
 from .gltf_document import Document, open_document
 from .gltf_edit import GltfSource, edit_document, with_normals
 from .gltf_read import Rest, read_rest
-
-DEFAULT_FPS = 30.0
-"""Of animations whose keys lie on no usual rate."""
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -43,8 +41,8 @@ def read_gltf(path: Path) -> Mesh:
     return dataclasses.replace(mesh, source=source)
 
 
-def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None = None) -> Clip | None:
-    """An animation of a .glb, .vrm or .gltf file, baked to points; None where the file has none and none is wanted.
+def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None = None) -> Clip:
+    """An animation of a .glb, .vrm or .gltf file, baked to points; one frame where it has none and none is wanted.
 
     Args:
         fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
@@ -53,11 +51,11 @@ def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None =
     Raises:
         InputError: as `read_gltf`, no such animation, or a damaged one.
     """
-    document = open_document(path)
-    if animation is None and not document.gltf.get("animations"):
-        return None
     mesh = read_gltf(path)
     assert isinstance(mesh.source, GltfSource)
+    document = mesh.source.document
+    if animation is None and not mesh.source.animations:
+        return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
     channels = read_channels(document, find_animation(document, animation))
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = baked_frames(document, mesh.source.rest, channels, fps)

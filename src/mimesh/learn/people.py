@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from .. import geometry
 from ..bodies import RiggedBody
 from ..bodies.dress import GARMENTS, dressed_body, load_garment
-from ..bodies.figure import bone_directions, kinds_of_bones
+from ..bodies.figure import bone_directions, kinds_of_bones, mixed
 
 WAVES = 6
 """Of which a person's bumps are the sum."""
@@ -86,10 +86,10 @@ class SurfaceBody(nn.Module):
         starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
         bones, branching = bone_directions(body)
         arrays = {
-            "rest": _mix(dressed.vertices, corners, share).T,
+            "rest": mixed(dressed.vertices, corners, share).T,
             "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
-            "components": np.stack([_mix(c, corners, share).T for c in dressed.components]),
-            "weights": _mix(dressed.weights, corners, share).T,
+            "components": np.stack([mixed(c, corners, share).T for c in dressed.components]),
+            "weights": mixed(dressed.weights, corners, share).T,
             "joints": body.joints,
             "joint_components": body.joint_components,
             "bones": bones,
@@ -179,7 +179,3 @@ class Crowd:
 
     def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.randn(*size, generator=rng, device=self.device)
-
-
-def _mix(values: np.ndarray, corners: np.ndarray, share: np.ndarray) -> np.ndarray:
-    return (values[corners] * share[..., None]).sum(axis=1)
