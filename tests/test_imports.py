@@ -10,8 +10,8 @@ import mimesh
 ROOT = Path(mimesh.__file__).parent
 CLI = {"cli", "commands", "__main__"}
 BASE = {"mesh", "geometry", "frame", "paging", "rig", "track"}
-ALLOWED = {name: BASE for name in BASE} | {"io": BASE | {"io"}, "bodies": BASE | {"bodies"}}
-ALLOWED |= {"motions": BASE | {"motions", "bodies"}}
+ALLOWED = {name: BASE for name in BASE} | {"bodies": BASE | {"bodies"}, "motions": BASE | {"motions", "bodies"}}
+ALLOWED |= {"io": BASE | {"io", "motions", "bodies"}}
 FILES = sorted(path for path in ROOT.rglob("*.py") if "blender" not in path.parts)
 
 

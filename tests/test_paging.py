@@ -53,7 +53,7 @@ def test_a_folder_is_read_the_same_from_disk(tmp_path, monkeypatch):
         save_mesh(Mesh(rng.normal(size=(3, 3)), TRIANGLE), tmp_path / f"{t}.obj")
     expected = load_clip(tmp_path).vertices
     monkeypatch.setattr(paging, "LARGE", 10)
-    monkeypatch.setattr("mimesh.io.sequence.PAGED", 1)
+    monkeypatch.setattr(paging, "PAGED", 1)
     found = load_clip(tmp_path).vertices
     assert isinstance(found, np.memmap)
     assert np.array_equal(found, expected)

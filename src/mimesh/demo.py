@@ -12,7 +12,7 @@ from .bodies import RiggedBody, load_body
 from .io import save_clip, save_mesh
 from .mesh import Clip, Mesh
 from .motions import DEMO, load_motion, motion_clip
-from .moving import Progress
+from .paging import Progress
 from .pipeline import animate
 from .preview import TILE, save_picture, still
 from .view.movie import clip_frames, save_movie

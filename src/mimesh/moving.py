@@ -15,15 +15,13 @@ from .mesh import Clip, InputError, Mesh
 from .methods import Method
 from .methods.mime import Mime, Puppet
 from .orient import known
-from .paging import PAGED, let_go, new_frames
+from .paging import PAGED, Progress, each_frame, let_go, new_frames
 from .refine import Refinement
 from .report import accelerations, doubt_notes, doubts, facing, facing_note, quality
 from .result import timed
 from .rig import Rig, Skeleton
 from .track import Track, skate
 
-Progress = Callable[[int, int], None]
-"""Called as frames get done with (frames done, frames in all)."""
 Choice = Callable[[Frame], Method]
 """A method with its options, but for the driving's frame."""
 Axes = tuple[str | None, str | None, str | None, str | None]
@@ -162,10 +160,7 @@ def _judged(played: _Played, report: dict, names: tuple[str, str], height: float
 
 def _normalised(clip: Clip, frame: Frame) -> Iterator[Float[np.ndarray, "U 3"]]:
     """The driving's frames in its Frame, without keeping what was read."""
-    for t, vertices in enumerate(clip.vertices):
-        yield frame.apply(vertices)
-        if t % PAGED == 0:
-            let_go(clip.vertices)
+    return (frame.apply(vertices) for vertices in each_frame(clip.vertices))
 
 
 def _told(frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int) -> Iterator[np.ndarray]:

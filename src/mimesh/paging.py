@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mmap
 import tempfile
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from jaxtyping import Float
@@ -13,6 +14,9 @@ LARGE = 64 * 2**20
 
 PAGED = 32
 """Frames that are worked on between two calls of `let_go`."""
+
+Progress = Callable[[int, int], None]
+"""Called as frames get done with (frames done, frames in all)."""
 
 
 def new_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
@@ -29,3 +33,36 @@ def let_go(frames: Float[np.ndarray, "T V 3"]) -> None:
     pages = getattr(frames, "_mmap", None)
     if pages is not None and hasattr(pages, "madvise"):
         pages.madvise(mmap.MADV_DONTNEED)
+
+
+def stored(
+    frames: Iterable[Float[np.ndarray, "V 3"]],
+    count: int,
+    vertices: int,
+    dtype: type[np.floating] | np.dtype = np.float64,
+    progress: Progress | None = None,
+) -> Float[np.ndarray, "T V 3"]:
+    """Take in `count` frames of so many vertices, one by one, into `new_frames`."""
+    kept = new_frames(count, vertices, dtype)
+    done = 0
+    for points in frames:
+        kept[done] = points
+        done += 1
+        if done % PAGED == 0:
+            let_go(kept)
+        if progress is not None:
+            progress(done, count)
+    assert done == count, f"{done} frames came, {count} were said to"
+    return kept
+
+
+def each_frame(
+    vertices: Float[np.ndarray, "T V 3"], progress: Progress | None = None
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """The frames of a clip one by one in double precision, without keeping what was read."""
+    for t, points in enumerate(vertices):
+        yield np.asarray(points, np.float64)
+        if t % PAGED == 0:
+            let_go(vertices)
+        if progress is not None:
+            progress(t + 1, len(vertices))

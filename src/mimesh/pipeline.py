@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from .methods import Method, find_method
-from .moving import Choice, Progress, Travel, move
+from .moving import Choice, Travel, move
+from .paging import Progress
 from .result import ClipResult, Result, no_time_yet, timed
 
 

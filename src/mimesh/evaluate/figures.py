@@ -14,12 +14,13 @@ from jaxtyping import Float
 
 from ..io import load_mesh
 from ..mesh import InputError, Mesh
+from ..paging import Progress
 from ..pipeline import transfer
 from .clip_figures import clips_compared, clips_noisy, others_in_motion
 from .measure import moved
 from .pairs import Pair, shuffled
 from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE
-from .run import Progress, check_method
+from .run import check_method
 from .tiles import Tile, drawn, folder_of_people
 
 ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")

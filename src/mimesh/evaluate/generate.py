@@ -7,9 +7,10 @@ from pathlib import Path
 from ..io import save_mesh
 from ..io.atomic import whole_file
 from ..mesh import InputError, Mesh
+from ..paging import Progress
 from .clip_protocols import ClipsAniformer
 from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
-from .run import Progress, find_protocol
+from .run import find_protocol
 
 
 def generate_command(

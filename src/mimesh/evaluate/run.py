@@ -6,13 +6,13 @@ import contextlib
 import datetime
 import json
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from ..io.atomic import whole_file
 from ..mesh import InputError
 from ..methods import ALONE, MODELS, ROWS, check_row, weights_path
+from ..paging import Progress
 from ..provenance import code_fingerprint, commit, libraries, machine
 from .clip_measure import measure_clip
 from .clip_protocols import ClipPair, clips_aniformer
@@ -21,7 +21,6 @@ from .measure import GIVEN, measure, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 
-Progress = Callable[[int, int], None]
 FOLDERS = ("cross-body", "clips-aniformer")
 """Protocols that read a folder."""
 

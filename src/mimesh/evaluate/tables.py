@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..mesh import InputError
-from .run import Progress, evaluate_command
+from ..paging import Progress
+from .run import evaluate_command
 
 
 class Row(NamedTuple):

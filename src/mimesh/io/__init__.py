@@ -2,7 +2,8 @@
 
 A reader takes a Path and returns a Mesh or Clip, which `load_mesh` and `load_clip` check. A writer takes the Mesh or
 Clip and a Path; the file appears whole or not at all (`atomic.whole_file`). `save_mesh` gives the identity's own file
-back, points moved, whenever the suffix is the one it came with.
+back, points moved, whenever the suffix is the one it came with. Readers and writers of clips take frame by frame, so
+that long clips need no memory, and tell how far they are.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
+from ..paging import Progress
 from .atomic import whole_file
 from .mtl import copy_companions
 from .npz import read_npz, read_npz_clip, write_npz, write_npz_clip
@@ -59,11 +61,11 @@ def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
         write_gltf_skinned(skeleton, fps, temporary)
 
 
-def _write_gltf_clip(clip: Clip, path: Path) -> None:
+def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
     from .gltf import write_gltf_clip
 
     with whole_file(path) as temporary:
-        write_gltf_clip(clip, temporary)
+        write_gltf_clip(clip, temporary, progress)
 
 
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
@@ -85,8 +87,9 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".ply": write_ply,
     ".stl": write_stl,
 }
-CLIP_READERS: dict[str, Callable[[Path, float | None], Clip]] = {".npz": read_npz_clip}
-CLIP_WRITERS: dict[str, Callable[[Clip, Path], None]] = {
+CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {".npz": read_npz_clip}
+"""Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
+CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".glb": _write_gltf_clip,
     ".gltf": _write_gltf_clip,
     ".npz": write_npz_clip,
@@ -113,13 +116,16 @@ def load_mesh(path: str | Path) -> Mesh:
     return check_mesh(mesh, path)
 
 
-def load_clip(path: str | Path, fps: float | None = None, animation: str | None = None) -> Clip:
+def load_clip(
+    path: str | Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
+) -> Clip:
     """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
 
     Args:
         fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file is
             sampled at it.
         animation: which one of a glTF file, by name or number; None: the first.
+        progress: called with (frames read, frames in all).
 
     Raises:
         InputError: as `load_mesh`, frames that do not share one topology, or no such animation.
@@ -134,17 +140,17 @@ def load_clip(path: str | Path, fps: float | None = None, animation: str | None 
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
-            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh)
+            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh, progress)
         # The clip is called as its folder is, not as its first frame.
         return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
     if path.suffix.lower() in CLIP_READERS:
         with _reading(path):
-            return check_clip(CLIP_READERS[path.suffix.lower()](path, fps), path)
+            return check_clip(CLIP_READERS[path.suffix.lower()](path, fps, progress), path)
     if path.suffix.lower() in ANIMATED:
         from .gltf import read_gltf_clip
 
         with _reading(path):
-            return check_clip(read_gltf_clip(path, fps, animation), path)
+            return check_clip(read_gltf_clip(path, fps, animation, progress), path)
     mesh = load_mesh(path)
     return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
 
@@ -171,7 +177,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
-def save_clip(clip: Clip, path: str | Path, suffix: str | None = None) -> None:
+def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress: Progress | None = None) -> None:
     """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
 
     `suffix` chooses the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
@@ -183,7 +189,7 @@ def save_clip(clip: Clip, path: str | Path, suffix: str | None = None) -> None:
     is_folder = path.is_dir() or not path.suffix
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
         with _writing(path):
-            CLIP_WRITERS[path.suffix.lower()](clip, path)
+            CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         return
     if not is_folder:
         raise InputError(
@@ -199,7 +205,7 @@ def save_clip(clip: Clip, path: str | Path, suffix: str | None = None) -> None:
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
     with _writing(path):
-        write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh)
+        write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if own == suffix:
             _copy_companions(clip.mesh, path)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ..mesh import Clip, Mesh, check_mesh
-from ..paging import PAGED, let_go, new_frames
+from ..paging import Progress, stored
 from . import DEFAULT_FPS
 from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
 from .gltf_build import build_document
@@ -41,7 +41,9 @@ def read_gltf(path: Path) -> Mesh:
     return dataclasses.replace(mesh, source=source)
 
 
-def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None = None) -> Clip:
+def read_gltf_clip(
+    path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
+) -> Clip:
     """An animation of a .glb, .vrm or .gltf file, baked to points; one frame where it has none and none is wanted.
 
     Args:
@@ -59,11 +61,7 @@ def read_gltf_clip(path: Path, fps: float | None = None, animation: str | None =
     channels = read_channels(document, find_animation(document, animation))
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = baked_frames(document, mesh.source.rest, channels, fps)
-    vertices = new_frames(count, len(mesh.vertices), np.float64)
-    for t, points in enumerate(frames):
-        vertices[t] = points
-        if t % PAGED == 0:
-            let_go(vertices)
+    vertices = stored(frames, count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
 
 
@@ -80,7 +78,7 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
         build_document(mesh, mesh)[0].save(path)
 
 
-def write_gltf_clip(clip: Clip, path: Path) -> None:
+def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf_clip`).
 
     A mesh that came from a glTF file keeps all of it but skin, animations and morph targets of its own. One frame
@@ -93,7 +91,7 @@ def write_gltf_clip(clip: Clip, path: Path) -> None:
     else:
         draft, placed = build_document(mesh, first)
     if len(clip) > 1:
-        add_frames(draft, placed, mesh, clip)
+        add_frames(draft, placed, mesh, clip, progress)
     draft.save(path)
 
 

@@ -17,15 +17,10 @@ from ..mesh import InputError
 from .gltf_document import Document, read_floats
 from .gltf_read import Rest, primitive_of
 from .gltf_scene import morph_weights, morphed, node_matrices, transform, vertex_matrices, world_matrices
+from .timing import LONGEST, frame_count, usual_rate
 
-RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 15.0, 12.0, 120.0, 10.0)
-"""Frames a second that the keys of a file may lie on, likeliest first."""
-ON_GRID = 0.02
-"""Of a frame: keys this near to whole frames lie on them."""
 PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """What moves, and how many numbers that is; as many as there are targets for weights."""
-LONGEST = 3600.0
-"""Seconds; an animation that lasts longer has broken times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +108,7 @@ def read_channels(document: Document, animation: int) -> list[Channel]:
 
 def frame_rate(channels: list[Channel]) -> float | None:
     """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate."""
-    times = np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)]))
-    for rate in RATES:
-        if len(times) > 2 and np.abs(times * rate - np.round(times * rate)).max() < ON_GRID:
-            return rate
-    return None
+    return usual_rate(np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)])))
 
 
 def baked_frames(
@@ -127,7 +118,7 @@ def baked_frames(
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
-    count = int(np.floor(last * fps + ON_GRID)) + 1
+    count = frame_count(last, fps)
     return count, (_frame(document, rest, channels, t / fps) for t in range(count))
 
 

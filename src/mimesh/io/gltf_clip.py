@@ -15,18 +15,18 @@ from jaxtyping import Float
 
 from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
-from ..paging import PAGED, let_go
+from ..paging import Progress, each_frame
 from .gltf_draft import VERTEX_DATA, Draft, Spool
 from .gltf_primitives import Placed
 from .gltf_scene import unit
 
 
-def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> None:
+def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None = None) -> None:
     """Add the frames of `clip` to a document that shows its frame 0; `mesh` is the clip's, with corner normals.
 
     What goes into the file waits on disk: memory does not grow with the number of frames.
     """
-    deltas = _frame_deltas(placed, mesh, clip)
+    deltas = _frame_deltas(placed, mesh, clip, progress)
     for one, spools in zip(placed, deltas, strict=True):
         targets = _add_targets(draft, spools)
         for primitive in one.primitives:
@@ -37,7 +37,7 @@ def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip) -> No
     draft.gltf["animations"] = [_animation(draft, nodes, clip)]
 
 
-def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str, Spool]]:
+def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None) -> list[dict[str, Spool]]:
     """For each placed group, what each frame after the first adds to the float32 attributes (N, 3) of frame 0."""
     turned = None
     if any(one.has_normals for one in placed):
@@ -45,10 +45,7 @@ def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip) -> list[dict[str
         turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
     base: list[dict[str, np.ndarray]] = []
     deltas: list[dict[str, Spool]] = []
-    for frame in range(len(clip)):
-        vertices = np.asarray(clip.vertices[frame], np.float64)
-        if frame % PAGED == 0:
-            let_go(clip.vertices)
+    for frame, vertices in enumerate(each_frame(clip.vertices, progress)):
         normals = turned(vertices).reshape(-1, 3) if turned else None
         for number, one in enumerate(placed):
             now = _local(one, vertices, normals)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Int
 
 from ..mesh import Clip, InputError, Mesh
+from ..paging import Progress
 from .atomic import whole_file
 from .polygons import fan_corners
 
@@ -62,7 +63,7 @@ def read_npz(path: Path) -> Mesh:
     return Mesh(vertices, faces, name=path.stem, source=NpzSource(data, key, points))
 
 
-def read_npz_clip(path: Path, fps: float | None) -> Clip:
+def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = None) -> Clip:
     """Read a clip from an archive: `vertices` (T, V, 3), `faces` and `fps`; a mesh is a clip of one frame.
 
     `fps` overrides the file's frame rate; without either it is 30 per second.
@@ -84,7 +85,7 @@ def write_npz(mesh: Mesh, path: Path) -> None:
         np.savez_compressed(temporary, vertices=mesh.vertices, faces=mesh.faces)
 
 
-def write_npz_clip(clip: Clip, path: Path) -> None:
+def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
     """Write a clip as an archive of `vertices` (T, V, 3), `faces` and `fps`."""
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, vertices=clip.vertices, faces=clip.mesh.faces, fps=clip.fps)

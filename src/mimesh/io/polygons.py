@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..mesh import Mesh
+
 
 def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
     """Triangulate polygons, each as a fan around its first corner.
@@ -18,6 +20,28 @@ def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], I
     first = (np.cumsum(sizes) - sizes)[polygon]
     step = np.arange(len(polygon)) - (np.cumsum(triangles) - triangles)[polygon]
     return np.stack([first, first + step + 1, first + step + 2], axis=1).astype(np.int64), polygon
+
+
+def polygon_sizes(mesh: Mesh) -> Int[np.ndarray, " P"]:
+    """Corners of each polygon that the faces of a mesh are fans of, in order; triangles unless its file says more."""
+    sizes = getattr(mesh.source, "sizes", None)  # of sources whose format has polygons
+    if sizes is None:
+        return np.full(len(mesh.faces), 3)
+    sizes = sizes[sizes > 2]
+    assert (sizes - 2).sum() == len(mesh.faces), "a mesh with other faces must not keep its source"
+    return sizes
+
+
+def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
+    """Where each polygon's corners are among the triangle corners that `fan_corners` made of them, (F, 3) flattened.
+
+    `mesh.faces.reshape(-1)[polygon_corners(sizes)]` are the vertices of the polygons, one after another; the same takes
+    texture coordinates and normals back. Polygons have three corners or more.
+    """
+    first = np.repeat(3 * (np.cumsum(sizes - 2) - (sizes - 2)), sizes)
+    step = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    # Corners 0, 1, 2 are those of the first triangle, corner k the last of triangle k - 2.
+    return first + np.where(step < 2, step, 3 * step - 4)
 
 
 def unit_rows(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:

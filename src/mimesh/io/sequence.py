@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Callable, Collection
@@ -11,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..mesh import Clip, InputError, Mesh
-from ..paging import PAGED, let_go, new_frames
+from ..paging import Progress, each_frame, stored
 from .atomic import whole_folder
 from .obj import read_obj_points
 from .obj_source import ObjSource
@@ -20,7 +21,13 @@ from .ply import PlySource, read_ply_points
 _NUMBER = re.compile(r"\d+")
 
 
-def read_sequence(folder: Path, fps: float, suffixes: Collection[str], read: Callable[[Path], Mesh]) -> Clip:
+def read_sequence(
+    folder: Path,
+    fps: float,
+    suffixes: Collection[str],
+    read: Callable[[Path], Mesh],
+    progress: Progress | None = None,
+) -> Clip:
     """Read the numbered meshes of a folder, in the order of their numbers, as one clip.
 
     Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
@@ -32,13 +39,9 @@ def read_sequence(folder: Path, fps: float, suffixes: Collection[str], read: Cal
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
-    frames = new_frames(len(paths), len(first.vertices), np.float64)
-    frames[0] = first.vertices
-    for t, path in enumerate(paths[1:], 1):
-        frames[t] = _read_frame(path, first, paths[0], read)
-        if t % PAGED == 0:
-            let_go(frames)
-    return Clip(first, frames, fps)
+    later = (_read_frame(path, first, paths[0], read) for path in paths[1:])
+    frames = itertools.chain([first.vertices], later)
+    return Clip(first, stored(frames, len(paths), len(first.vertices), progress=progress), fps)
 
 
 def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
@@ -67,7 +70,12 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 
 def write_sequence(
-    clip: Clip, folder: Path, suffix: str, write: Callable[[Mesh, Path], None], read: Callable[[Path], Mesh]
+    clip: Clip,
+    folder: Path,
+    suffix: str,
+    write: Callable[[Mesh, Path], None],
+    read: Callable[[Path], Mesh],
+    progress: Progress | None = None,
 ) -> None:
     """Write each frame as a mesh 0000, 0001, ... of the given suffix: the mesh's own file where it has one.
 
@@ -91,7 +99,7 @@ def write_sequence(
             write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
             mesh = read(temporary / names[0])
         assert mesh.source is not None
-        for name, vertices in zip(names, clip.vertices, strict=True):
+        for name, vertices in zip(names, each_frame(clip.vertices, progress), strict=True):
             mesh.source.write(mesh.with_vertices(vertices), temporary / name)
 
 
