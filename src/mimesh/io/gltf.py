@@ -14,7 +14,6 @@ import numpy as np
 
 from ..mesh import Clip, Mesh, check_mesh
 from ..paging import Progress, stored
-from . import DEFAULT_FPS
 from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
 from .gltf_build import build_document
 from .gltf_check import is_understood
@@ -22,6 +21,7 @@ from .gltf_clip import add_frames
 from .gltf_document import Document, open_document
 from .gltf_edit import GltfSource, edit_document, with_normals
 from .gltf_read import Rest, read_rest
+from .timing import DEFAULT_FPS
 
 
 def read_gltf(path: Path) -> Mesh:
