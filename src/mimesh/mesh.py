@@ -160,6 +160,24 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
     return clip
 
 
+def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
+    """Every `step`-th frame from `start` up to but without `stop`; it plays at fps / step, as fast as before.
+
+    Raises:
+        InputError: no frame is left, or the step is not positive.
+    """
+    if step < 1:
+        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
+    vertices = clip.vertices[start:stop:step]
+    if len(vertices) == 0:
+        raise InputError(
+            f"{clip.mesh.name}: expected frames within its {len(clip)}, found {start} to "
+            f"{'the end' if stop is None else stop}, which leaves none; give others"
+        )
+    check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
+
+
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     """Reorder vertices and rename face indices together: new vertex i is old vertex `order[i]`.
 

@@ -123,6 +123,8 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
 """Files that may hold animations."""
+FRAMES_ONLY = (".mdd", ".npy", ".npz", ".pc2")
+"""Files of frames, none of which is the mesh at rest."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """What a clip is written as when it goes into a folder."""
 
@@ -206,20 +208,34 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
-def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress: Progress | None = None) -> None:
+def save_clip(
+    clip: Clip,
+    path: str | Path,
+    suffix: str | None = None,
+    progress: Progress | None = None,
+    blendshapes: int | None = None,
+) -> float | None:
     """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
 
-    `suffix` chooses the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+    Args:
+        suffix: the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+        progress: called with (frames written, frames in all).
+        blendshapes: so many morph targets in all, instead of one a frame (.glb, .gltf); see `gltf.write_gltf_clip`.
+
+    Returns:
+        With `blendshapes`, how far a vertex is from its frame at most, in the mesh's unit.
 
     Raises:
         InputError: a format that holds no clip, or a place that cannot be written to.
     """
     path = Path(path)
     is_folder = path.is_dir() or not path.suffix
+    if blendshapes is not None:
+        return _save_blended(clip, path, progress, blendshapes)
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
         with _writing(path):
             CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
-        return
+        return None
     if not is_folder:
         raise InputError(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
@@ -237,6 +253,16 @@ def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress:
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if own == suffix:
             _copy_companions(clip.mesh, path)
+    return None
+
+
+def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
+    from .gltf import write_gltf_clip
+
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
+    with _writing(path), whole_file(path) as temporary:
+        return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
 def mesh_suffixes() -> tuple[str, ...]:
