@@ -8,6 +8,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
+import mmap
 import os
 import struct
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ..mesh import InputError
+from ..paging import LARGE
 from .gltf_check import COMPRESSION, check_document
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -33,9 +35,16 @@ class Document:
 
     path: Path
     gltf: dict[str, Any] = field(repr=False)
-    binary: bytes = field(repr=False)
+    binary: bytes | memoryview = field(repr=False)
+    """In memory, or a large file that the system pages in."""
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where it could not be had (a file that is not there, or is no image)."""
+    mapped: mmap.mmap | None = field(default=None, repr=False)
+
+    def let_go(self) -> None:
+        """Give back the memory that pages of a large file have taken."""
+        if self.mapped is not None and hasattr(self.mapped, "madvise"):
+            self.mapped.madvise(mmap.MADV_DONTNEED)
 
 
 def open_document(path: Path) -> Document:
@@ -44,17 +53,17 @@ def open_document(path: Path) -> Document:
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or needs an extension that is not understood.
     """
-    content = path.read_bytes()
-    text, chunk = _split_glb(content, path) if content[:4] == b"glTF" else (content, b"")
-    if path.suffix.lower() != ".gltf" and content[:4] != b"glTF":
-        raise InputError(
-            f"{path}: expected a binary glTF ('glTF' at the start), found {content[:4]!r}; export it again"
-        )
+    mapped = _map(path)
+    content = memoryview(path.read_bytes() if mapped is None else mapped)
+    magic = bytes(content[:4])
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (bytes(content), b"")
+    if path.suffix.lower() != ".gltf" and magic != b"glTF":
+        raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
     gltf, binary = _join_buffers(_without_compression(gltf), chunk, path)
     images = tuple(_read_image(image, gltf, binary, path) for image in gltf.get("images", []))
-    document = Document(path, gltf, binary, images)
+    document = Document(path, gltf, binary, images, mapped)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
     return document
@@ -156,7 +165,15 @@ def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int,
     return np.lib.stride_tricks.as_strided(memory, (count, size), (stride, 1), writeable=False)
 
 
-def _split_glb(content: bytes, path: Path) -> tuple[bytes, bytes]:
+def _map(path: Path) -> mmap.mmap | None:
+    """A large file, mapped; None for one that is simply read."""
+    if path.stat().st_size < LARGE:
+        return None
+    with path.open("rb") as file:
+        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+
+
+def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
     """The JSON and the binary chunk of a GLB file."""
     if len(content) < 20:
         raise InputError(f"{path}: expected a GLB header of 20 bytes, found {len(content)}; the file is truncated")
@@ -172,14 +189,14 @@ def _split_glb(content: bytes, path: Path) -> tuple[bytes, bytes]:
         raise InputError(f"{path}: expected the JSON chunk first, found chunk type {kind:#x}; export it again")
     start = 20 + json_length
     if start + 8 > length:
-        return content[20:start], b""
+        return bytes(content[20:start]), b""
     binary_length, kind = struct.unpack_from("<II", content, start)
     if start + 8 + binary_length > length:
         raise InputError(
             f"{path}: expected a binary chunk of {binary_length} bytes, found {length - start - 8}; "
             "the file is truncated, copy it again"
         )
-    return content[20:start], content[start + 8 : start + 8 + binary_length] if kind == BINARY_CHUNK else b""
+    return bytes(content[20:start]), content[start + 8 : start + 8 + binary_length] if kind == BINARY_CHUNK else b""
 
 
 def _parse_json(text: bytes, path: Path) -> Any:
@@ -209,23 +226,25 @@ def _without_compression(gltf: dict[str, Any]) -> dict[str, Any]:
     return gltf
 
 
-def _join_buffers(gltf: dict[str, Any], chunk: bytes, path: Path) -> tuple[dict[str, Any], bytes]:
-    """The JSON with every view pointing into one joined buffer, and that buffer."""
+def _join_buffers(
+    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path
+) -> tuple[dict[str, Any], bytes | memoryview]:
+    """The JSON with every view pointing into one joined buffer, and that buffer; a single one is not copied."""
     starts, parts, total = [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
         content = _read_buffer(buffer, index, chunk, path)
-        content += b"\0" * (-len(content) % 4)
+        padding = bytes(-len(content) % 4)
         starts.append(total)
-        parts.append(content)
-        total += len(content)
+        parts += [content, padding]
+        total += len(content) + len(padding)
     views = [
         _moved_view(view, index, gltf["buffers"], starts, path)
         for index, view in enumerate(gltf.get("bufferViews", []))
     ]
-    return {**gltf, "bufferViews": views}, b"".join(parts)
+    return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
 
 
-def _read_buffer(buffer: dict[str, Any], index: int, chunk: bytes, path: Path) -> bytes:
+def _read_buffer(buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path) -> bytes | memoryview:
     uri = buffer.get("uri")
     content = (chunk if index == 0 else None) if uri is None else _fetch(uri, path)
     if content is None:
@@ -253,10 +272,10 @@ def _moved_view(
     return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
 
 
-def _read_image(image: dict[str, Any], gltf: dict[str, Any], binary: bytes, path: Path) -> bytes | None:
+def _read_image(image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> bytes | None:
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
-        return binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
     content = _fetch(image.get("uri", ""), path)
     # A file that is no image must not travel into the file we write, whatever a stranger's glTF points at.
     return content if content and image_type(content) else None

@@ -53,7 +53,7 @@ class Draft:
         self.chunks: list[memoryview | Spool] = []
         self.size = 0
 
-    def add_view(self, content: bytes | np.ndarray | Spool, **properties: int | None) -> int:
+    def add_view(self, content: bytes | memoryview | np.ndarray | Spool, **properties: int | None) -> int:
         """Append bytes, an array (not copied) or a spool, and a buffer view of them; each starts at a multiple of 4."""
         chunk = content if isinstance(content, Spool) else _bytes(content)
         given = {name: value for name, value in properties.items() if value is not None}
@@ -161,7 +161,7 @@ class Carrier:
             self.draft.gltf["images"] = images
 
 
-def _bytes(content: bytes | np.ndarray) -> memoryview:
+def _bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
     chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
     return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 

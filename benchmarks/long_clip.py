@@ -1,0 +1,95 @@
+"""Memory of `mimesh convert` on a long clip, format by format, beside a tenth of it: it must not grow with the frames.
+
+    python benchmarks/long_clip.py [-o FILE] [--frames 2000] [--formats .glb .npz ...]
+
+A sheet of 20,000 vertices waves. Every format is written from a NumPy archive and read back into one, each time by a
+process of its own, whose peak of resident memory is what is measured. Files go to a temporary folder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from mimesh.io import CLIP_WRITERS, save_clip
+from mimesh.io.atomic import whole_file
+from mimesh.mesh import Clip, Mesh
+from mimesh.paging import stored
+from mimesh.provenance import commit, libraries, machine
+
+SIDES = (200, 100)
+FOLDER = "folder of .ply"
+DEFAULT = (*sorted(CLIP_WRITERS), FOLDER)
+
+
+def main() -> None:
+    """Print the figures and keep them if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path)
+    parser.add_argument("--frames", type=int, default=2000)
+    parser.add_argument("--formats", nargs="+", default=DEFAULT, choices=DEFAULT)
+    args = parser.parse_args()
+    figures: dict[str, dict] = {name: {} for name in args.formats}
+    for frames in (args.frames // 10, args.frames):
+        for name in args.formats:
+            figures[name][str(frames)] = measure(name, frames)
+            print(f"{name:16}{frames:6} frames  {figures[name][str(frames)]}", flush=True)
+    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "vertices": SIDES[0] * SIDES[1]}
+    report |= {"frames": args.frames, "formats": figures}
+    if args.output:
+        with whole_file(args.output) as temporary:
+            temporary.write_text(json.dumps(report, indent=2) + "\n")
+
+
+def measure(name: str, frames: int) -> dict[str, float]:
+    """Peak memory (MiB), seconds and size of the file (MiB) of writing and of reading."""
+    with tempfile.TemporaryDirectory() as folder:
+        start, back = Path(folder) / "start.npz", Path(folder) / "back.npz"
+        written = Path(folder) / ("written" if name == FOLDER else f"written{name}")
+        save_clip(waves(frames), start)
+        extra = ["--frames-as", "ply"] if name == FOLDER else []
+        write_mib, write_s = converted(start, written, *extra)
+        read_mib, read_s = converted(written, back)
+        size = sum(path.stat().st_size for path in Path(folder).rglob("written*") if path.is_file())
+        size += sum(path.stat().st_size for path in written.glob("*")) if written.is_dir() else 0
+    return {
+        "write_mib": write_mib,
+        "read_mib": read_mib,
+        "write_s": write_s,
+        "read_s": read_s,
+        "size_mib": round(size / 2**20, 1),
+    }
+
+
+def converted(source: Path, target: Path, *extra: str) -> tuple[float, float]:
+    """Peak of resident memory (MiB) and seconds of one `mimesh convert`."""
+    begin = time.perf_counter()
+    command = [sys.executable, "-m", "mimesh", "convert", str(source), str(target), "--quiet", *extra]
+    child = os.posix_spawn(sys.executable, command, os.environ)
+    _, status, usage = os.wait4(child, 0)
+    if status:
+        raise SystemExit(f"mimesh convert {source.name} {target.name} failed")
+    return round(usage.ru_maxrss / 1024, 1), round(time.perf_counter() - begin, 2)
+
+
+def waves(frames: int) -> Clip:
+    """A sheet of so many vertices with a wave that goes over it."""
+    x, z = (side.ravel() / 100 for side in np.meshgrid(*map(np.arange, SIDES), indexing="ij"))
+    cells = np.arange(len(x)).reshape(SIDES)
+    corners = [cells[:-1, :-1], cells[:-1, 1:], cells[1:, 1:], cells[1:, :-1]]
+    quads = np.stack([corner.ravel() for corner in corners], axis=1)
+    faces = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    moved = (np.stack([x, 0.1 * np.sin(9 * x + 5 * z + t / 5), z], axis=1) for t in range(frames))
+    vertices = stored(moved, frames, len(x), np.float32)
+    return Clip(Mesh(vertices[0].astype(np.float64), faces, name="waves"), vertices)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,5 @@
+"""`python -m mimesh`: the same as `mimesh`."""
+
+from .cli import main
+
+main()
