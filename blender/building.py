@@ -64,7 +64,7 @@ def build_armature(context: bpy.types.Context, moved: Moved) -> bpy.types.Object
     place = np.array(copy.matrix_world.translation)
     rig = bpy.data.objects.new(f"{moved.name} rig", bpy.data.armatures.new(moved.name))
     rig.location = copy.matrix_world.translation
-    _add_beside(moved.source, rig)
+    _add_beside(context, moved.source, rig)
     _choose(context, rig)
     _add_bones(rig, skeleton, place)
     _add_weights(copy, skeleton)
@@ -82,7 +82,7 @@ def _copy(context: bpy.types.Context, moved: Moved) -> bpy.types.Object:
     """The identity again, at rest, chosen, where it stands; modifiers that are in its vertices are gone."""
     copy = rest(moved.source)
     copy.name = copy.data.name = moved.name
-    _add_beside(moved.source, copy)
+    _add_beside(context, moved.source, copy)
     if moved.identity.baked:
         copy.modifiers.clear()
     _choose(context, copy)
@@ -90,8 +90,9 @@ def _copy(context: bpy.types.Context, moved: Moved) -> bpy.types.Object:
     return copy
 
 
-def _add_beside(source: bpy.types.Object, added: bpy.types.Object) -> None:
-    for collection in source.users_collection:
+def _add_beside(context: bpy.types.Context, source: bpy.types.Object, added: bpy.types.Object) -> None:
+    """Into the collections of the source, if they are seen; else into that of the scene."""
+    for collection in source.users_collection if source.visible_get() else [context.scene.collection]:
         collection.objects.link(added)
 
 

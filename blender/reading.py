@@ -63,6 +63,7 @@ def rest(source: bpy.types.Object) -> bpy.types.Object:
     for modifier in [one for one in copy.modifiers if one.type in MOVERS]:
         copy.modifiers.remove(modifier)
     copy.constraints.clear()
+    copy.hide_viewport = False  # what is hidden is not evaluated
     copy.parent = None
     copy.matrix_world = place
     return copy

@@ -2,8 +2,8 @@
 
     python scripts/build_blender.py [--platform windows-x64] [--python 3.11] [--output dist]
 
-One archive serves Blender 4.5 and 5.0 (Python 3.11) and later ones (3.13): Blender unpacks the wheels of its own Python and skips the
-others. NumPy is Blender's. Two builds of one commit with the same wheels are equal, byte by byte.
+One archive serves Blender 4.5 and 5.0 (Python 3.11) and later ones (3.13): Blender unpacks the wheels of its own Python
+and skips the others. NumPy is Blender's. Two builds of one commit with the same wheels are equal, byte by byte.
 """
 
 from __future__ import annotations

@@ -228,6 +228,22 @@ def drawn():
     return layout.shown
 
 
+def modified(kind):
+    """Pose a hidden identity that has a modifier: what is left of it, and how much of it is in the points."""
+    chosen = bpy.context.scene.mimesh
+    chosen.identity.modifiers.new("its own", kind)
+    chosen.identity.hide_viewport = True
+    bpy.ops.mimesh.pose()
+    (made,) = (one for one in results() if one.type == "MESH")
+    facts = {"modifiers": [one.type for one in made.modifiers], "vertices": len(made.data.vertices)}
+    bare = np.array([vertex.co for vertex in chosen.identity.data.vertices])
+    facts["apart"] = float(np.abs(bare - np.array([vertex.co for vertex in made.data.vertices])).max())
+    chosen.identity.modifiers.clear()
+    chosen.identity.hide_viewport = False
+    tidy()
+    return facts
+
+
 def refusal(**settings):
     chosen = bpy.context.scene.mimesh
     old = {key: getattr(chosen, key) for key in settings}
@@ -271,6 +287,7 @@ def main():
     facts["bones"] = case("bones", driving, [driving], model="mime", result="ARMATURE", root="keep", ground=True)
     facts["skinned"] = case("skinned", armature, [skin], root="scale", ground=False)
     facts["posed"] = case("posed", armature, [skin], bpy.ops.mimesh.pose, still)
+    facts["modified"] = {kind: modified(kind) for kind in ("SUBSURF", "SMOOTH")}
     facts["pose key"] = case("pose key", driving, [driving], bpy.ops.mimesh.pose, still, result="SHAPE_KEYS")
     np.savez(
         FOLDER / "scene.npz", identity=rest, faces=triangles(identity), driving=triangles(driving), skin=triangles(skin)

@@ -125,6 +125,15 @@ def test_the_identity_stays_as_it_was(facts):
     assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
 
 
+def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts):
+    kept, baked = facts["modified"]["SUBSURF"], facts["modified"]["SMOOTH"]
+    assert kept["modifiers"] == ["ARMATURE", "SUBSURF"]
+    assert baked["modifiers"] == ["ARMATURE"]
+    assert kept["vertices"] == baked["vertices"]
+    assert kept["apart"] < 1e-6
+    assert baked["apart"] > 1e-3
+
+
 def test_work_that_is_stopped_leaves_nothing(facts):
     for stopped in facts["stopped"]:
         assert stopped["before"] == stopped["after"]
