@@ -5,10 +5,13 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check -c constraints.txt
 # One process a core, so one thread each.
 TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
-CODE := src tests scripts benchmarks
+# Blender 4.5 as a module is for Python 3.11 alone.
+BLENDER_PYTHON ?= python3.11
+BPY := .clients/bpy/bin/python
+CODE := src tests scripts benchmarks blender
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup clean
+.PHONY: demo test check smoke bench setup blender clients clean
 
 # The development install can run the demo too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -30,6 +33,14 @@ bench: $(VENV)/.dev
 	$(BIN)/python benchmarks/bench.py
 
 setup: $(VENV)/.dev
+
+blender: | $(BIN)/python
+	$(BIN)/python scripts/build_blender.py
+
+# Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
+clients: $(VENV)/.dev
+	-test -x $(BPY) || { $(BLENDER_PYTHON) -m venv .clients/bpy && $(BPY) -m pip install --quiet bpy==4.5.15; }
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -rs -m client tests/clients
 
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)

@@ -50,7 +50,7 @@ class Skinned:
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Vertices where every joint has turned to `rotation` and the root joint stands at `root`."""
-        moves = np.concatenate([rotation.mT, self.places(rotation, root)[:, None]], axis=1)
+        moves = np.concatenate([rotation.swapaxes(-1, -2), self.places(rotation, root)[:, None]], axis=1)
         return (self.held @ moves.reshape(-1, 3).astype(np.float32)).astype(np.float64)
 
     def places(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "J 3"]:

@@ -74,7 +74,7 @@ def _add_skin(draft: Draft, skeleton: Skeleton, bones: list[int], T_world_local:
     stand[:, :3, :3], stand[:, :3, 3] = skeleton.rig.rotation, skeleton.rig.joints
     inverse = np.linalg.inv(stand) @ T_world_local
     inverse[:, 3] = [0, 0, 0, 1]
-    view = draft.add_view(inverse.mT.reshape(-1, 16).astype("<f4"))
+    view = draft.add_view(inverse.swapaxes(-1, -2).reshape(-1, 16).astype("<f4"))
     accessor = {"bufferView": view, "componentType": FLOATS, "count": len(bones), "type": "MAT4"}
     skin = {"joints": bones, "skeleton": bones[0], "inverseBindMatrices": draft.add_accessor(accessor)}
     draft.gltf.setdefault("skins", []).append(skin)
@@ -122,7 +122,7 @@ def local_frames(skeleton: Skeleton, rotation: Float[np.ndarray, "T J 3 3"]) -> 
 
     local = rotation.copy()
     above = list(skeleton.parents[1:])
-    local[:, 1:] = rotation[:, above].mT @ rotation[:, 1:]
+    local[:, 1:] = rotation[:, above].swapaxes(-1, -2) @ rotation[:, 1:]
     turns = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
     flipped = (turns[1:] * turns[:-1]).sum(axis=-1) < 0
     sign = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)

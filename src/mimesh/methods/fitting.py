@@ -154,8 +154,8 @@ class Prior:
         held = self.joint * rows.T @ rows + np.diag(self.plain)
         pull = self.joint * rows.T @ (posed.joints - self.joints).reshape(-1)
         pull[self.person] += self.plain[self.person] * np.concatenate([stance.shape, stance.bones])
-        off = stance.rotation @ self.rotation.mT
-        turned = (off - off.mT)[:, [2, 0, 1], [1, 2, 0]] / 2
+        off = stance.rotation @ self.rotation.swapaxes(-1, -2)
+        turned = (off - off.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
         held[self.turns, self.turns] += self.carried.T @ self.carried / READ_TURN**2
         pull[self.turns] += self.carried.T @ turned.reshape(-1) / READ_TURN**2
         return held, pull

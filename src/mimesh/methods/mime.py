@@ -238,7 +238,7 @@ class Mime:
             if k != t:
                 turns = parts.follow(followed.points(vertices))[0]
                 rig = self._turned_back(places, k, seen[k], turns[0])
-                rigs.append(dataclasses.replace(rig, rotation=turns.mT @ turns[0] @ rig.rotation))
+                rigs.append(dataclasses.replace(rig, rotation=turns.swapaxes(-1, -2) @ turns[0] @ rig.rotation))
         joints = mean.joints
         mean = _mean(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))

@@ -69,13 +69,13 @@ class Parts:
 
     def _rotations(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
         """The rotation nearest to what each joint does to its part."""
-        return nearest_rotation(done.reshape(-1, 4, 3)[:, :3].mT @ self.extent)
+        return nearest_rotation(done.reshape(-1, 4, 3)[:, :3].swapaxes(-1, -2) @ self.extent)
 
     def _rigid(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
         """The same without stretch and shear; the middle of each part goes where it went."""
         rotation = self._rotations(done)
         offset = _applied(done, self.middle) - (rotation @ self.middle[..., None])[..., 0]
-        return np.concatenate([rotation.mT, offset[:, None]], axis=1).reshape(-1, 3)
+        return np.concatenate([rotation.swapaxes(-1, -2), offset[:, None]], axis=1).reshape(-1, 3)
 
 
 def _applied(done: Float[np.ndarray, "K 3"], places: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:

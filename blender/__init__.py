@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""mimesh in Blender: an object takes over the pose or motion of another.
+
+`panel.py` shows `properties.py`; `operator.py` reads the scene (`reading.py`), lets mimesh work in a thread (`job.py`)
+and builds the result (`building.py`). mimesh itself comes as a wheel and is imported when first used.
+"""
+
+import bpy
+
+from .operator import MIMESH_OT_animate, MIMESH_OT_pose
+from .panel import MIMESH_PT_axes, MIMESH_PT_main, MIMESH_PT_travel
+from .properties import MimeshProgress, MimeshSettings
+
+CLASSES = (
+    MimeshSettings,
+    MimeshProgress,
+    MIMESH_OT_animate,
+    MIMESH_OT_pose,
+    MIMESH_PT_main,
+    MIMESH_PT_travel,
+    MIMESH_PT_axes,
+)
+
+
+def register() -> None:
+    for cls in CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.mimesh = bpy.props.PointerProperty(type=MimeshSettings)
+    bpy.types.WindowManager.mimesh = bpy.props.PointerProperty(type=MimeshProgress)
+
+
+def unregister() -> None:
+    del bpy.types.WindowManager.mimesh
+    del bpy.types.Scene.mimesh
+    for cls in reversed(CLASSES):
+        bpy.utils.unregister_class(cls)

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab "mimesh" in the sidebar of the 3D view: two pickers, a few choices, two buttons."""
+
+from bpy.types import Context, Panel, UILayout
+
+from .properties import MimeshSettings
+
+
+class _Sidebar:
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "mimesh"
+
+
+class MIMESH_PT_main(_Sidebar, Panel):
+    bl_label = "mimesh"
+
+    def draw(self, context: Context) -> None:
+        settings: MimeshSettings = context.scene.mimesh
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.prop(settings, "identity")
+        layout.prop(settings, "driving")
+        layout.prop(settings, "model")
+        layout.prop(settings, "result")
+        if settings.result == "ARMATURE" and settings.model != "mime":
+            layout.label(text="Only mime has joints", icon="ERROR")
+        _draw_range(layout, settings)
+        _draw_buttons(self.layout, context)
+
+
+class MIMESH_PT_travel(_Sidebar, Panel):
+    bl_label = "Motion"
+    bl_parent_id = "MIMESH_PT_main"
+    bl_options = frozenset({"DEFAULT_CLOSED"})
+
+    def draw(self, context: Context) -> None:
+        settings: MimeshSettings = context.scene.mimesh
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        layout.enabled = settings.model == "mime"
+        layout.prop(settings, "root")
+        layout.prop(settings, "ground")
+        layout.prop(settings, "smooth")
+
+
+class MIMESH_PT_axes(_Sidebar, Panel):
+    bl_label = "Facing"
+    bl_parent_id = "MIMESH_PT_main"
+    bl_options = frozenset({"DEFAULT_CLOSED"})
+
+    def draw(self, context: Context) -> None:
+        settings: MimeshSettings = context.scene.mimesh
+        layout = self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for which in ("identity", "driving"):
+            column = layout.column(align=True, heading=which.capitalize())
+            column.prop(settings, f"{which}_up")
+            column.prop(settings, f"{which}_front")
+
+
+def _draw_range(layout: UILayout, settings: MimeshSettings) -> None:
+    layout.prop(settings, "use_scene_range")
+    column = layout.column(align=True)
+    if not settings.use_scene_range:
+        column.prop(settings, "frame_start")
+        column.prop(settings, "frame_end")
+    column.prop(settings, "frame_step")
+
+
+def _draw_buttons(layout: UILayout, context: Context) -> None:
+    """The buttons, or how far the work is that one of them began."""
+    progress = context.window_manager.mimesh
+    if progress.text:
+        layout.progress(factor=progress.fraction, text=progress.text)
+        layout.label(text="Esc cancels")
+        return
+    row = layout.row(align=True)
+    row.scale_y = 1.4
+    row.operator("mimesh.animate", icon="PLAY")
+    row.operator("mimesh.pose", icon="ARMATURE_DATA")

@@ -1,0 +1,165 @@
+"""The extension in Blender itself: what its buttons make is what mimesh makes of the same arrays.
+
+Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import person, walk
+
+import mimesh
+
+pytestmark = pytest.mark.client
+ROOT = Path(__file__).parents[2]
+PYTHON = Path(os.environ.get("MIMESH_BPY", ROOT / ".clients" / "bpy" / "bin" / "python"))
+AXES = {"up": "+z", "driving_up": "+z"}
+JOINTS = {"root": "keep", "ground": True}
+
+
+def z_up(vertices):
+    return np.stack([vertices[..., 0], -vertices[..., 2], vertices[..., 1]], axis=-1)
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    asked = [PYTHON, "-I", "-c", "import bpy, sys; print('%d.%d' % sys.version_info[:2])"]
+    answer = subprocess.run(asked, capture_output=True, text=True) if PYTHON.is_file() else None
+    if answer is None or answer.returncode:
+        pytest.skip(f"no Blender at {PYTHON}: run make clients, or set MIMESH_BPY to a Python that has bpy")
+    folder = tmp_path_factory.mktemp("dist")
+    build = [sys.executable, ROOT / "scripts" / "build_blender.py", "--python", answer.stdout.split()[-1]]
+    subprocess.run([*build, "--output", folder], check=True)
+    (path,) = folder.glob("*.zip")
+    return path
+
+
+@pytest.fixture(scope="module")
+def outcome(archive, tmp_path_factory):
+    """The folder of what Blender noted of a scene."""
+    folder, clip = tmp_path_factory.mktemp("scene"), walk(1, frames=6, faces=2500)
+    identity = person(0, faces=3000)
+    np.savez(
+        folder / "meshes.npz",
+        identity=z_up(identity.vertices),
+        identity_faces=identity.faces,
+        driving=z_up(clip.vertices),
+        driving_faces=clip.mesh.faces,
+    )
+    mimesh.animate(person(2, faces=2000), clip).save_skinned(folder / "driving.glb")
+    script = Path(__file__).with_name("blender_scene.py")
+    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
+    subprocess.run([PYTHON, "-I", script, archive, folder], check=True, env=environment)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def facts(outcome):
+    return json.loads((outcome / "facts.json").read_text())
+
+
+def of_mimesh(outcome, name, faces, **options):
+    """Frames of Blender, and the result of mimesh on what Blender showed."""
+    case, scene = np.load(outcome / f"{name}.npz"), np.load(outcome / "scene.npz")
+    frames = case["driving"].astype(np.float32)
+    driving = mimesh.Mesh(frames[0].astype(np.float64), scene[faces].astype(np.int64), name="driving")
+    identity = mimesh.Mesh(scene["identity"], scene["faces"].astype(np.int64), name="identity")
+    return case["result"], mimesh.animate(identity, mimesh.Clip(driving, frames, 24.0), **AXES | options)
+
+
+def skinned_frames(result):
+    """Linear blend skinning with four weights a vertex, by the book."""
+    skeleton = result.skeleton
+    joints, weights = skeleton.strongest()
+    bones = skeleton.rig.bones(skeleton.parents)
+    frames = []
+    for turns, root in zip(skeleton.rotation, skeleton.root, strict=True):
+        places = [root]
+        for bone, parent in zip(bones, skeleton.parents[1:], strict=True):
+            places.append(places[parent] + turns[parent] @ bone)
+        moved = np.zeros_like(skeleton.mesh.vertices)
+        for v, vertex in enumerate(skeleton.mesh.vertices):
+            for j, weight in zip(joints[v], weights[v], strict=True):
+                seen = skeleton.rig.rotation[j].T @ (vertex - skeleton.rig.joints[j])
+                moved[v] += weight * (places[j] + turns[j] @ seen)
+        frames.append(moved)
+    return np.stack(frames)
+
+
+def off(ours, theirs):
+    """Farthest that a vertex is from where it should be, over the size of the mesh."""
+    return np.linalg.norm(ours - theirs, axis=-1).max() / np.ptp(theirs[0], axis=0).max()
+
+
+@pytest.mark.parametrize(("name", "model"), [("keys", "mime"), ("other", "npt-maxpool")])
+def test_shape_keys_are_the_frames(outcome, facts, name, model):
+    ours, result = of_mimesh(outcome, name, "driving", model=model)
+    assert off(ours, result.clip.vertices) < 1e-5
+    assert facts[name]["keys"] == ["Basis", *(f"frame {frame}" for frame in range(4, 9))]
+
+
+@pytest.mark.parametrize(("name", "faces", "options"), [("bones", "driving", JOINTS), ("skinned", "skin", {})])
+def test_an_armature_moves_as_the_joints_do(outcome, facts, name, faces, options):
+    ours, result = of_mimesh(outcome, name, faces, **options)
+    assert off(ours, skinned_frames(result)) < 1e-5
+    assert tuple(facts[name]["bones"]) == result.skeleton.names
+
+
+def test_a_pose_is_one_frame(outcome, facts):
+    ours, result = of_mimesh(outcome, "posed", "skin")
+    assert off(ours, skinned_frames(result)) < 1e-5
+    ours, result = of_mimesh(outcome, "pose key", "driving")
+    assert off(ours, result.clip.vertices) < 1e-5
+    assert facts["pose key"]["keys"] == ["Basis", "frame 1"]
+
+
+def test_the_identity_stays_as_it_was(facts):
+    cases = [fact for fact in facts.values() if "unchanged" in fact]
+    assert len(cases) == 6
+    assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
+
+
+def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts):
+    kept, baked = facts["modified"]["SUBSURF"], facts["modified"]["SMOOTH"]
+    assert kept["modifiers"] == ["ARMATURE", "SUBSURF"]
+    assert baked["modifiers"] == ["ARMATURE"]
+    assert kept["vertices"] == baked["vertices"]
+    assert kept["apart"] < 1e-6
+    assert baked["apart"] > 1e-3
+
+
+def test_work_that_is_stopped_leaves_nothing(facts):
+    for stopped in facts["stopped"]:
+        assert stopped["before"] == stopped["after"]
+
+
+def test_the_window_lives_while_it_works_and_escape_stops_it(facts):
+    done = facts["clicked"][-1]
+    assert [one["outcome"] for one in facts["clicked"]] == [["CANCELLED"], ["CANCELLED"], ["FINISHED"]]
+    assert [one["left"] for one in facts["clicked"]] == [True, True, False]
+    assert done["steps"] > 5
+    for one in facts["clicked"]:
+        assert (one["timers"], one["text"], one["last"]) == (0, "", None)
+
+
+def test_the_panel_shows_what_there_is(facts):
+    assert {"Identity", "Driving", "Model", "Result", "Step", "Animate", "Pose", "Smooth", "Front"} <= set(
+        facts["drawn"]
+    )
+
+
+def test_what_cannot_be_done_is_told(facts):
+    assert "expected a first frame before the last" in facts["no frames"]
+    assert "expected a model with joints (mime), found npt-maxpool; choose it as the model" in facts["no joints"]
+
+
+def test_two_builds_are_equal(archive):
+    listing = zipfile.ZipFile(archive).infolist()
+    assert [entry.filename for entry in listing] == sorted(entry.filename for entry in listing)
+    assert {entry.date_time for entry in listing} == {(1980, 1, 1, 0, 0, 0)}
