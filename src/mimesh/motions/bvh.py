@@ -6,6 +6,8 @@ A file's axes, units and joint names are kept as they are; `retarget` puts them 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from decimal import Decimal
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -66,9 +68,16 @@ def load_bvh(path: str | Path) -> Bvh:
     if not found or header.split()[:1] != ["HIERARCHY"]:
         raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
     names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
-    frame_time, values = _read_rows(rows, sum(map(len, channels)), path)
+    fps, values = _read_rows(rows, sum(map(len, channels)), path)
     rotmat, root = _apply_channels(channels, values, offsets[0])
-    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, 1.0 / frame_time)
+    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps)
+
+
+def bvh_joints(path: str | Path) -> int:
+    """How many joints a BVH file has, without reading its motion; 0 where it is no such file."""
+    with Path(path).open(encoding="utf-8", errors="replace") as file:
+        header = takewhile(lambda line: not line.startswith("MOTION"), file)
+        return sum(line.split()[0].upper() in ("ROOT", "JOINT") for line in header if line.strip())
 
 
 def _read_hierarchy(tokens: list[str], path: Path):
@@ -134,7 +143,7 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
 
 
 def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"]]:
-    """Frame time (s) and the numbers of the MOTION section."""
+    """Frames a second and the numbers of the MOTION section."""
     words = text.split()
     try:
         if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
@@ -158,7 +167,16 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
         raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
-    return frame_time, values.reshape(frames, channels)
+    return _rate(words[4]), values.reshape(frames, channels)
+
+
+def _rate(frame_time: str) -> float:
+    """Frames a second: the whole number whose frame time this is when rounded to as many digits, if there is one."""
+    seconds, whole = float(frame_time), round(1.0 / float(frame_time))
+    written = Decimal(frame_time).as_tuple().exponent
+    assert isinstance(written, int), "a finite number has an exponent"
+    is_whole = whole > 0 and abs(1.0 / whole - seconds) <= 0.51 * 10.0**written
+    return float(whole) if is_whole else 1.0 / seconds
 
 
 def _apply_channels(channels, values, rest_root):
