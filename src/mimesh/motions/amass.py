@@ -127,7 +127,7 @@ def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
 def _rows(values: np.ndarray, name: str, least: int, path: Path) -> Float[np.ndarray, "T C"]:
     """An array with one row of at least so many finite numbers a frame."""
     flat = values.reshape(len(values), -1) if values.ndim > 1 and len(values) else values
-    if flat.ndim != 2 or flat.shape[1] < least or flat.dtype.kind not in "fiu":
+    if flat.ndim != 2 or len(flat) == 0 or flat.shape[1] < least or flat.dtype.kind not in "fiu":
         raise InputError(
             f"{path}: expected '{name}' to be numbers of shape (T, {least}) or wider, found {values.dtype} "
             f"{values.shape}; save it in that shape"

@@ -39,7 +39,7 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
         InputError: the source lacks the hips or a limb joint by name.
     """
     index = named_joints(source.joint_names, source.parents)
-    require_joints(index, NEEDED, source.joint_names, source.name)
+    require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, place) = source.rest(), source.world()
     if rests_standing(rest, index):
         axes = axes_from_rest(rest, index)

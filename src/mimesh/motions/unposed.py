@@ -1,9 +1,9 @@
 """Skeletons whose rest pose is no pose: how their joints lie on ours, measured from where the joints go in the motion.
 
 M_j is constant, so every frame tells it: where the joints are says how our joint would be turned, D_j(t), and
-M_j is the rotation nearest to the sum of G_j(t)^T D_j(t). Knees and elbows are hinges, and what they bend tells how
-thigh and shin, upper arm and forearm are rolled; little-bent ones count little. The trunk looks to where hips and
-shoulders say, hands follow their forearms, and a head looks ahead on average.
+M_j is the rotation nearest to the sum of G_j(t)^T D_j(t). Knees and elbows are hinges, and how they bend tells how
+thigh and shin, upper arm and forearm are rolled; little-bent ones count little. The trunk looks where hips and
+shoulders say, hands follow their forearms, and a head is level and looks ahead on average.
 """
 
 from __future__ import annotations
@@ -18,8 +18,15 @@ MEASURED = 400
 """Frames that are looked at, at most."""
 UNBENT = 0.01
 """Weight of the roll that a limb has when it goes the shortest way from the T-pose; a right-angled hinge counts 1."""
-HINGES = (("UpLeg", "Leg", "Foot", -1.0), ("Arm", "ForeArm", "Hand", 1.0))
-"""Two bones, the end of the second one, and where it goes when the hinge bends: to the front (+1) or back."""
+HINGES = (("UpLeg", "Leg", "Foot", (0.0, 0.0, -1.0)), ("Arm", "ForeArm", "Hand", (0.0, 0.5, 0.866)))
+"""Two bones, the end of the second one, and which way it goes from the T-pose when the hinge bends.
+
+Palms of our T-pose look down, so elbows bend to the front and up: 30 degrees, as in the shipped takes.
+"""
+LEAN = (0.0, 0.97, 0.22)
+"""Way from hips to shoulders in the frame of the hips of who stands upright (mean of the shipped takes)."""
+UPRIGHT = 16
+"""Power of the cosine between trunk and legs by which a frame counts for the hips: bent trunks say little."""
 
 
 def axes_from_motion(place: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
@@ -99,15 +106,21 @@ def _turned(ours, theirs):
 
 
 def _trunk_turns(place, index, ours, own):
-    """How hips and chest are turned in each frame, both with weight one; joints between go with the chest."""
-    found = {}
-    for joint, part in (("Hips", "UpLeg"), ("Spine1", "Arm")):
-        pairs = []
-        for points, names in ((ours, own), (place, index)):
-            across = points[:, names[f"Left{part}"]] - points[:, names[f"Right{part}"]]
-            pairs.append((across, _middle(points, names, "Arm") - _middle(points, names, "UpLeg")))
-        found[joint] = (_turned(*pairs), np.ones(len(place)))
-    return found
+    """How hips, chest and head are turned in each frame, and how much it counts; other joints go with the chest."""
+    across, trunk = {}, {}
+    for points, names in ((ours, own), (place, index)):
+        mine = points is ours
+        across[mine] = {part: np.subtract(*(points[:, names[f"{side}{part}"]] for side in ("Left", "Right")))
+                        for part in ("UpLeg", "Arm")}  # fmt: skip
+        trunk[mine] = _middle(points, names, "Arm") - _middle(points, names, "UpLeg")
+    legs = _middle(place, index, "UpLeg") - _middle(place, index, "Foot")
+    cosine = (unit_vectors(trunk[False]) * unit_vectors(legs)).sum(axis=-1)
+    upright, always = np.maximum(cosine, UNBENT) ** UPRIGHT, np.ones(len(place))
+    above = np.array([[0.0, 1.0, 0.0]])
+    hips = _turned((across[True]["UpLeg"], np.array([LEAN])), (across[False]["UpLeg"], trunk[False]))
+    chest = _turned((across[True]["Arm"], trunk[True]), (across[False]["Arm"], trunk[False]))
+    head = _turned((above, across[True]["Arm"]), (np.tile(above, (len(place), 1)), across[False]["Arm"]))
+    return {"Hips": (hips, upright), "Spine1": (chest, always), "Head": (head, upright)}
 
 
 def _hinge_turns(place, index, ours, own, chain, way, trunk):
@@ -118,7 +131,7 @@ def _hinge_turns(place, index, ours, own, chain, way, trunk):
         for points, names in ((ours, own), (place, index))
     )
     bend = np.square(np.linalg.norm(np.cross(unit_vectors(one), unit_vectors(two)), axis=-1))
-    front = np.array([[0.0, 0.0, way]])
+    front = np.array([way])
     found = {}
     for joint, bone, rest, other, hint in ((top, one, first, two, front), (hinge, two, second, one, -front)):
         bent = _turned((rest, hint), (bone, other))
