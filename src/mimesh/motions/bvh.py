@@ -5,7 +5,7 @@ A file's axes, units and joint names are kept as they are; `retarget` puts them 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from decimal import Decimal
 from itertools import takewhile
 from pathlib import Path
@@ -32,6 +32,8 @@ class Bvh:
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
     fps: float
+    moved: dict[int, Float[np.ndarray, "T 3"]] = field(default_factory=dict)
+    """Positions, in their parent's frame, of other joints that do not stay where their offset puts them."""
 
     def rest(self) -> Float[np.ndarray, "J 3"]:
         """Joint positions at rest, the root at the origin."""
@@ -48,14 +50,16 @@ class Bvh:
         for j, parent in enumerate(self.parents):
             if parent >= 0:
                 rotation[:, j] = rotation[:, parent] @ self.rotmat[:, j]
-                place[:, j] = place[:, parent] + rotation[:, parent] @ self.offsets[j]
+                bone = self.moved[j] if j in self.moved else self.offsets[j : j + 1]
+                place[:, j] = place[:, parent] + (rotation[:, parent] @ bone[..., None])[..., 0]
         return rotation, place
 
 
 def load_bvh(path: str | Path) -> Bvh:
     """Read a BVH file (degrees; rotation channels apply in the order they are listed, the last one first).
 
-    Position channels of joints other than the root are skipped: bones keep the length of their OFFSET.
+    Position channels of joints other than the root count where they change: in some files the hips travel below a root
+    that stays. Those that never change are taken for copies of the OFFSET, whatever they say.
 
     Raises:
         InputError: not a BVH file, a damaged hierarchy, several roots, or motion rows that do not fit it.
@@ -69,8 +73,8 @@ def load_bvh(path: str | Path) -> Bvh:
         raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
     names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
     fps, values = _read_rows(rows, sum(map(len, channels)), path)
-    rotmat, root = _apply_channels(channels, values, offsets[0])
-    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps)
+    rotmat, root, moved = _apply_channels(channels, values, offsets)
+    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved)
 
 
 def bvh_joints(path: str | Path) -> int:
@@ -179,20 +183,20 @@ def _rate(frame_time: str) -> float:
     return float(whole) if is_whole else 1.0 / seconds
 
 
-def _apply_channels(channels, values, rest_root):
-    """Local rotation matrices (T, J, 3, 3) and the root's path (T, 3)."""
+def _apply_channels(channels, values, offsets):
+    """Local rotation matrices (T, J, 3, 3), the root's path (T, 3), and the paths of other joints that move."""
     frames = len(values)
     rotmat = np.tile(np.eye(3), (frames, len(channels), 1, 1))
-    root = np.tile(rest_root, (frames, 1))
+    moved: dict[int, np.ndarray] = {0: np.tile(offsets[0], (frames, 1))}
     column = 0
     for j, kinds in enumerate(channels):
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
-            elif j == 0:
-                root[:, axis] = values[:, column]
+            elif j == 0 or np.ptp(values[:, column]) > 0:
+                moved.setdefault(j, np.tile(offsets[j], (frames, 1)))[:, axis] = values[:, column]
             column += 1
-    return rotmat, root
+    return rotmat, moved.pop(0), moved
 
 
 def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
