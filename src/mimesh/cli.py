@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import about, learn, measure, move, show
+from .commands import about, change, learn, measure, move, show
 from .commands.terminal import Stop
 
 app = typer.Typer(
@@ -29,6 +29,7 @@ app = typer.Typer(
 COMMANDS = (
     move.transfer,
     move.animate,
+    change.convert,
     show.look,
     show.render,
     about.demo,

@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from .paging import let_go
+from .paging import each_frame
 
 
 class InputError(ValueError):
@@ -149,16 +149,33 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
             f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
             "export with one topology for the whole clip"
         )
-    for t, vertices in enumerate(clip.vertices):
+    for t, vertices in enumerate(each_frame(clip.vertices)):
         if not np.isfinite(vertices).all():
             raise InputError(
                 f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
             )
-    let_go(clip.vertices)
     if not clip.fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
     check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
     return clip
+
+
+def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
+    """Every `step`-th frame from `start` up to but without `stop`; it plays at fps / step, as fast as before.
+
+    Raises:
+        InputError: no frame is left, or the step is not positive.
+    """
+    if step < 1:
+        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
+    vertices = clip.vertices[start:stop:step]
+    if len(vertices) == 0:
+        raise InputError(
+            f"{clip.mesh.name}: expected frames within its {len(clip)}, found {start} to "
+            f"{'the end' if stop is None else stop}, which leaves none; give others"
+        )
+    check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
 
 
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:

@@ -10,7 +10,7 @@ from jaxtyping import Int
 from numpy.typing import ArrayLike
 
 from .frame import Frame
-from .mesh import Clip, InputError, Mesh, check_clip, check_mesh
+from .mesh import Clip, InputError, Mesh, check_clip, check_mesh, cut_clip
 from .methods import Method, find_method
 from .moving import Choice, Travel, move
 from .paging import Progress
@@ -101,7 +101,7 @@ def animate(
     seconds = no_time_yet()
     with timed(seconds, "load"):
         identity = _read_mesh(identity)
-        clip = _cut(_read_clip(driving, fps, animation), start, stop, step)
+        clip = cut_clip(_read_clip(driving, fps, animation), start, stop, step)
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
     travel = Travel(root, ground, smooth, skinned)
@@ -157,16 +157,3 @@ def _read_clip(clip: Clip | str | Path, fps: float | None, animation: str | None
     from .io import load_clip
 
     return load_clip(Path(clip), fps=fps, animation=animation)
-
-
-def _cut(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
-    if step < 1:
-        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
-    vertices = clip.vertices[start:stop:step]
-    if len(vertices) == 0:
-        raise InputError(
-            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
-            f"{'the end' if stop is None else stop}, which leaves none; change them"
-        )
-    check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
-    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .mesh import Clip, InputError, Mesh
+from .paging import Progress
 from .rig import Skeleton
 
 
@@ -56,12 +57,18 @@ class ClipResult:
     def fps(self) -> float:
         return self.clip.fps
 
-    def save(self, path: str | Path) -> Path:
-        """Write the clip in the format of the suffix."""
-        from .io import save_clip
+    def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
+        """Write the clip in the format of the suffix: a file, a movie, or a folder of meshes where it has none.
+
+        `blendshapes` makes a .glb or .gltf of so many morph targets in all instead of one a frame; `report` then says
+        how far the farthest vertex is from its frame, over the mesh's size.
+        """
+        from .convert import write_clip
 
         with timed(self.seconds, "write"):
-            save_clip(self.clip, Path(path))
+            deviation = write_clip(self.clip, Path(path), blendshapes=blendshapes, progress=progress)
+        if deviation is not None:
+            self.report["blendshapes_deviation"] = deviation
         return Path(path)
 
     def save_skinned(self, path: str | Path) -> Path:

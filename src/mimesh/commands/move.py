@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from .terminal import (
+    Animation,
+    BlendShapes,
     Json,
     Model,
     Output,
@@ -24,8 +26,6 @@ if TYPE_CHECKING:
     from ..mesh import Mesh
     from ..result import ClipResult, Result
 
-BARE = (".npz", ".off", ".ply", ".stl")
-"""Formats whose new files hold little more than the shape."""
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
@@ -105,7 +105,7 @@ def animate(
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
-    animation: Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")] = None,
+    animation: Animation = None,
     start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
@@ -123,6 +123,7 @@ def animate(
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
     ] = False,
+    blendshapes: BlendShapes = None,
     preview: Preview = True,
     seed: Seed = 0,
     json: Json = False,
@@ -132,12 +133,16 @@ def animate(
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
+    from ..convert import MOVIES
     from ..io import clip_suffixes, load_clip, load_mesh
+    from ..mesh import InputError
     from ..pipeline import animate as run
 
     output = output or output_beside(identity, driving, ".glb")
     refuse_inputs(output, identity, driving)
-    _check_suffix(output, (".glb", ".gltf") if skinned else (*clip_suffixes(), ""))
+    if skinned and blendshapes:
+        raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
+    _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
         result = run(
@@ -163,7 +168,8 @@ def animate(
             progress=advance,
         )
     result.seconds["load"] += seconds
-    (result.save_skinned if skinned else result.save)(output)
+    with progress("writing", quiet or json) as advance:
+        result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
     pictures = _pictures(result, clip, slice(start, stop, step), output) if preview else []
     _finish(result, output, pictures, json, quiet, vertices=len(mesh.vertices), frames=len(result.clip), fps=result.fps)
 
@@ -179,7 +185,10 @@ def _finish(
     frames: int,
     fps: float | None,
 ) -> None:
-    notes = [*result.notes, *_not_kept(result, output)]
+    from ..convert import blend_note, not_kept
+
+    blended = blend_note(result.report.get("blendshapes_deviation"))
+    notes = [*result.notes, *not_kept(_mesh(result), output), *blended]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,
@@ -195,21 +204,10 @@ def _finish(
         _print_summary(facts)
 
 
-def _not_kept(result: Result | ClipResult, output: Path) -> list[str]:
-    """What a format that holds less than the identity's file leaves behind, in words."""
-    from ..result import ClipResult
+def _mesh(result: Result | ClipResult) -> Mesh:
+    from ..result import Result
 
-    mesh = result.clip.mesh if isinstance(result, ClipResult) else result.mesh
-    suffix = output.suffix.lower()
-    if suffix not in BARE or (mesh.source is not None and mesh.source.suffix == suffix):
-        return []
-    has = {
-        "materials": any(part.material for part in mesh.parts),
-        "texture coordinates": mesh.corner_uv is not None and suffix != ".ply",
-        "normals": mesh.corner_normals is not None,
-    }
-    lost = [name for name, present in has.items() if present]
-    return [f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {output.name}"] if lost else []
+    return result.mesh if isinstance(result, Result) else result.clip.mesh
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
@@ -220,7 +218,6 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print(f"note: {note}")
     for picture in facts["report"]["pictures"]:
         print(f"picture: {picture}")
-    # A picture of an animated file would show its first frame alone: glTF animations are written, not read.
     if facts["report"]["pictures"] or facts["fps"] is not None:
         print_next("look", facts["output"])
     else:

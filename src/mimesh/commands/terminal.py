@@ -22,6 +22,11 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to wr
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
+Animation = Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")]
+BlendShapes = Annotated[
+    int | None,
+    typer.Option("--blendshapes", metavar="K", min=1, help="Write K morph targets, not one a frame (.glb, .gltf)."),
+]
 
 
 class Stop(Exception):

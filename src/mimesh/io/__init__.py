@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+import numpy as np
+
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from ..paging import Progress
 from .atomic import whole_file
@@ -23,13 +25,14 @@ from .obj import read_obj, write_obj
 from .obj_source import ObjSource
 from .off import read_off, write_off
 from .ply import PlySource, read_ply, write_ply
+from .point_cache import read_cache, write_mdd, write_npy, write_pc2
 from .sequence import read_sequence, write_sequence
 from .stl import read_stl, write_stl
+from .timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
 
-DEFAULT_FPS = 30.0
 Function = TypeVar("Function")
 
 
@@ -92,6 +95,22 @@ def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> 
     return (_read_motion_clip if is_motion_file(path) else read_npz_clip)(path, fps, progress)
 
 
+def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    return read_cache(path, fps, MESH_READERS.keys() - MOTIONS, load_mesh, progress)
+
+
+def _beside(write: Callable[[Clip, Path, Progress | None], None]) -> Callable[[Clip, Path, Progress | None], None]:
+    """A writer of points alone that also writes the mesh they belong to, beside them, so that they can be read."""
+
+    def both(clip: Clip, path: Path, progress: Progress | None) -> None:
+        beside = _mesh_to_write_beside(clip, path)
+        write(clip, path, progress)
+        if beside is not None:
+            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
+
+    return both
+
+
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".bvh": _read_motion,
     ".glb": _read_gltf,
@@ -114,18 +133,26 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
 }
 CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
     ".bvh": _read_motion_clip,
+    ".mdd": _read_cache,
+    ".npy": _read_cache,
     ".npz": _read_npz_clip,
+    ".pc2": _read_cache,
 }
 """Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".glb": _write_gltf_clip,
     ".gltf": _write_gltf_clip,
+    ".mdd": _beside(write_mdd),
+    ".npy": _beside(write_npy),
     ".npz": write_npz_clip,
+    ".pc2": _beside(write_pc2),
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
 """Files that may hold animations."""
 MOTIONS = {".bvh"}
 """Files that never are a frame of a clip."""
+FRAMES_ONLY = (".mdd", ".npy", ".npz", ".pc2")
+"""Files of frames, none of which is the mesh at rest."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """What a clip is written as when it goes into a folder."""
 
@@ -140,6 +167,8 @@ def load_mesh(path: str | Path) -> Mesh:
     if path.is_dir():
         raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
     _must_exist(path)
+    if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
+        return _only_frame(load_clip(path), path)
     reader = _by_suffix(MESH_READERS, path)
     with _reading(path):
         mesh = reader(path)
@@ -209,20 +238,34 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             writer(mesh, path)
 
 
-def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress: Progress | None = None) -> None:
+def save_clip(
+    clip: Clip,
+    path: str | Path,
+    suffix: str | None = None,
+    progress: Progress | None = None,
+    blendshapes: int | None = None,
+) -> float | None:
     """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
 
-    `suffix` chooses the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+    Args:
+        suffix: the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+        progress: called with (frames written, frames in all).
+        blendshapes: so many morph targets in all, instead of one a frame (.glb, .gltf); see `gltf.write_gltf_clip`.
+
+    Returns:
+        With `blendshapes`, how far a vertex is from its frame at most, in the mesh's unit.
 
     Raises:
         InputError: a format that holds no clip, or a place that cannot be written to.
     """
     path = Path(path)
     is_folder = path.is_dir() or not path.suffix
+    if blendshapes is not None:
+        return _save_blended(clip, path, progress, blendshapes)
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
         with _writing(path):
             CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
-        return
+        return None
     if not is_folder:
         raise InputError(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
@@ -240,6 +283,16 @@ def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress:
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if own == suffix:
             _copy_companions(clip.mesh, path)
+    return None
+
+
+def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
+    from .gltf import write_gltf_clip
+
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
+    with _writing(path), whole_file(path) as temporary:
+        return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
 def mesh_suffixes() -> tuple[str, ...]:
@@ -250,6 +303,29 @@ def mesh_suffixes() -> tuple[str, ...]:
 def clip_suffixes() -> tuple[str, ...]:
     """Suffixes that `save_clip` writes as one file, with their dot."""
     return tuple(CLIP_WRITERS)
+
+
+def _only_frame(clip: Clip, path: Path) -> Mesh:
+    if len(clip) > 1:
+        raise InputError(
+            f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
+            "give it as the driving clip or save one frame"
+        )
+    return clip.mesh
+
+
+def _mesh_to_write_beside(clip: Clip, path: Path) -> Path | None:
+    """Where the mesh of a cache goes; None where one with its vertices and faces lies there already."""
+    own = clip.mesh.source.suffix if clip.mesh.source else ""
+    beside = path.with_suffix(own if own in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    if not beside.exists():
+        return beside
+    there = load_mesh(beside)
+    if len(there.vertices) != len(clip.mesh.vertices) or not np.array_equal(there.faces, clip.mesh.faces):
+        raise InputError(
+            f"{path}: expected {beside.name} to be the mesh it belongs to, found another there; choose another name"
+        )
+    return None
 
 
 def _must_exist(path: Path) -> None:

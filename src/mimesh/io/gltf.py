@@ -14,7 +14,7 @@ import numpy as np
 
 from ..mesh import Clip, Mesh, check_mesh
 from ..paging import Progress, stored
-from . import DEFAULT_FPS
+from .blend_shapes import fit_blend
 from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
 from .gltf_build import build_document
 from .gltf_check import is_understood
@@ -22,6 +22,7 @@ from .gltf_clip import add_frames
 from .gltf_document import Document, open_document
 from .gltf_edit import GltfSource, edit_document, with_normals
 from .gltf_read import Rest, read_rest
+from .timing import DEFAULT_FPS
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -78,11 +79,19 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
         build_document(mesh, mesh)[0].save(path)
 
 
-def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
+def write_gltf_clip(
+    clip: Clip, path: Path, progress: Progress | None = None, blendshapes: int | None = None
+) -> float | None:
     """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf_clip`).
 
     A mesh that came from a glTF file keeps all of it but skin, animations and morph targets of its own. One frame
     gives a file without animation. The size is about 24 bytes a vertex and frame (normals included).
+
+    Args:
+        blendshapes: so many morph targets in all, mixed to show every frame as well as they can (see `blend_shapes`).
+
+    Returns:
+        How far a vertex is then from its frame at most, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
     first = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
@@ -90,9 +99,12 @@ def write_gltf_clip(clip: Clip, path: Path, progress: Progress | None = None) ->
         draft, placed = edit_document(mesh.source, first, keep_targets=False)
     else:
         draft, placed = build_document(mesh, first)
+    blend = None
     if len(clip) > 1:
-        add_frames(draft, placed, mesh, clip, progress)
+        blend = None if blendshapes is None else fit_blend(clip, blendshapes, progress)
+        add_frames(draft, placed, mesh, clip, progress, blend)
     draft.save(path)
+    return None if blend is None else blend.error
 
 
 def _notes(document: Document, rest: Rest) -> tuple[str, ...]:

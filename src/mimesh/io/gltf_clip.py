@@ -4,58 +4,104 @@ One target for each frame after the first, its weight 1 at its own key and 0 at 
 exactly one target is active, between two keys two, and what is shown there is the straight line between both frames.
 Clients may limit how many targets act at once (glTF promises eight), which never touches this layout. Frame 0 is the
 mesh itself, so that a client that ignores morph targets shows the beginning of the clip.
+
+Long clips may have a few blend shapes instead (`blend_shapes`), all active at once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
 from ..paging import Progress, each_frame
+from .blend_shapes import Blend
 from .gltf_draft import VERTEX_DATA, Draft, Spool
 from .gltf_primitives import Placed
 from .gltf_scene import unit
 
 
-def add_frames(draft: Draft, placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None = None) -> None:
+def add_frames(
+    draft: Draft,
+    placed: list[Placed],
+    mesh: Mesh,
+    clip: Clip,
+    progress: Progress | None = None,
+    blend: Blend | None = None,
+) -> None:
     """Add the frames of `clip` to a document that shows its frame 0; `mesh` is the clip's, with corner normals.
 
     What goes into the file waits on disk: memory does not grow with the number of frames.
     """
     deltas = _frame_deltas(placed, mesh, clip, progress)
-    for one, spools in zip(placed, deltas, strict=True):
+    attributes = _one_each(deltas, placed) if blend is None else _blended(deltas, placed, blend.shares()[:, 1:])
+    for one, spools in zip(placed, attributes, strict=True):
         targets = _add_targets(draft, spools)
         for primitive in one.primitives:
             primitive["targets"] = [dict(target) for target in targets]
     nodes = list(dict.fromkeys(one.node for one in placed))
+    weights = np.eye(len(clip), dtype=np.float32)[:, 1:] if blend is None else blend.weights
+    names = [f"{'frame' if blend is None else 'shape'} {number}" for number in range(1, weights.shape[1] + 1)]
     for node in nodes:
-        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], len(clip) - 1)
-    draft.gltf["animations"] = [_animation(draft, nodes, clip)]
+        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names)
+    draft.gltf["animations"] = [_animation(draft, nodes, clip, weights)]
 
 
-def _frame_deltas(placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None) -> list[dict[str, Spool]]:
-    """For each placed group, what each frame after the first adds to the float32 attributes (N, 3) of frame 0."""
+def _frame_deltas(
+    placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None
+) -> Iterator[list[dict[str, Float[np.ndarray, "N 3"]]]]:
+    """What each frame after the first adds to the float32 attributes of frame 0, for each placed group."""
     turned = None
     if any(one.has_normals for one in placed):
         assert mesh.corner_normals is not None
         turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
     base: list[dict[str, np.ndarray]] = []
-    deltas: list[dict[str, Spool]] = []
     for frame, vertices in enumerate(each_frame(clip.vertices, progress)):
         normals = turned(vertices).reshape(-1, 3) if turned else None
-        for number, one in enumerate(placed):
-            now = _local(one, vertices, normals)
-            if frame == 0:
-                base.append({name: values.astype(np.float32).astype(np.float64) for name, values in now.items()})
-                deltas.append({name: Spool() for name in now})
-            else:
-                for name, values in now.items():
-                    deltas[number][name].append(values - base[number][name])
-    return deltas
+        now = [_local(one, vertices, normals) for one in placed]
+        if frame == 0:
+            base = [{name: values.astype(np.float32) for name, values in group.items()} for group in now]
+        else:
+            yield [
+                {name: values - start[name] for name, values in group.items()}
+                for group, start in zip(now, base, strict=True)
+            ]
+
+
+def _one_each(
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed]
+) -> list[dict[str, Spool]]:
+    """For each group and attribute, one target a frame."""
+    spools: list[dict[str, Spool]] = [{} for _ in placed]
+    for groups in deltas:
+        for group, spool in zip(groups, spools, strict=True):
+            for name, values in group.items():
+                spool.setdefault(name, Spool()).append(values)
+    return spools
+
+
+def _blended(
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed], shares: Float[np.ndarray, "K S"]
+) -> list[dict[str, Spool]]:
+    """For each group and attribute, targets that are mixed from all frames after the first."""
+    sums: list[dict[str, np.ndarray]] = [{} for _ in placed]
+    for groups, share in zip(deltas, shares.T, strict=True):
+        for group, total in zip(groups, sums, strict=True):
+            for name, values in group.items():
+                mixed = total.setdefault(name, np.zeros((len(share), *values.shape)))
+                for shape, part in zip(mixed, share, strict=True):
+                    shape += part * values
+    spools: list[dict[str, Spool]] = [{} for _ in placed]
+    for total, spool in zip(sums, spools, strict=True):
+        for name, shapes in total.items():
+            spool[name] = Spool()
+            for shape in shapes:
+                spool[name].append(shape)
+    return spools
 
 
 def _local(
@@ -82,7 +128,7 @@ def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]
     return targets
 
 
-def _complete_mesh(draft: Draft, mesh: dict[str, Any], frames: int) -> None:
+def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str]) -> None:
     """Weights and names for the targets, and targets that do nothing for the lines and points of the mesh.
 
     glTF wants one number of targets for all primitives of a mesh. An accessor without a view is all zeros.
@@ -91,17 +137,17 @@ def _complete_mesh(draft: Draft, mesh: dict[str, Any], frames: int) -> None:
         if "targets" not in primitive:
             count = draft.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
             zeros = {"componentType": 5126, "count": count, "type": "VEC3", "min": [0.0] * 3, "max": [0.0] * 3}
-            primitive["targets"] = [{"POSITION": draft.add_accessor(zeros)}] * frames
-    mesh["weights"] = [0.0] * frames
+            primitive["targets"] = [{"POSITION": draft.add_accessor(zeros)}] * len(names)
+    mesh["weights"] = [0.0] * len(names)
     if isinstance(mesh.setdefault("extras", {}), dict):
-        mesh["extras"]["targetNames"] = [f"frame {number}" for number in range(1, frames + 1)]
+        mesh["extras"]["targetNames"] = names
 
 
-def _animation(draft: Draft, nodes: list[int], clip: Clip) -> dict[str, Any]:
+def _animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
     times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
-    weights = draft.add_floats(np.eye(len(clip), dtype=np.float32)[:, 1:].reshape(-1, 1))
+    values = draft.add_floats(weights.reshape(-1, 1))
     return {
         "name": clip.mesh.name,
-        "samplers": [{"input": times, "interpolation": "LINEAR", "output": weights}],
+        "samplers": [{"input": times, "interpolation": "LINEAR", "output": values}],
         "channels": [{"sampler": 0, "target": {"node": node, "path": "weights"}} for node in nodes],
     }

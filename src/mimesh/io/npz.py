@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import zipfile
 import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from ..mesh import Clip, InputError, Mesh
-from ..paging import Progress
+from ..paging import Progress, each_frame, stored
 from .atomic import whole_file
 from .polygons import fan_corners
+from .timing import DEFAULT_FPS
 
 _VERTICES = ("vertices", "v", "verts", "points")
 _FACES = ("faces", "f", "triangles")
+_QUICK = 1
+"""Level of compression: higher ones take five times as long and save next to nothing on floating-point numbers."""
 # What opening a damaged, encrypted or pickled archive raises, as NumPy and zipfile have it.
 _DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
@@ -53,7 +58,12 @@ def read_npz(path: Path) -> Mesh:
         InputError: no such arrays, wrong shapes or types, several frames, or a damaged archive.
     """
     data = path.read_bytes()
-    key, points, faces, _ = _read_arrays(data, path)
+    with _opened(io.BytesIO(data), path) as (archive, names):
+        if broken := archive.testzip():  # what is copied unopened must be whole too
+            raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
+        key, faces = _find(_VERTICES, names, path), _read_faces(archive, names, path)
+        points = _read_array(archive, key)
+    _check_points(key, points.dtype, points.shape, path)
     if points.ndim == 3 and len(points) != 1:
         raise InputError(
             f"{path}: expected one mesh, found a clip of {len(points)} frames; "
@@ -66,17 +76,25 @@ def read_npz(path: Path) -> Mesh:
 def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = None) -> Clip:
     """Read a clip from an archive: `vertices` (T, V, 3), `faces` and `fps`; a mesh is a clip of one frame.
 
-    `fps` overrides the file's frame rate; without either it is 30 per second.
+    `fps` overrides the file's frame rate; without either it is 30 per second. Frames are read one by one.
 
     Raises:
         InputError: as `read_npz`.
     """
-    _, points, faces, own_fps = _read_arrays(path.read_bytes(), path)
-    frames = points.reshape(-1, *points.shape[-2:])
-    frames = frames if frames.dtype.kind == "f" else frames.astype(np.float64)
-    first = frames[0] if len(frames) else np.zeros(frames.shape[1:])
-    mesh = Mesh(first.astype(np.float64), faces, name=path.stem)
-    return Clip(mesh, frames, float(fps if fps is not None else own_fps))
+    with path.open("rb") as file, _opened(file, path) as (archive, names):
+        key, faces = _find(_VERTICES, names, path), _read_faces(archive, names, path)
+        own_fps = float(_read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
+        with archive.open(f"{key}.npy") as member:
+            shape, fortran, dtype = _read_header(member)
+            _check_points(key, dtype, shape, path)
+            count, vertices = int(np.prod(shape[:-2])), shape[-2]
+            if fortran:
+                frames = each_frame(_read_array(archive, key).reshape(count, vertices, 3))
+            else:
+                frames = _read_frames(member.read, count, vertices, dtype)
+            kept = stored(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
+    first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
+    return Clip(Mesh(first, faces, name=path.stem), kept, float(fps if fps is not None else own_fps))
 
 
 def write_npz(mesh: Mesh, path: Path) -> None:
@@ -86,35 +104,69 @@ def write_npz(mesh: Mesh, path: Path) -> None:
 
 
 def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write a clip as an archive of `vertices` (T, V, 3), `faces` and `fps`."""
+    """Write a clip as an archive of `vertices` (T, V, 3), `faces` and `fps`, frame by frame."""
+    header = {"descr": clip.vertices.dtype.str, "fortran_order": False, "shape": clip.vertices.shape}
     with whole_file(path) as temporary:
-        np.savez_compressed(temporary, vertices=clip.vertices, faces=clip.mesh.faces, fps=clip.fps)
+        np.savez_compressed(temporary, faces=clip.mesh.faces, fps=clip.fps)
+        with (
+            zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED, compresslevel=_QUICK) as archive,
+            archive.open("vertices.npy", "w", force_zip64=True) as member,
+        ):
+            np.lib.format.write_array_header_1_0(member, header)
+            for points in each_frame(clip.vertices, progress):
+                member.write(points.astype(clip.vertices.dtype).tobytes())
 
 
-def _read_arrays(data: bytes, path: Path) -> tuple[str, np.ndarray, Int[np.ndarray, "F 3"], float]:
-    """Key and array of the points, triangles, and frame rate (30 if the archive has none)."""
+@contextlib.contextmanager
+def _opened(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.ZipFile, list[str]]]:
+    """An archive and the names of its arrays; what goes wrong with it is said in one line."""
     try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:  # np.load takes anything else for a pickle and says so
-            if broken := archive.testzip():
-                raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
-        with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-            key = _find(_VERTICES, arrays.files, path)
-            points = arrays[key]
-            faces_key = next((name for name in _FACES if name in arrays.files), None)
-            faces = np.zeros((0, 3), np.int64) if faces_key is None else arrays[faces_key]
-            fps = float(arrays["fps"]) if "fps" in arrays.files else 30.0
+        with zipfile.ZipFile(file) as archive:
+            yield archive, [name.removesuffix(".npy") for name in archive.namelist()]
     except InputError:
         raise
     except _DAMAGE as error:
         raise InputError(
             f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
         ) from error
-    if points.ndim not in (2, 3) or points.shape[-1] != 3 or points.dtype.kind not in "fiu":
+
+
+def _read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
+    with archive.open(f"{name}.npy") as member:
+        return np.lib.format.read_array(member, allow_pickle=False)
+
+
+def _read_header(member) -> tuple[tuple[int, ...], bool, np.dtype]:
+    """Shape, whether columns come first, and type; leaves the member at the first number."""
+    version = np.lib.format.read_magic(member)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return read(member)
+
+
+def _read_frames(
+    read: Callable[[int], bytes], count: int, vertices: int, dtype: np.dtype
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    size = vertices * 3 * dtype.itemsize
+    for _ in range(count):
+        data = read(size)
+        if len(data) < size:
+            raise ValueError(f"{count} frames of {vertices} points do not fit")
+        yield np.frombuffer(data, dtype).reshape(vertices, 3).astype(np.float64)
+
+
+def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[np.ndarray, "F 3"]:
+    key = next((name for name in _FACES if name in names), None)
+    return np.zeros((0, 3), np.int64) if key is None else _triangles(_read_array(archive, key), path)
+
+
+def _check_points(key: str, dtype: np.dtype, shape: tuple[int, ...], path: Path) -> None:
+    if dtype.hasobject:
+        raise ValueError("objects, which are never unpickled")
+    if len(shape) not in (2, 3) or shape[-1] != 3 or dtype.kind not in "fiu":
         raise InputError(
             f"{path}: expected '{key}' to be numbers of shape (V, 3) or (T, V, 3), "
-            f"found {points.dtype} {points.shape}; save it in that shape"
+            f"found {dtype} {shape}; save it in that shape"
         )
-    return key, points, _triangles(faces, path), fps
 
 
 def _find(names: tuple[str, ...], found: list[str], path: Path) -> str:

@@ -9,6 +9,8 @@ RATES = (24.0, 25.0, 30.0, 50.0, 60.0, 15.0, 12.0, 120.0, 10.0)
 """Frames a second that the keys of a file may lie on, likeliest first."""
 ON_GRID = 0.02
 """Of a frame: keys this near to whole frames lie on them."""
+DEFAULT_FPS = 30.0
+"""Of what does not say."""
 LONGEST = 3600.0
 """Seconds; an animation that lasts longer has broken times."""
 

@@ -1,9 +1,10 @@
-"""Moving pictures: frames of clips and turntables, written as animated WebP or GIF."""
+"""Moving pictures: frames of clips and turntables, written as animated WebP, GIF or MP4."""
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,26 +21,33 @@ if TYPE_CHECKING:
 
 
 def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:
-    """Write frames as an endlessly looping .webp or .gif and return how many there were.
+    """Write frames as an endlessly looping .webp or .gif, or as an .mp4, and return how many there were.
 
     WebP keeps full colour and is the smaller. GIF gets one palette for all frames, so that nothing flickers, and times
     in hundredths of a second, spread so that the whole lasts as long as it should; viewers slow down above 50 frames
-    a second. Both formats merge frames that are exactly alike into one longer frame.
+    a second. Both merge frames that are exactly alike into one longer frame. MP4 is H.264 and needs PyAV; its frames
+    are written one by one, and a side of odd length loses its last pixel.
 
     Raises:
         InputError: another suffix, no frames, a frame rate that is not positive, or a Pillow without WebP.
     """
     path = Path(path)
+    suffix = path.suffix.lower()
     writers = {".webp": _write_webp, ".gif": _write_gif}
-    if path.suffix.lower() not in writers:
-        raise InputError(f"{path}: expected a movie name ending in .webp or .gif, found {path.suffix or 'no suffix'}")
+    if suffix not in (*writers, ".mp4"):
+        known = ".webp, .gif or .mp4"
+        raise InputError(f"{path}: expected a movie name ending in {known}, found {path.suffix or 'no suffix'}")
     if not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with --fps")
-    images = [_as_image(frame) for frame in frames]
+    pictures = (_as_image(frame) for frame in frames)
+    if suffix == ".mp4":
+        with whole_file(path) as temporary:
+            return _write_mp4(pictures, temporary, fps)
+    images = list(pictures)
     if not images:
         raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
     with whole_file(path) as temporary:
-        writers[path.suffix.lower()](images, temporary, fps)
+        writers[suffix](images, temporary, fps)
     return len(images)
 
 
@@ -134,6 +142,30 @@ def _write_gif(images: list[Image.Image], path: Path, fps: float) -> None:
     indexed = [image.quantize(palette=palette, dither=dither) for image in images]
     durations = _durations(len(images), 1000.0 / fps, 10)
     indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
+    try:
+        import av
+    except ImportError as error:
+        raise InputError(
+            f"{path.suffix}: expected PyAV to write it, found it not installed; pip install 'mimesh[video]', "
+            "or write a .webp"
+        ) from error
+    count = 0
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+        stream.pix_fmt = "yuv420p"
+        for count, image in enumerate(images, 1):
+            width, height = (side - side % 2 for side in image.size)
+            if count == 1:
+                stream.width, stream.height = width, height
+            frame = av.VideoFrame.from_image(image.crop((0, 0, width, height)))
+            container.mux(stream.encode(frame))
+        if not count:
+            raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
+        container.mux(stream.encode(None))
+    return count
 
 
 def _shared_palette(images: list[Image.Image]) -> Image.Image:

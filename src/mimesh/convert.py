@@ -1,0 +1,147 @@
+"""From any file that is read to any that is written: `mimesh convert`, and where every result is saved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .io import FRAMES_ONLY, MESH_WRITERS, clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
+from .mesh import Clip, InputError, Mesh, cut_clip
+from .paging import Progress
+
+MOVIES = (".gif", ".mp4", ".webp")
+"""Written as pictures, to be looked at."""
+MOVIE_SIZE = (640, 720)
+BARE = (".mdd", ".npy", ".npz", ".off", ".pc2", ".ply", ".stl")
+"""Formats whose new files hold little more than the shape."""
+
+
+@dataclass(frozen=True)
+class Converted:
+    """What has been written."""
+
+    vertices: int
+    frames: int
+    fps: float | None
+    """None for a mesh that does not move."""
+    notes: tuple[str, ...]
+
+
+def convert(
+    source: str | Path,
+    target: str | Path,
+    *,
+    fps: float | None = None,
+    animation: str | None = None,
+    frame: int | None = None,
+    start: int = 0,
+    stop: int | None = None,
+    step: int = 1,
+    frames_as: str | None = None,
+    blendshapes: int | None = None,
+    progress: Progress | None = None,
+) -> Converted:
+    """Read a mesh, a clip or a folder of frames, and write it in the format of another name.
+
+    What moves is written moving where the format can; a format of one mesh gets it at rest. The file's own format keeps
+    all it holds, but for the points of a `frame`.
+
+    Args:
+        fps: as `load_clip`: files with times are sampled at it, others are played at it.
+        frame: this one alone, counted from 0.
+        frames_as: suffix of the frames in a folder.
+        blendshapes: see `write_clip`.
+
+    Raises:
+        InputError: a file that cannot be read or written, or a frame that is not there.
+    """
+    source, target = Path(source), Path(target)
+    suffix = target.suffix.lower()
+    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+        return _convert_mesh(load_mesh(source), target)
+    clip = load_clip(source, fps, animation, part(progress, 0, 2))
+    wanted = (start, stop, step) if frame is None else (frame, frame + 1 or None, 1)
+    clip = cut_clip(clip, *wanted)
+    if (len(clip) == 1 and suffix in MESH_WRITERS) or not moving:
+        return _convert_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
+    deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
+    notes = not_kept(clip.mesh, target) + blend_note(deviation)
+    return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def write_clip(
+    clip: Clip,
+    path: Path,
+    frames_as: str | None = None,
+    blendshapes: int | None = None,
+    progress: Progress | None = None,
+) -> float | None:
+    """Write a clip as a file, a folder of frames or a movie.
+
+    Args:
+        blendshapes: .glb and .gltf alone: so many morph targets in all instead of one a frame; see `io.blend_shapes`.
+
+    Returns:
+        With `blendshapes`, how far a vertex is from its frame at most, over the size of the mesh.
+
+    Raises:
+        InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
+    """
+    if path.suffix.lower() not in MOVIES:
+        error = save_clip(clip, path, frames_as, progress, blendshapes)
+        return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
+    if blendshapes is not None:
+        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
+    from .frame import Frame
+    from .view.movie import clip_frames, save_movie
+
+    stands = Frame.fit(clip.mesh)
+    pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=stands.up, front=stands.front)
+    save_movie(_counted(pictures, len(clip), progress), path, clip.fps)
+    return None
+
+
+def blend_note(deviation: float | None) -> tuple[str, ...]:
+    """What a user should know of a clip shown by few shapes."""
+    if deviation is None:
+        return ()
+    return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
+
+
+def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """What a format that holds less than the mesh's file leaves behind, in words."""
+    suffix = path.suffix.lower()
+    if suffix not in BARE or (mesh.source is not None and mesh.source.suffix == suffix):
+        return ()
+    has = {
+        "materials": any(one.material for one in mesh.parts),
+        "texture coordinates": mesh.corner_uv is not None and suffix != ".ply",
+        "normals": mesh.corner_normals is not None,
+    }
+    lost = [name for name, present in has.items() if present]
+    return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
+
+
+def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
+    """The progress of one of several parts of equal weight, as progress of the whole."""
+    return progress and (lambda done, total: progress(number * total + done, parts * total))
+
+
+def _convert_mesh(mesh: Mesh, target: Path, frames: int = 1) -> Converted:
+    save_mesh(mesh, target)
+    notes = not_kept(mesh, target)
+    if frames > 1:
+        notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
+    if mesh.source is None or mesh.source.suffix == target.suffix.lower():
+        notes += tuple(getattr(mesh.source, "notes", ()))
+    return Converted(len(mesh.vertices), 1, None, notes)
+
+
+def _counted(pictures, count: int, progress: Progress | None):
+    for done, picture in enumerate(pictures, 1):
+        yield picture
+        if progress is not None:
+            progress(done, count)

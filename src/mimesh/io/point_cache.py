@@ -1,0 +1,178 @@
+"""Point caches: the positions of every frame and nothing else, as PC2, MDD or a NumPy array.
+
+Faces come from a mesh of the same name beside the cache, walk.obj for walk.pc2; without one it is a moving point cloud.
+PC2: 32 bytes of header, then little-endian float32. MDD: counts, a time in seconds for each frame, float32, all
+big-endian. NPY: one array (T, V, 3), or (V, 3) for a mesh. PC2 and NPY know no frame rate.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from jaxtyping import Float
+
+from ..mesh import Clip, InputError, Mesh
+from ..paging import Progress, each_frame, stored
+from .atomic import whole_file
+from .timing import DEFAULT_FPS, between, frame_count, sample_rate
+
+_PC2 = struct.Struct("<12siiffi")  # signature, version, points, first frame, frames a sample, samples
+_PC2_SIGNATURE = b"POINTCACHE2\0"
+
+
+@dataclass(frozen=True, eq=False)
+class Cache:
+    """What the header of a cache says, and its frames, still in the file."""
+
+    frames: Float[np.ndarray, "T V 3"]
+    times: Float[np.ndarray, " T"] | None
+    """Seconds of each frame; None where the format has none."""
+
+
+def read_cache(
+    path: Path,
+    fps: float | None,
+    suffixes: Collection[str],
+    read: Callable[[Path], Mesh],
+    progress: Progress | None = None,
+) -> Clip:
+    """Read a .pc2, .mdd or .npy file as a clip of the mesh beside it, or of points.
+
+    Args:
+        fps: frames a second. An MDD file has times: it is sampled at this rate, linearly between its frames. The others
+            are played at it; None is 30 for them.
+        suffixes: formats of meshes that `read` reads.
+
+    Raises:
+        InputError: the file is damaged or cut short, or the mesh beside it has another number of vertices.
+    """
+    cache = {".pc2": _open_pc2, ".mdd": _open_mdd, ".npy": _open_npy}[path.suffix.lower()](path)
+    count, vertices = cache.frames.shape[:2]
+    mesh = _mesh_beside(path, vertices, suffixes, read)
+    dtype = cache.frames.dtype.newbyteorder("=")
+    if cache.times is None or not count:
+        frames, fps = each_frame(cache.frames), fps or DEFAULT_FPS
+    elif fps is None:
+        frames, fps = each_frame(cache.frames), sample_rate(cache.times) or DEFAULT_FPS
+    else:
+        count = frame_count(float(cache.times[-1] - cache.times[0]), fps)
+        frames = _sampled(cache, cache.times[0] + np.arange(count) / fps)
+    kept = stored(frames, count, vertices, dtype, progress)
+    first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
+    if mesh is None:
+        return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), kept, fps)
+    return Clip(mesh.with_vertices(first), kept, fps)
+
+
+def write_pc2(clip: Clip, path: Path, progress: Progress | None = None) -> None:
+    """Write the points of a clip as PC2, one sample for each frame from frame 0 on; the frame rate is not in it."""
+    count, vertices = clip.vertices.shape[:2]
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        file.write(_PC2.pack(_PC2_SIGNATURE, 1, vertices, 0.0, 1.0, count))
+        _write_points(file, each_frame(clip.vertices, progress), "<f4")
+
+
+def write_mdd(clip: Clip, path: Path, progress: Progress | None = None) -> None:
+    """Write the points of a clip as MDD; frame k is at k / fps seconds."""
+    count, vertices = clip.vertices.shape[:2]
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        file.write(struct.pack(">ii", count, vertices))
+        file.write((np.arange(count) / clip.fps).astype(">f4").tobytes())
+        _write_points(file, each_frame(clip.vertices, progress), ">f4")
+
+
+def write_npy(clip: Clip, path: Path, progress: Progress | None = None) -> None:
+    """Write the points of a clip as one NumPy array (T, V, 3) of its own type."""
+    dtype = clip.vertices.dtype.newbyteorder("<")
+    header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": clip.vertices.shape}
+    with whole_file(path) as temporary, temporary.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, header)
+        _write_points(file, each_frame(clip.vertices, progress), dtype)
+
+
+def _write_points(file: BinaryIO, frames: Iterable[Float[np.ndarray, "V 3"]], dtype: str | np.dtype) -> None:
+    for points in frames:
+        file.write(points.astype(dtype).tobytes())
+
+
+def _sampled(cache: Cache, wanted: Float[np.ndarray, " K"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+    assert cache.times is not None
+    for before, after, share in zip(*between(cache.times, wanted), strict=True):
+        a, b = (cache.frames[t].astype(np.float64) for t in (before, after))
+        yield a + share * (b - a)
+
+
+def _open_pc2(path: Path) -> Cache:
+    head = _head(path, _PC2.size)
+    signature, version, points, _, step, count = _PC2.unpack(head.ljust(_PC2.size, b"\0"))
+    if signature != _PC2_SIGNATURE or version != 1:
+        raise InputError(
+            f"{path}: expected a PC2 file ('POINTCACHE2', version 1), found {signature[:11]!r} {version}; "
+            "export it again"
+        )
+    if not step > 0:
+        raise InputError(f"{path}: expected a positive sample rate, found {step:g}; export it again")
+    return Cache(_mapped(path, "<f4", _PC2.size, count, points), None)
+
+
+def _open_mdd(path: Path) -> Cache:
+    count, points = struct.unpack(">ii", _head(path, 8).ljust(8, b"\0"))
+    frames = _mapped(path, ">f4", 8 + 4 * max(count, 0), count, points)
+    times = np.fromfile(path, ">f4", max(count, 0), offset=8).astype(np.float64)
+    if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
+        raise InputError(
+            f"{path}: expected times that rise, found others; the file is damaged or no MDD, export it again"
+        )
+    return Cache(frames, times)
+
+
+def _open_npy(path: Path) -> Cache:
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError) as error:
+        raise InputError(f"{path}: expected a plain NumPy array, found {error!r:.80}; save it again") from error
+    if not isinstance(array, np.ndarray) or array.ndim not in (2, 3) or array.shape[-1] != 3:
+        found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else "an archive; name it .npz"
+        raise InputError(f"{path}: expected an array (T, V, 3) or (V, 3), found {found}; save it in that shape")
+    if array.dtype.kind != "f":
+        raise InputError(f"{path}: expected floating-point numbers, found {array.dtype}; save it as float32")
+    return Cache(array.reshape(-1, *array.shape[-2:]), None)
+
+
+def _head(path: Path, size: int) -> bytes:
+    with path.open("rb") as file:
+        return file.read(size)
+
+
+def _mapped(path: Path, dtype: str, offset: int, count: int, points: int) -> Float[np.ndarray, "T V 3"]:
+    size, wanted = path.stat().st_size, offset + 12 * count * points
+    if count < 0 or points < 0 or size < wanted:
+        raise InputError(
+            f"{path}: expected {wanted} bytes for {count} frames of {points} points, found {size}; "
+            "the file is cut short or of another format, export it again"
+        )
+    if not count or not points:
+        return np.zeros((count, points, 3), np.float32)
+    return np.memmap(path, dtype, "r", offset, (count, points, 3))
+
+
+def _mesh_beside(path: Path, vertices: int, suffixes: Collection[str], read: Callable[[Path], Mesh]) -> Mesh | None:
+    """The mesh of the same name in the same folder; None where there is none.
+
+    Raises:
+        InputError: none of those there has so many vertices.
+    """
+    files = sorted(file for file in path.parent.glob("*") if file.stem == path.stem and file.suffix.lower() in suffixes)
+    meshes = [read(file) for file in files]
+    fitting = [mesh for mesh in meshes if len(mesh.vertices) == vertices]
+    if meshes and not fitting:
+        raise InputError(
+            f"{path}: expected as many points as {files[0].name} has vertices, {len(meshes[0].vertices)}, found "
+            f"{vertices}; put the mesh it was made from beside it, or rename one of them"
+        )
+    return fitting[0] if fitting else None

@@ -1,0 +1,80 @@
+"""Few blend shapes: exact where few are enough, as good as the best otherwise, and the error that is told is true."""
+
+import numpy as np
+import pytest
+import zoo
+
+from mimesh.io import blend_shapes, load_clip, save_clip
+from mimesh.io.blend_shapes import fit_blend
+from mimesh.mesh import Clip, InputError
+
+
+def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
+    """A grid that moves in `rank` ways."""
+    rng = np.random.default_rng(seed)
+    mesh = zoo.grid(5)
+    ways = rng.normal(size=(rank, *mesh.vertices.shape))
+    amounts = rng.normal(size=(frames, rank)) * 2.0 ** -np.arange(rank)
+    return Clip(mesh, mesh.vertices + np.einsum("tk,kvc->tvc", amounts, ways), 25.0)
+
+
+def shown(clip: Clip, count: int) -> np.ndarray:
+    """What a client shows at every frame."""
+    blend = fit_blend(clip, count)
+    differences = clip.vertices - clip.vertices[0]
+    shapes = np.einsum("kt,tvc->kvc", blend.shares(), differences)
+    return clip.vertices[0] + np.einsum("tk,kvc->tvc", blend.weights, shapes)
+
+
+def test_as_many_shapes_as_ways_to_move_are_exact():
+    clip = clip_of(3)
+    blend = fit_blend(clip, 8)
+    assert blend.weights.shape == (12, 3)
+    np.testing.assert_allclose(shown(clip, 8), clip.vertices, atol=1e-6)
+    assert blend.error < 1e-5
+
+
+def test_the_first_frame_is_exact_and_weights_stay_within_one():
+    blend = fit_blend(clip_of(8), 3)
+    np.testing.assert_array_equal(blend.weights[0], 0)
+    np.testing.assert_allclose(np.abs(blend.weights).max(axis=0), 1)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_the_error_is_the_farthest_vertex_and_squares_are_least(count):
+    clip = clip_of(8)
+    off = shown(clip, count) - clip.vertices
+    assert fit_blend(clip, count).error == pytest.approx(np.linalg.norm(off, axis=-1).max(), rel=1e-4)
+    differences = (clip.vertices - clip.vertices[0]).reshape(12, -1)
+    least = (np.linalg.svd(differences, compute_uv=False)[count:] ** 2).sum()
+    assert (off**2).sum() == pytest.approx(least, rel=1e-4)
+
+
+def test_blocks_of_vertices_change_nothing(monkeypatch):
+    whole = fit_blend(clip_of(8), 3)
+    monkeypatch.setattr(blend_shapes, "BLOCK", 24 * 12 * 4)
+    told = []
+    parts = fit_blend(clip_of(8), 3, lambda done, total: told.append((done, total)))
+    np.testing.assert_allclose(np.abs(parts.weights), np.abs(whole.weights), atol=1e-5)
+    assert parts.error == pytest.approx(whole.error, rel=1e-4)
+    assert told == [(k, 14) for k in range(1, 15)]
+
+
+@pytest.mark.parametrize("count", [2, 30])
+def test_a_client_shows_the_frames_within_the_error(count, tmp_path):
+    clip = clip_of(8)
+    error = save_clip(clip, tmp_path / "a.glb", blendshapes=count)
+    back = load_clip(tmp_path / "a.glb")
+    assert (len(back), back.fps) == (12, 25.0)
+    off = np.linalg.norm(back.vertices - clip.vertices, axis=-1).max()
+    assert error == pytest.approx(off, rel=1e-3, abs=1e-5)
+
+
+def test_what_cannot_be_blended(tmp_path):
+    still = Clip.still(zoo.cube())
+    with pytest.raises(InputError, match="expected 1 or more, found 0"):
+        fit_blend(clip_of(2), 0)
+    with pytest.raises(InputError, match="expected a clip that moves"):
+        fit_blend(Clip(still.mesh, np.repeat(still.vertices, 3, axis=0)), 2)
+    with pytest.raises(InputError, match=r"expected \.glb or \.gltf for --blendshapes, found '\.npz'"):
+        save_clip(clip_of(2), tmp_path / "a.npz", blendshapes=2)

@@ -1,0 +1,124 @@
+"""PC2, MDD and NPY: points come back exactly, with the mesh beside them; damage and strangers are refused."""
+
+import struct
+
+import numpy as np
+import pytest
+import zoo
+from nasty import bent
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.mesh import Clip, InputError
+
+SUFFIXES = (".pc2", ".mdd", ".npy")
+
+
+def clip(frames: int = 5, fps: float = 24.0) -> Clip:
+    mesh = zoo.cube()
+    points = np.stack([mesh.vertices + t * bent(mesh.vertices) / 7 for t in range(frames)]).astype(np.float32)
+    return Clip(mesh, points, fps)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_points_and_faces_come_back(suffix, tmp_path):
+    save_clip(clip(), tmp_path / f"walk{suffix}")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["walk.obj", f"walk{suffix}"])
+    back = load_clip(tmp_path / f"walk{suffix}", fps=None)
+    np.testing.assert_array_equal(back.vertices, clip().vertices)
+    np.testing.assert_array_equal(back.mesh.faces, clip().mesh.faces)
+    assert (back.fps, back.vertices.dtype) == (24.0 if suffix == ".mdd" else 30.0, np.float32)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_without_a_mesh_beside_it_is_a_point_cloud(suffix, tmp_path):
+    save_clip(clip(1), tmp_path / f"a{suffix}")
+    (tmp_path / "a.obj").unlink()
+    mesh = load_mesh(tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(mesh.vertices, clip().vertices[0])
+    assert len(mesh.faces) == 0
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_strange_mesh_beside_it_is_refused(suffix, tmp_path):
+    save_mesh(zoo.grid(2), tmp_path / "a.obj")
+    with pytest.raises(InputError, match=r"expected a\.obj to be the mesh it belongs to"):
+        save_clip(clip(), tmp_path / f"a{suffix}")
+    save_clip(clip(), tmp_path / f"b{suffix}")
+    (tmp_path / f"b{suffix}").rename(tmp_path / f"a{suffix}")
+    with pytest.raises(InputError, match=r"as many points as a\.obj has vertices"):
+        load_clip(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_the_mesh_that_lies_there_already_is_left_alone(suffix, tmp_path):
+    save_mesh(clip().mesh, tmp_path / "a.obj")
+    text = (tmp_path / "a.obj").read_text() + "# mine\n"
+    (tmp_path / "a.obj").write_text(text)
+    save_clip(clip(), tmp_path / f"a{suffix}")
+    assert (tmp_path / "a.obj").read_text() == text
+
+
+def test_mdd_is_sampled_at_another_rate(tmp_path):
+    save_clip(clip(fps=10.0), tmp_path / "a.mdd")
+    back = load_clip(tmp_path / "a.mdd", fps=20.0)
+    given = clip().vertices.astype(float)
+    assert (len(back), back.fps) == (9, 20.0)
+    np.testing.assert_allclose(back.vertices[::2], given, atol=1e-6)
+    np.testing.assert_allclose(back.vertices[1::2], (given[1:] + given[:-1]) / 2, atol=1e-6)
+
+
+def test_the_bytes_are_those_of_the_formats(tmp_path):
+    save_clip(clip(2), tmp_path / "a.pc2")
+    save_clip(clip(2), tmp_path / "a.mdd")
+    pc2, mdd = ((tmp_path / f"a{suffix}").read_bytes() for suffix in (".pc2", ".mdd"))
+    assert struct.unpack_from("<12siiffi", pc2) == (b"POINTCACHE2\0", 1, 8, 0.0, 1.0, 2)
+    assert struct.unpack_from(">iiff", mdd) == (2, 8, 0.0, np.float32(1 / 24))
+    assert pc2[32:] == clip(2).vertices.astype("<f4").tobytes()
+    assert mdd[16:] == clip(2).vertices.astype(">f4").tobytes()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_files_cut_short_are_refused(suffix, tmp_path):
+    save_clip(clip(), tmp_path / f"a{suffix}")
+    data = (tmp_path / f"a{suffix}").read_bytes()
+    for size in (1, 7, 20, 100, len(data) - 1):
+        (tmp_path / f"a{suffix}").write_bytes(data[:size])
+        with pytest.raises(InputError, match="expected"):
+            load_clip(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".pc2", ".mdd"])
+def test_other_files_are_refused(suffix, tmp_path):
+    (tmp_path / f"a{suffix}").write_bytes(bytes(range(200)))
+    with pytest.raises(InputError, match="expected"):
+        load_clip(tmp_path / f"a{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("array", "message"),
+    [
+        (np.zeros((2, 3, 4)), r"found float64 \(2, 3, 4\)"),
+        (np.zeros((4, 3), int), "expected floating-point numbers, found int64"),
+        (np.array([{}], object), "expected a plain NumPy array"),
+        (np.zeros((0, 4, 3)), "expected at least one frame"),
+    ],
+)
+def test_arrays_of_other_kinds_are_refused(array, message, tmp_path):
+    np.save(tmp_path / "a.npy", array, allow_pickle=True)
+    with pytest.raises(InputError, match=message):
+        load_clip(tmp_path / "a.npy")
+
+
+def test_an_array_in_columns_and_one_mesh(tmp_path):
+    points = clip().vertices
+    np.save(tmp_path / "a.npy", np.asfortranarray(points))
+    np.testing.assert_array_equal(load_clip(tmp_path / "a.npy").vertices, points)
+    np.save(tmp_path / "a.npy", points[0].astype(">f8"))
+    np.testing.assert_array_equal(load_mesh(tmp_path / "a.npy").vertices, points[0])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_clip_is_no_mesh(suffix, tmp_path):
+    save_clip(clip(), tmp_path / f"a{suffix}")
+    with pytest.raises(InputError, match="expected one mesh, found a clip of 5 frames"):
+        load_mesh(tmp_path / f"a{suffix}")

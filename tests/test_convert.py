@@ -1,0 +1,99 @@
+"""Any format into any other: frames, faces and rates stay; what cannot stay is said."""
+
+import itertools
+
+import numpy as np
+import pytest
+import zoo
+
+from mimesh.convert import MOVIES, convert
+from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
+from mimesh.mesh import Clip, InputError
+
+CLIPS = sorted({*CLIP_WRITERS, ""})
+MESHES = sorted(MESH_WRITERS)
+
+
+def clip(frames: int = 4) -> Clip:
+    mesh = zoo.cube()
+    return Clip(
+        mesh, np.stack([mesh.vertices + t * np.sin(3 * mesh.vertices[:, ::-1]) / 5 for t in range(frames)]), 30.0
+    )
+
+
+@pytest.mark.parametrize(("first", "second"), [*itertools.product(CLIPS, CLIPS)])
+def test_clips_stay_what_they_are(first, second, tmp_path):
+    save_clip(clip(), tmp_path / f"a{first}")
+    done = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
+    assert (done.frames, done.fps, done.vertices) == (4, 30.0, 8)
+    back = load_clip(tmp_path / f"b{second}")
+    np.testing.assert_allclose(back.vertices, clip().vertices, atol=1e-6)
+    np.testing.assert_array_equal(back.mesh.faces, clip().mesh.faces)
+    assert back.fps == 30
+
+
+@pytest.mark.parametrize(("first", "second"), [*itertools.product(MESHES, MESHES)])
+def test_meshes_stay_what_they_are(first, second, tmp_path):
+    save_mesh(zoo.cube(), tmp_path / f"a{first}")
+    done = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
+    assert (done.frames, done.fps) == (1, None)
+    back = load_mesh(tmp_path / f"b{second}")
+    corners = zoo.cube().vertices[zoo.cube().faces]
+    np.testing.assert_allclose(back.vertices[back.faces], corners, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", CLIPS)
+def test_a_clip_becomes_a_mesh(suffix, tmp_path):
+    save_clip(clip(), tmp_path / f"a{suffix}")
+    convert(tmp_path / f"a{suffix}", tmp_path / "first.off")
+    np.testing.assert_allclose(load_mesh(tmp_path / "first.off").vertices, clip().vertices[0], atol=1e-6)
+    for frame in (2, -1):
+        convert(tmp_path / f"a{suffix}", tmp_path / "b.off", frame=frame)
+        np.testing.assert_allclose(load_mesh(tmp_path / "b.off").vertices, clip().vertices[frame], atol=1e-6)
+    with pytest.raises(InputError, match="expected frames within its 4, found 9 to 10"):
+        convert(tmp_path / f"a{suffix}", tmp_path / "b.off", frame=9)
+
+
+def test_some_frames_of_a_clip(tmp_path):
+    save_clip(clip(), tmp_path / "a.npz")
+    assert convert(tmp_path / "a.npz", tmp_path / "b.npz", start=1, step=2).fps == 15
+    np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, clip().vertices[1::2])
+
+
+@pytest.mark.parametrize("suffix", MOVIES)
+def test_a_movie_of_it(suffix, tmp_path):
+    save_clip(clip(3), tmp_path / "a.npz")
+    told = []
+    convert(tmp_path / "a.npz", tmp_path / f"b{suffix}", progress=lambda *done: told.append(done))
+    assert (tmp_path / f"b{suffix}").stat().st_size > 1000
+    assert told == [(k, 6) for k in range(1, 7)]
+
+
+def test_the_frames_of_a_movie(tmp_path):
+    import av
+
+    save_clip(clip(), tmp_path / "a.npz")
+    convert(tmp_path / "a.npz", tmp_path / "b.mp4")
+    with av.open(str(tmp_path / "b.mp4")) as movie:
+        stream = movie.streams.video[0]
+        assert stream.average_rate == 30
+        pictures = [frame.to_ndarray(format="rgb24") for frame in movie.decode(stream)]
+    assert len(pictures) == 4
+    assert np.abs(pictures[0].astype(int) - pictures[-1]).max() > 50
+
+
+def test_what_is_lost_is_said(tmp_path):
+    save_clip(clip(), tmp_path / "a.npz")
+    assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", frame=None).notes[-1]
+    with pytest.raises(InputError, match="--blendshapes"):
+        convert(tmp_path / "a.npz", tmp_path / "b.webp", blendshapes=3)
+    notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", blendshapes=3).notes
+    assert "no vertex is farther than" in notes[-1]
+
+
+@pytest.mark.parametrize("suffix", CLIPS)
+def test_progress_reaches_the_end_once(suffix, tmp_path):
+    save_clip(clip(), tmp_path / "a.mdd")
+    told = []
+    convert(tmp_path / "a.mdd", tmp_path / f"b{suffix}", progress=lambda *done: told.append(done))
+    assert told == [(k, 8) for k in range(1, 9)]
