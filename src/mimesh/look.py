@@ -64,6 +64,8 @@ class Facts:
     seconds: float | None
     animations: tuple[str, ...]
     """Names of those in the file; the clip is the first."""
+    motion: str | None
+    """What a motion file is and who plays it; None for meshes."""
     notes: tuple[str, ...]
     """What the file holds that a moved copy of it will not, one line each."""
 
@@ -98,7 +100,7 @@ def look(path: str | Path) -> Facts:
     from .io import load_clip
 
     clip = load_clip(path)
-    return facts_of(clip.mesh, clip, path)
+    return dataclasses.replace(facts_of(clip.mesh, clip, path), motion=_motion(Path(path)))
 
 
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> Facts:
@@ -140,6 +142,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # only some formats have anything to say
+        motion=None,
         notes=getattr(mesh.source, "notes", ()),
     )
 
@@ -147,6 +150,8 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
 def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
+    if facts.motion:
+        yield "motion", facts.motion
     yield "vertices", f"{facts.vertices:,}{split}"
     triangles = f" triangles from {facts.polygons:,} polygons" if facts.polygons not in (None, facts.faces) else ""
     yield "faces", f"{facts.faces:,}{triangles}" if facts.faces else "none (a point cloud)"
@@ -213,6 +218,14 @@ def _polygons(mesh: Mesh) -> int | None:
     from .io.obj_source import ObjSource
 
     return int((mesh.source.sizes > 2).sum()) if isinstance(mesh.source, ObjSource) else None
+
+
+def _motion(path: Path) -> str | None:
+    from .motions.on_body import is_motion_file, motion_joints
+
+    if not is_motion_file(path):
+        return None
+    return f"{_plural(motion_joints(path), 'joint')}, played on the shipped body, which is what follows"
 
 
 def _format(path: Path | None) -> str:

@@ -12,7 +12,6 @@ across two. The poses are drawn as those of `human-wide`, with seeds of their ow
 from __future__ import annotations
 
 import dataclasses
-import re
 from dataclasses import dataclass
 from functools import cache
 from itertools import permutations
@@ -23,6 +22,7 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.gltf_rig import GltfRig
+from ..bodies.joint_names import named_joints, require_joints
 from ..bodies.landmarks import landmarks
 from ..io.gltf_skin import read_skin
 from ..mesh import InputError, Mesh
@@ -31,47 +31,6 @@ from .pairs import Pair, Pose, human
 from .protocols import Wide
 
 SUFFIXES = (".glb", ".gltf", ".vrm")
-OURS = (
-    "Hips LowerBack Spine Spine1 Neck Neck1 Head",
-    "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase",
-)
-"""Our joints of the centre, and those of a side without their Left or Right; fingers follow their hand."""
-SCHEMES = {
-    "cmu": (
-        "left{} right{}",
-        "hips lowerback spine spine1 neck neck1 head",
-        "shoulder arm forearm hand upleg leg foot toebase",
-    ),
-    "mixamo": (
-        "left{} right{}",
-        "hips spine spine1 spine2 neck - head",
-        "shoulder arm forearm hand upleg leg foot toebase",
-    ),
-    "quaternius": (
-        "{}l {}r",
-        "hips abdomen torso chest neck - head",
-        "shoulder upperarm lowerarm hand upperleg lowerleg foot -",
-    ),
-    "kaykit": (
-        "{}l {}r",
-        "hips - spine chest - - head",
-        "- upperarm lowerarm wrist upperleg lowerleg foot toes",
-    ),
-    "unreal": (
-        "{}l {}r",
-        "pelvis spine01 spine02 spine03 neck01 - head",
-        "clavicle upperarm lowerarm hand thigh calf foot ball",
-    ),
-    "vroid": (
-        "l{} r{}",
-        "chips cspine cchest cupperchest cneck - chead",
-        "shoulder upperarm lowerarm hand upperleg lowerleg foot toebase",
-    ),
-}
-"""How others name our joints: left and right, then, in the order of `OURS`, the centre and a side (- for none).
-
-Names are compared in lower case without . _ - and spaces, namespaces ("mixamorig:") and VRoid's "J_Bip_".
-"""
 
 
 @dataclass(frozen=True)
@@ -110,22 +69,13 @@ def cross_body(data: str | Path) -> CrossBody:
     return protocol
 
 
-def named_joints(joint_names: tuple[str, ...]) -> dict[str, int]:
-    """Index of the joint that stands for each of ours, by the scheme of names that finds the most of ours."""
-    found = {_plain(name): j for j, name in reversed(list(enumerate(joint_names)))}
-    guesses = [
-        {ours: found[theirs] for ours, theirs in synonyms(scheme) if theirs in found} for scheme in SCHEMES.values()
-    ]
-    return max(guesses, key=len)
-
-
 def pose_on_rig(rig: GltfRig, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "R 3 3"]:
     """Local joint rotations that give the rig the pose of our body.
 
     Limb bones point exactly where ours point. Joints that we have no name for follow their parent, and a root above
     the hips moves as the hips do (some rigs hang their legs on it).
     """
-    index = named_joints(rig.joint_names)
+    index = named_joints(rig.joint_names, rig.parents)
     aligned = alignments(rig.joints, index, body)
     turned, _ = body.skinning_transforms(body.joints, rotmat)
     own = {j: turned[body.joint(joint)] @ aligned.get(joint, np.eye(3)).T for joint, j in index.items()}
@@ -137,14 +87,14 @@ def pose_on_rig(rig: GltfRig, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3
 
 def pose_at_rest(rig: GltfRig, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
     """Our body's local rotations in the pose in which the rig rests: an A-pose, a T-pose with bent elbows."""
-    aligned = alignments(rig.joints, named_joints(rig.joint_names), body)
+    aligned = alignments(rig.joints, named_joints(rig.joint_names, rig.parents), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
     return to_local(world[None], body.parents)[0]
 
 
 def landmarks_on(rig: GltfRig) -> Int[np.ndarray, "M"]:
     """Vertices of the rig at `bodies.landmarks.LANDMARKS`: found as on our body, in its T-pose and at its height."""
-    body, index = human(), named_joints(rig.joint_names)
+    body, index = human(), named_joints(rig.joint_names, rig.parents)
     tee = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
     transforms = rig.skinning_transforms(tee)
     size = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
@@ -179,13 +129,8 @@ def check_person(rig: GltfRig, path: str | Path) -> GltfRig:
         InputError: limb joints of unknown names, limbs that are no chains (feet on a root of their own), or a person
             who does not stand y up and face +z.
     """
-    index = named_joints(rig.joint_names)
-    missing = [joint for joint in dict.fromkeys(NEEDED) if joint not in index]
-    if missing:
-        raise InputError(
-            f"{path}: expected joints named as in {', '.join(SCHEMES)}, found none for {', '.join(missing[:4])}"
-            f"{' ...' if len(missing) > 4 else ''}; rename the joints"
-        )
+    index = named_joints(rig.joint_names, rig.parents)
+    require_joints(index, NEEDED, rig.joint_names, path)
     for joint, tail in BONES.items():
         if not _hangs_on(rig, index[tail], index[joint]):
             raise InputError(
@@ -252,20 +197,6 @@ def _stage(mover: GltfRig, actor: GltfRig, stand: Pose, played: Pose) -> Pair:
 def _mesh(rig: GltfRig, vertices: Float[np.ndarray, "V 3"], pose: str) -> Mesh:
     name = f"{rig.mesh.name}_{pose}"
     return dataclasses.replace(rig.mesh, vertices=vertices, corner_normals=None, source=None, name=name)
-
-
-def synonyms(scheme: tuple[str, str, str]) -> list[tuple[str, str]]:
-    """Our joints and their plain names in a scheme; "-" is the name of nobody."""
-    sides, centre, limb = scheme
-    pairs: list[tuple[str, str]] = list(zip(OURS[0].split(), centre.split(), strict=True))
-    for ours, theirs in zip(("Left{}", "Right{}"), sides.split(), strict=True):
-        names = zip(OURS[1].split(), limb.split(), strict=True)
-        pairs += [(ours.format(joint), theirs.format(name)) for joint, name in names if name != "-"]
-    return pairs
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"^(mixamorig\d*|jbip)", "", re.sub(r"[._\s-]", "", name.split(":")[-1].lower()))
 
 
 def _hangs_on(rig: GltfRig, joint: int, holder: int) -> bool:

@@ -71,8 +71,32 @@ def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
         write_gltf_clip(clip, temporary, progress)
 
 
+def _read_motion(path: Path) -> Mesh:
+    from ..motions.on_body import motion_file_mesh
+
+    return motion_file_mesh(path)
+
+
+def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    from ..motions.on_body import motion_file_clip
+
+    return motion_file_clip(path, fps, progress)
+
+
+def _read_npz(path: Path) -> Mesh:
+    from ..motions.on_body import is_motion_file
+
+    return _read_motion(path) if is_motion_file(path) else read_npz(path)
+
+
+def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    from ..motions.on_body import is_motion_file
+
+    return (_read_motion_clip if is_motion_file(path) else read_npz_clip)(path, fps, progress)
+
+
 def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    return read_cache(path, fps, MESH_READERS.keys(), load_mesh, progress)
+    return read_cache(path, fps, MESH_READERS.keys() - MOTIONS, load_mesh, progress)
 
 
 def _beside(write: Callable[[Clip, Path, Progress | None], None]) -> Callable[[Clip, Path, Progress | None], None]:
@@ -88,9 +112,10 @@ def _beside(write: Callable[[Clip, Path, Progress | None], None]) -> Callable[[C
 
 
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".bvh": _read_motion,
     ".glb": _read_gltf,
     ".gltf": _read_gltf,
-    ".npz": read_npz,
+    ".npz": _read_npz,
     ".obj": read_obj,
     ".off": read_off,
     ".ply": read_ply,
@@ -107,9 +132,10 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".stl": write_stl,
 }
 CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
+    ".bvh": _read_motion_clip,
     ".mdd": _read_cache,
     ".npy": _read_cache,
-    ".npz": read_npz_clip,
+    ".npz": _read_npz_clip,
     ".pc2": _read_cache,
 }
 """Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
@@ -123,6 +149,8 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
 """Files that may hold animations."""
+MOTIONS = {".bvh"}
+"""Files that never are a frame of a clip."""
 FRAMES_ONLY = (".mdd", ".npy", ".npz", ".pc2")
 """Files of frames, none of which is the mesh at rest."""
 FRAME_SUFFIXES = (".obj", ".ply")
@@ -130,7 +158,7 @@ FRAME_SUFFIXES = (".obj", ".ply")
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read one mesh from a file and check it.
+    """Read one mesh from a file and check it; of a motion (.bvh) the shipped body in its first frame.
 
     Raises:
         InputError: no such file, a format that is not read, a damaged file, or a mesh that cannot be worked with.
@@ -152,9 +180,11 @@ def load_clip(
 ) -> Clip:
     """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
 
+    A motion file, which has joints and no mesh, is played by the shipped body (`motions.on_body`).
+
     Args:
-        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file is
-            sampled at it.
+        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file and a
+            motion file (.bvh, or .npz of joint rotations) are sampled at it.
         animation: which one of a glTF file, by name or number; None: the first.
         progress: called with (frames read, frames in all).
 
@@ -171,7 +201,7 @@ def load_clip(
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
-            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys(), load_mesh, progress)
+            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS, load_mesh, progress)
         # The clip is called as its folder is, not as its first frame.
         return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
     if path.suffix.lower() in CLIP_READERS:

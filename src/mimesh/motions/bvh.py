@@ -5,7 +5,9 @@ A file's axes, units and joint names are kept as they are; `retarget` puts them 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from decimal import Decimal
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +32,8 @@ class Bvh:
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
     fps: float
+    moved: dict[int, Float[np.ndarray, "T 3"]] = field(default_factory=dict)
+    """Positions, in their parent's frame, of other joints that do not stay where their offset puts them."""
 
     def rest(self) -> Float[np.ndarray, "J 3"]:
         """Joint positions at rest, the root at the origin."""
@@ -46,14 +50,16 @@ class Bvh:
         for j, parent in enumerate(self.parents):
             if parent >= 0:
                 rotation[:, j] = rotation[:, parent] @ self.rotmat[:, j]
-                place[:, j] = place[:, parent] + rotation[:, parent] @ self.offsets[j]
+                bone = self.moved[j] if j in self.moved else self.offsets[j : j + 1]
+                place[:, j] = place[:, parent] + (rotation[:, parent] @ bone[..., None])[..., 0]
         return rotation, place
 
 
 def load_bvh(path: str | Path) -> Bvh:
     """Read a BVH file (degrees; rotation channels apply in the order they are listed, the last one first).
 
-    Position channels of joints other than the root are skipped: bones keep the length of their OFFSET.
+    Position channels of joints other than the root count where they change: in some files the hips travel below a root
+    that stays. Those that never change are taken for copies of the OFFSET, whatever they say.
 
     Raises:
         InputError: not a BVH file, a damaged hierarchy, several roots, or motion rows that do not fit it.
@@ -66,9 +72,16 @@ def load_bvh(path: str | Path) -> Bvh:
     if not found or header.split()[:1] != ["HIERARCHY"]:
         raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
     names, parents, offsets, ends, channels = _read_hierarchy(header.split()[1:], path)
-    frame_time, values = _read_rows(rows, sum(map(len, channels)), path)
-    rotmat, root = _apply_channels(channels, values, offsets[0])
-    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, 1.0 / frame_time)
+    fps, values = _read_rows(rows, sum(map(len, channels)), path)
+    rotmat, root, moved = _apply_channels(channels, values, offsets)
+    return Bvh(path.stem, tuple(names), tuple(parents), offsets, ends, rotmat, root, fps, moved)
+
+
+def bvh_joints(path: str | Path) -> int:
+    """How many joints a BVH file has, without reading its motion; 0 where it is no such file."""
+    with Path(path).open(encoding="utf-8", errors="replace") as file:
+        header = takewhile(lambda line: not line.startswith("MOTION"), file)
+        return sum(line.split()[0].upper() in ("ROOT", "JOINT") for line in header if line.strip())
 
 
 def _read_hierarchy(tokens: list[str], path: Path):
@@ -134,7 +147,7 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
 
 
 def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"]]:
-    """Frame time (s) and the numbers of the MOTION section."""
+    """Frames a second and the numbers of the MOTION section."""
     words = text.split()
     try:
         if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
@@ -158,23 +171,32 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
         raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
-    return frame_time, values.reshape(frames, channels)
+    return _rate(words[4]), values.reshape(frames, channels)
 
 
-def _apply_channels(channels, values, rest_root):
-    """Local rotation matrices (T, J, 3, 3) and the root's path (T, 3)."""
+def _rate(frame_time: str) -> float:
+    """Frames a second: the whole number whose frame time this is when rounded to as many digits, if there is one."""
+    seconds, whole = float(frame_time), round(1.0 / float(frame_time))
+    written = Decimal(frame_time).as_tuple().exponent
+    assert isinstance(written, int), "a finite number has an exponent"
+    is_whole = whole > 0 and abs(1.0 / whole - seconds) <= 0.51 * 10.0**written
+    return float(whole) if is_whole else 1.0 / seconds
+
+
+def _apply_channels(channels, values, offsets):
+    """Local rotation matrices (T, J, 3, 3), the root's path (T, 3), and the paths of other joints that move."""
     frames = len(values)
     rotmat = np.tile(np.eye(3), (frames, len(channels), 1, 1))
-    root = np.tile(rest_root, (frames, 1))
+    moved: dict[int, np.ndarray] = {0: np.tile(offsets[0], (frames, 1))}
     column = 0
     for j, kinds in enumerate(channels):
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
-            elif j == 0:
-                root[:, axis] = values[:, column]
+            elif j == 0 or np.ptp(values[:, column]) > 0:
+                moved.setdefault(j, np.tile(offsets[j], (frames, 1)))[:, axis] = values[:, column]
             column += 1
-    return rotmat, root
+    return rotmat, moved.pop(0), moved
 
 
 def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:

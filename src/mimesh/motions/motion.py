@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..mesh import Clip, InputError
+from ..paging import Progress, stored
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
 """Joints whose bone lengths measure how far a body's steps carry it."""
@@ -133,18 +135,25 @@ def lowest(
     return np.concatenate([vertices[..., 1].min(axis=1) for vertices in chunks])
 
 
-def motion_clip(body: RiggedBody, shape: Float[np.ndarray, " K"] | None, motion: Motion) -> Clip:
+def motion_clip(
+    body: RiggedBody,
+    shape: Float[np.ndarray, " K"] | None,
+    motion: Motion,
+    progress: Progress | None = None,
+    dtype: type[np.floating] = np.float64,
+) -> Clip:
     """The body with the given shape (None: the mean) in motion: a Clip in metres.
 
     The root's path is scaled by the person's leg length over the mean body's. Feet are not pinned to the floor, and
-    limbs that meet the body of a stout person are not pushed out.
+    limbs that meet the body of a stout person are not pushed out. Long clips lie on disk (`paging.stored`).
 
     Raises:
         InputError: the motion is for another skeleton.
     """
     shape = np.zeros(0) if shape is None else shape
     _, root = _fitted(body, motion, shape)
-    vertices = np.concatenate(list(_posed_chunks(body, shape, motion.rotmat, root)))
+    frames = chain.from_iterable(_posed_chunks(body, shape, motion.rotmat, root))
+    vertices = stored(frames, len(motion), len(body.vertices), dtype, progress)
     rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
     return Clip(rest, vertices, motion.fps)
 

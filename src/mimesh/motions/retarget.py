@@ -1,8 +1,10 @@
-"""Retargeting: another skeleton's motion onto one of our bodies, by joint name.
+"""Retargeting: another skeleton's motion onto one of our bodies, joints found by name (`bodies.joint_names`).
 
-Per joint, in world space: D_j = C G_j C^T A_j, with G_j the source's world rotation, C the change of axes and A_j the
-smallest rotation from our rest bone direction to the source's (limbs only); then local = D_parent^T D_j. A limb bone
-of the result so points exactly where the source's points, whatever the two rest poses are.
+Per joint, in world space: D_j = C G_j M_j, with G_j the source's world rotation, C the change of the world's axes and
+M_j what stands between our rest pose and the source's; then local = D_parent^T D_j. Where the source rests standing,
+M_j = C^T A_j with A_j the smallest rotation from our rest bone direction to the source's (limbs only); where its rest
+pose is no pose, M_j comes from the motion (`unposed`). A limb bone of the result so points exactly where the source's
+points, whatever the two rest poses are.
 """
 
 from __future__ import annotations
@@ -11,19 +13,17 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..geometry import rotate_between
-from ..mesh import InputError
+from ..bodies.joint_names import named_joints, require_joints
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
+from .unposed import axes_from_motion, measured, turn_between
 
 _SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}
 """Limb joints and the joint at the other end of their bone: the bones whose directions are kept exactly."""
 NEEDED = ("Hips", *BONES, *BONES.values())
-STILL = ("Thumb", "Finger")
-"""Joints kept at rest: optical capture of hands with one or two markers is mostly noise."""
-
-
+STANDING = 0.7
+"""Cosine of the angle (45 degrees) up to which a rest pose may lean and still stand."""
 FLOOR_SHARE = 0.2
 """The floor is where the lowest vertex is in this quantile of the frames: most takes stand on it for longer."""
 
@@ -32,33 +32,44 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
     """The source's motion on `body` (mean shape), at the source's frame rate.
 
     The root's path is scaled by the ratio of leg lengths and starts above the origin; the floor is found from the
-    result (`FLOOR_SHARE`). Joints that the source lacks follow their parent. Contacts are not enforced.
+    result (`FLOOR_SHARE`). Joints that the source lacks follow their parent. So do fingers: optical capture of hands
+    with one or two markers is mostly noise. Contacts are not enforced.
 
     Raises:
-        InputError: the source lacks a limb joint of ours by name (a prefix up to ":" is ignored).
+        InputError: the source lacks the hips or a limb joint by name.
     """
-    index = {n.split(":")[-1]: j for j, n in reversed(list(enumerate(source.joint_names)))}
-    missing = [n for n in dict.fromkeys(NEEDED) if n not in index]
-    if missing:
-        raise InputError(
-            f"{source.name}: expected joints named as in CMU's files, found no {', '.join(missing[:4])}"
-            f"{' ...' if len(missing) > 4 else ''}; rename the joints (Hips, LeftUpLeg, LeftLeg, ...)"
-        )
+    index = named_joints(source.joint_names, source.parents)
+    require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, place) = source.rest(), source.world()
-    axes = axes_from_rest(rest, index)
-    aligned = alignments(rest @ axes.T, index, body)
-    rotation = axes @ rotation @ axes.T
+    if rests_standing(rest, index):
+        axes = axes_from_rest(rest, index)
+        aligned = alignments(rest @ axes.T, index, body)
+        between = {joint: axes.T @ aligned.get(joint, np.eye(3)) for joint in index}
+    else:
+        axes = axes_from_motion(place, index)
+        between = measured(axes @ rotation, place @ axes.T, rest, index, body)
     target = np.empty((len(rotation), len(body.joint_names), 3, 3))
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
-        if joint in index and not any(word in joint for word in STILL):
-            target[:, j] = rotation[:, index[joint]] @ aligned.get(joint, np.eye(3))
-        else:
-            target[:, j] = target[:, parent]
-    scale = leg_length(body.joints, body.joint_names) / leg_length(rest, tuple(_named(rest, index)))
+        target[:, j] = axes @ rotation[:, index[joint]] @ between[joint] if joint in index else target[:, parent]
+    theirs = [rest[index[joint]] for joint in LEG]
+    scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(theirs), LEG)
     path = place[:, index["Hips"]] @ axes.T * scale
     return Motion(
         name or source.name, body.joint_names, to_local(target, body.parents), _grounded(path, target, body), source.fps
     )
+
+
+def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> bool:
+    """Whether a rest pose stands: legs point away from the shoulders, and left and right are on the sides.
+
+    Some files (LAFAN1's, for one) rest with all limbs along one axis; what is up and in front is then in the motion
+    alone.
+    """
+    hips, feet, arms = (_pair(rest, index, part).mean(axis=0) for part in ("UpLeg", "Foot", "Arm"))
+    up = _unit(hips - feet)
+    upright = up @ _unit(arms - hips) > STANDING
+    across = [np.subtract(*_pair(rest, index, part)) for part in ("UpLeg", "Arm")]
+    return bool(upright and all(abs(up @ _unit(way)) < STANDING for way in across) and across[0] @ across[1] > 0)
 
 
 def axes_from_rest(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
@@ -81,12 +92,12 @@ def alignments(
     for joint, tail in BONES.items():
         ours = body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
         theirs = rest[index[tail]] - rest[index[joint]]
-        aligned[joint] = _turn(ours, theirs)
+        aligned[joint] = turn_between(ours, theirs)
         if tail.endswith("Hand"):
             aligned[tail] = aligned[joint]
         if tail.endswith("Foot"):
             seen = np.array([1.0, 1.0, 0.0])
-            aligned[tail] = aligned[tail.replace("Foot", "ToeBase")] = _turn(ours * seen, theirs * seen)
+            aligned[tail] = aligned[tail.replace("Foot", "ToeBase")] = turn_between(ours * seen, theirs * seen)
     return aligned
 
 
@@ -108,12 +119,14 @@ def _grounded(path, target, body):
     return path - [0.0, floor, 0.0]
 
 
-def _named(rest, index):
-    """The source's joint names in order, without prefixes, for lookups by name."""
-    names = [""] * len(rest)
-    for joint in LEG:
-        names[index[joint]] = joint
-    return names
+def _pair(rest, index, part):
+    """Left and right joint of a part, (2, 3)."""
+    return rest[[index[f"Left{part}"], index[f"Right{part}"]]]
+
+
+def _unit(vector):
+    length = np.linalg.norm(vector)
+    return vector / length if length > 0 else vector
 
 
 def _axis(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
@@ -122,9 +135,3 @@ def _axis(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
     largest = int(np.abs(vector).argmax())
     axis[largest] = np.sign(vector[largest])
     return axis
-
-
-def _turn(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Smallest rotation matrix that turns direction `old` to `new`."""
-    old, new = (np.tile(v / np.linalg.norm(v), (3, 1)) for v in (old, new))
-    return rotate_between(old, new, np.eye(3)).T

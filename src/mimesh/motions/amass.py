@@ -1,0 +1,161 @@
+"""AMASS-style archives (.npz): rotation vectors (radians) of a body's joints and the way of its pelvis (metres).
+
+`poses` (T, 66 or more) or `root_orient` (T, 3) with `pose_body` (T, 63), and `trans` (T, 3); the frame rate is called
+`mocap_framerate`, `mocap_frame_rate` or `fps`. The first 22 joints are read, in the order of `JOINTS`; hands, face and
+`betas` are not. What such a person looks like is not in the file and not known here: the rest skeleton is a plain
+T-pose of straight legs and arms along the axes, y up and facing +z, 1.7 m tall. So directions of limbs are a few
+degrees off those of the body they were recorded for.
+"""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.sampling import rotvec_to_rotmat
+from ..mesh import InputError
+from .bvh import Bvh
+
+TALL = 1.7
+"""Metres."""
+JOINTS = {
+    "pelvis": ("", (0.0, 0.0, 0.0)),
+    "left_hip": ("pelvis", (0.05, -0.05, 0.0)),
+    "right_hip": ("pelvis", (-0.05, -0.05, 0.0)),
+    "spine1": ("pelvis", (0.0, 0.07, 0.0)),
+    "left_knee": ("left_hip", (0.0, -0.245, 0.0)),
+    "right_knee": ("right_hip", (0.0, -0.245, 0.0)),
+    "spine2": ("spine1", (0.0, 0.08, 0.0)),
+    "left_ankle": ("left_knee", (0.0, -0.246, 0.0)),
+    "right_ankle": ("right_knee", (0.0, -0.246, 0.0)),
+    "spine3": ("spine2", (0.0, 0.04, 0.0)),
+    "left_foot": ("left_ankle", (0.0, -0.03, 0.08)),
+    "right_foot": ("right_ankle", (0.0, -0.03, 0.08)),
+    "neck": ("spine3", (0.0, 0.13, 0.0)),
+    "left_collar": ("spine3", (0.05, 0.07, 0.0)),
+    "right_collar": ("spine3", (-0.05, 0.07, 0.0)),
+    "head": ("neck", (0.0, 0.05, 0.0)),
+    "left_shoulder": ("left_collar", (0.06, 0.0, 0.0)),
+    "right_shoulder": ("right_collar", (-0.06, 0.0, 0.0)),
+    "left_elbow": ("left_shoulder", (0.186, 0.0, 0.0)),
+    "right_elbow": ("right_shoulder", (-0.186, 0.0, 0.0)),
+    "left_wrist": ("left_elbow", (0.146, 0.0, 0.0)),
+    "right_wrist": ("right_elbow", (-0.146, 0.0, 0.0)),
+}
+"""The first joints of a frame, in order: the parent and where the joint hangs on it at rest, in body heights.
+
+Limbs have the usual shares of a person's height (Drillis and Contini, 1966); the rest is a plain figure.
+"""
+RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+POINTS = ("vertices", "v", "verts", "points")
+"""Arrays of an archive that holds a mesh or a clip, whatever else is in it."""
+_DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
+
+
+def is_amass(names: Collection[str]) -> bool:
+    """Whether an archive with arrays of these names holds a motion: poses, and no points."""
+    return any(name in names for name in ("poses", "pose_body")) and not any(name in names for name in POINTS)
+
+
+def archive_names(path: Path) -> tuple[str, ...]:
+    """Names of the arrays in an archive; none of a damaged one, about which its reader says more."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return tuple(name.removesuffix(".npy") for name in archive.namelist())
+    except _DAMAGE:
+        return ()
+
+
+def load_amass(path: str | Path) -> Bvh:
+    """An archive's motion as a skeleton of 22 joints, y up (metres); `retarget` puts it onto one of our bodies.
+
+    AMASS has z up; a file whose pelvis stands along y most of the time has y up. Without a frame rate it is 30.
+
+    Raises:
+        InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
+    """
+    path = Path(path)
+    arrays = _read_arrays(path)
+    if "poses" in arrays:
+        rotvec = _rows(arrays["poses"], "poses", 3 * len(JOINTS), path)
+    else:
+        root, body = (_rows(_get(arrays, name, path), name, n, path) for name, n in (("root_orient", 3), _BODY))
+        if len(root) != len(body):
+            raise _uneven(path, "root_orient", len(root), "pose_body", len(body))
+        rotvec = np.concatenate([root[:, :3], body[:, : _BODY[1]]], axis=1)
+    trans = _rows(_get(arrays, "trans", path), "trans", 3, path)[:, :3]
+    if len(trans) != len(rotvec):
+        raise _uneven(path, "trans", len(trans), "poses", len(rotvec))
+    rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), len(JOINTS), 3))
+    axes = _upright(rotmat[:, 0])
+    rotmat[:, 0] = axes @ rotmat[:, 0]
+    names = tuple(JOINTS)
+    parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
+    offsets = TALL * np.array([offset for _, offset in JOINTS.values()])
+    return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path))
+
+
+_BODY = ("pose_body", 3 * (len(JOINTS) - 1))
+
+
+def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays that are used, as they are stored. Never unpickles."""
+    wanted = ("poses", "root_orient", "pose_body", "trans", *RATES)
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return {name: data[name] for name in wanted if name in data.files}
+    except _DAMAGE as error:
+        raise InputError(
+            f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
+        ) from error
+
+
+def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
+    if name not in arrays:
+        found = ", ".join(arrays) or "none of them"
+        raise InputError(
+            f"{path}: expected poses (or root_orient and pose_body) and trans, found {found}; save '{name}' as well"
+        )
+    return arrays[name]
+
+
+def _rows(values: np.ndarray, name: str, least: int, path: Path) -> Float[np.ndarray, "T C"]:
+    """An array with one row of at least so many finite numbers a frame."""
+    flat = values.reshape(len(values), -1) if values.ndim > 1 and len(values) else values
+    if flat.ndim != 2 or len(flat) == 0 or flat.shape[1] < least or flat.dtype.kind not in "fiu":
+        raise InputError(
+            f"{path}: expected '{name}' to be numbers of shape (T, {least}) or wider, found {values.dtype} "
+            f"{values.shape}; save it in that shape"
+        )
+    if not np.isfinite(flat).all():
+        bad = int(np.flatnonzero(~np.isfinite(flat).all(axis=1))[0])
+        raise InputError(
+            f"{path}: expected finite numbers, found NaN or infinity in frame {bad} of '{name}'; repair that frame"
+        )
+    return flat.astype(np.float64)
+
+
+def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
+    found = next((arrays[name] for name in RATES if name in arrays), np.array(30.0))
+    if found.size != 1 or found.dtype.kind not in "fiu" or not 0 < found.item() < np.inf:
+        raise InputError(f"{path}: expected a positive frame rate, found {found!r:.60}; save one as mocap_framerate")
+    return float(found.item())
+
+
+def _upright(pelvis: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "3 3"]:
+    """The axis rotation that takes the world to y up: from z up, unless the pelvis stands along y."""
+    stands = pelvis[:, :, 1].mean(axis=0)
+    if stands[1] > max(stands[2], 0.5):
+        return np.eye(3)
+    return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+def _uneven(path: Path, one: str, count: int, other: str, others: int) -> InputError:
+    return InputError(
+        f"{path}: expected as many rows in '{one}' as in '{other}', found {count} and {others}; save them again"
+    )

@@ -1,0 +1,142 @@
+"""Names that others give to our joints, as they stand in their files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+CENTRE = ["Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"]
+SIDE = ["Shoulder", "Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot", "ToeBase"]
+SCHEMES = {
+    "cmu": ("{}", "Left{}", "Right{}", " ".join(CENTRE), " ".join(SIDE)),
+    "mixamo": (
+        "mixamorig:{}",
+        "mixamorig:Left{}",
+        "mixamorig:Right{}",
+        "Hips Spine Spine1 Spine2 Neck - Head",
+        "Shoulder Arm ForeArm Hand UpLeg Leg Foot ToeBase",
+    ),
+    "xsens": (
+        "{}",
+        "Left{}",
+        "Right{}",
+        "Pelvis L5 T12 T8 Neck - Head",
+        "Shoulder UpperArm ForeArm Hand UpperLeg LowerLeg Foot Toe",
+    ),
+    "mvn-bvh": (
+        "{}",
+        "Left{}",
+        "Right{}",
+        "Hips Chest Chest2 Chest4 Neck - Head",
+        "Collar Shoulder Elbow Wrist Hip Knee Ankle Toe",
+    ),
+    "biped": (
+        "Bip01 {}",
+        "Bip01 L {}",
+        "Bip01 R {}",
+        "Pelvis Spine Spine1 Spine2 Neck - Head",
+        "Clavicle UpperArm Forearm Hand Thigh Calf Foot Toe0",
+    ),
+    "rigify": (
+        "{}",
+        "{}.L",
+        "{}.R",
+        "spine spine.001 spine.002 spine.003 spine.004 spine.005 spine.006",
+        "shoulder upper_arm forearm hand thigh shin foot toe",
+    ),
+    "vroid": (
+        "J_Bip_C_{}",
+        "J_Bip_L_{}",
+        "J_Bip_R_{}",
+        "Hips Spine Chest UpperChest Neck - Head",
+        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot ToeBase",
+    ),
+    "lafan1": (
+        "{}",
+        "Left{}",
+        "Right{}",
+        "Hips Spine Spine1 Spine2 Neck - Head",
+        "Shoulder Arm ForeArm Hand UpLeg Leg Foot Toe",
+    ),
+    "bandai": (
+        "{}",
+        "{}_L",
+        "{}_R",
+        "Hips - Spine Chest Neck - Head",
+        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot Toes",
+    ),
+    "accad": (
+        "{}",
+        "Left{}",
+        "Right{}",
+        "Hips ToSpine Spine Spine1 Neck - Head",
+        "Collar Shoulder Elbow Wrist Hip Knee Ankle Toe",
+    ),
+    "acclaim": (
+        "{}",
+        "l{}",
+        "r{}",
+        "root lowerback upperback thorax lowerneck upperneck head",
+        "clavicle humerus radius wrist femur tibia foot toes",
+    ),
+    "smpl": (
+        "{}",
+        "left_{}",
+        "right_{}",
+        "pelvis spine1 spine2 spine3 neck - head",
+        "collar shoulder elbow wrist hip knee ankle foot",
+    ),
+    "humanml": (
+        "{}",
+        "L_{}",
+        "R_{}",
+        "Pelvis Spine1 Spine2 Spine3 Neck - Head",
+        "Collar Shoulder Elbow Wrist Hip Knee Ankle Foot",
+    ),
+    "quaternius": (
+        "{}",
+        "{}.L",
+        "{}.R",
+        "Hips Abdomen Torso Chest Neck - Head",
+        "Shoulder UpperArm LowerArm Hand UpperLeg LowerLeg Foot -",
+    ),
+    "kaykit": (
+        "{}",
+        "{}.l",
+        "{}.r",
+        "hips - spine chest - - head",
+        "- upperarm lowerarm wrist upperleg lowerleg foot toes",
+    ),
+    "unreal": (
+        "{}",
+        "{}_l",
+        "{}_r",
+        "pelvis spine_01 spine_02 spine_03 neck_01 - head",
+        "clavicle upperarm lowerarm hand thigh calf foot ball",
+    ),
+    "daz": (
+        "{}",
+        "l{}",
+        "r{}",
+        "hip abdomenLower abdomenUpper chestLower neckLower neckUpper head",
+        "Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe",
+    ),
+}
+"""How names are made for the centre, the left and the right; then names for `CENTRE` and `SIDE` (- for none)."""
+
+
+def spelt(scheme: str) -> dict[str, str]:
+    """Our joints and what a scheme calls them."""
+    centre, left, right, middle, side = SCHEMES[scheme]
+    rows = [("{}", CENTRE, centre, middle), ("Left{}", SIDE, left, side), ("Right{}", SIDE, right, side)]
+    return {
+        ours.format(joint): theirs.format(name)
+        for ours, joints, theirs, names in rows
+        for joint, name in zip(joints, names.split(), strict=True)
+        if name != "-"
+    }
+
+
+def renamed(scheme: str) -> Callable[[str], str]:
+    """Our joints as a scheme calls them; those that it lacks get a name without meaning."""
+    names = spelt(scheme)
+    return lambda joint: names.get(joint, f"twist{joint}")

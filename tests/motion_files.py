@@ -1,0 +1,126 @@
+"""Motion files as others would write them: our own body's motions under other names, rest poses, axes and units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import RiggedBody
+from mimesh.motions import Motion
+from mimesh.motions.motion import joint_tracks
+
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+"""From our axes to those of a file with z up, in which a person faces -y."""
+X_FRONT = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+"""From our axes to those of a file with y up, in which a person faces +x."""
+ARM, LEG = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")
+
+
+def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:
+    """World rotations (J, 3, 3) that take our T-pose to another rest pose.
+
+    t, a (arms 45 degrees down, legs 8 degrees out) and hanging (85 degrees down) stand. In up and along-x all bones
+    point up or along x, and how each is rolled is anybody's guess, the same for the bones of a limb.
+    """
+    turns = np.tile(np.eye(3), (len(body.parents), 1, 1))
+    if kind in ("a", "hanging"):
+        lowered, out = {"a": (45, 8), "hanging": (85, 0)}[kind]
+        for side, sign in (("Left", 1), ("Right", -1)):
+            for parts, degrees in ((ARM, -lowered * sign), (LEG, out * sign)):
+                for part in parts:
+                    turns[body.joint(side + part)] = Rotation.from_euler("z", degrees, degrees=True).as_matrix()
+    elif kind != "t":
+        turns = _all_along(body, np.array([0.0, 1, 0] if kind == "up" else [1.0, 0, 0]), turns)
+    return turns
+
+
+def _all_along(body: RiggedBody, way: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    rng = np.random.default_rng(4)
+    roll: dict[str, float] = {}
+    for j, joint in enumerate(body.joint_names):
+        children = [k for k, parent in enumerate(body.parents) if parent == j]
+        bones = [body.joints[k] - body.joints[j] for k in children]
+        bone = max(bones, key=np.linalg.norm) if bones else body.joints[j] - body.joints[body.parents[j]]
+        if joint in ("Hips", "Spine1"):
+            bone = np.array([0.0, 1.0, 0.0])
+        limb = next((side + name for side in ("Left", "Right") for name, parts in (("Arm", ARM), ("UpLeg", LEG))
+                     for part in parts if joint == side + part), joint)  # fmt: skip
+        turn = Rotation.from_rotvec(way * roll.setdefault(limb, rng.uniform(-3, 3)))
+        turns[j] = (turn * Rotation.align_vectors(way[None], bone[None])[0]).as_matrix()
+    return turns
+
+
+def write_bvh(
+    path: Path,
+    body: RiggedBody,
+    motion: Motion,
+    *,
+    name: Callable[[str], str] = str,
+    rest: str = "t",
+    axes: np.ndarray | None = None,
+    scale: float = 1.0,
+    order: str = "ZXY",
+    end: str = "End Site\n{\nOFFSET 0 0 1\n}",
+) -> Path:
+    """Write a motion of `body` as BVH; `axes` takes our axes to the file's, `scale` is its units a metre."""
+    axes = np.eye(3) if axes is None else axes
+    turns = rest_pose(body, rest)
+    rotation, place = joint_tracks(body, motion)
+    world = axes @ rotation @ np.swapaxes(turns, -1, -2) @ axes.T
+    lines, columns = ["HIERARCHY"], []
+
+    def visit(j: int) -> None:
+        parent = body.parents[j]
+        bone = turns[parent] @ (body.joints[j] - body.joints[parent]) if parent >= 0 else body.joints[0]
+        lines.append(f"{'JOINT' if parent >= 0 else 'ROOT'} {name(body.joint_names[j])}\n{{")
+        lines.append("OFFSET " + " ".join(repr(float(x)) for x in scale * axes @ bone))
+        turning = " ".join(f"{axis}rotation" for axis in order)
+        lines.append(f"CHANNELS {turning and 3} {turning}" if parent >= 0 else
+                     f"CHANNELS 6 Xposition Yposition Zposition {turning}")  # fmt: skip
+        if parent < 0:
+            columns.append(scale * place[:, 0] @ axes.T)
+        local = np.swapaxes(world[:, parent], -1, -2) @ world[:, j] if parent >= 0 else world[:, j]
+        columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
+        children = [k for k, holder in enumerate(body.parents) if holder == j]
+        for child in children:
+            visit(child)
+        lines.append("}" if children else f"{end}\n}}")
+
+    visit(0)
+    rows = [" ".join(map(repr, row)) for row in np.concatenate(columns, axis=1).tolist()]
+    lines += ["MOTION", f"Frames: {len(motion)}", f"Frame Time: {1 / motion.fps:.7f}", *rows]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def write_amass(path: Path, body: RiggedBody, motion: Motion, axes: np.ndarray, joints: int = 52, **arrays) -> Path:
+    """Write a motion of `body` as an AMASS-style archive whose world `axes` takes ours to; wrists at rest."""
+    rotation, place = joint_tracks(body, motion)
+    world = {theirs: rotation[:, body.joint(ours)] for theirs, ours in OURS.items()}
+    local = {j: np.swapaxes(world[p], -1, -2) @ world[j] if p else axes @ world[j] for j, p in PARENTS.items()}
+    rotvec = np.zeros((len(motion), joints, 3))
+    for k, joint in enumerate(PARENTS):
+        rotvec[:, k] = Rotation.from_matrix(local[joint]).as_rotvec()
+    np.savez(path, poses=rotvec.reshape(len(motion), -1), trans=place[:, 0] @ axes.T, **arrays)
+    return path
+
+
+PARENTS = {
+    "pelvis": "", "left_hip": "pelvis", "right_hip": "pelvis", "spine1": "pelvis", "left_knee": "left_hip",
+    "right_knee": "right_hip", "spine2": "spine1", "left_ankle": "left_knee", "right_ankle": "right_knee",
+    "spine3": "spine2", "left_foot": "left_ankle", "right_foot": "right_ankle", "neck": "spine3",
+    "left_collar": "spine3", "right_collar": "spine3", "head": "neck", "left_shoulder": "left_collar",
+    "right_shoulder": "right_collar", "left_elbow": "left_shoulder", "right_elbow": "right_shoulder",
+    "left_wrist": "left_elbow", "right_wrist": "right_elbow",
+}  # fmt: skip
+"""The first 22 joints of an archive in order, and their parents."""
+_PARTS = {
+    "hip": "UpLeg", "knee": "Leg", "ankle": "Foot", "foot": "ToeBase", "collar": "Shoulder", "shoulder": "Arm",
+    "elbow": "ForeArm", "wrist": "Hand",
+}  # fmt: skip
+OURS = {"pelvis": "Hips", "spine1": "LowerBack", "spine2": "Spine", "spine3": "Spine1", "neck": "Neck", "head": "Head"}
+OURS |= {f"{side}_{theirs}": f"{side.title()}{ours}" for side in ("left", "right") for theirs, ours in _PARTS.items()}
+"""Our joint for each of theirs."""

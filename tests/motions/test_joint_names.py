@@ -1,0 +1,83 @@
+"""Joints are found by side and part however they are written, and trunks by what holds what."""
+
+import numpy as np
+import pytest
+from foreign_names import SCHEMES, renamed, spelt
+
+from mimesh.bodies import load_body
+from mimesh.bodies.joint_names import named_joints, require_joints
+from mimesh.mesh import InputError
+from mimesh.motions.retarget import BONES, NEEDED
+
+OURS = load_body()
+
+
+def skeleton(scheme: str, without: bool = True) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Our skeleton as a scheme has it; joints that it lacks are left out, or kept under names without meaning."""
+    names, parents, index = [], [], {-1: -1}
+    for j, (joint, parent) in enumerate(zip(OURS.joint_names, OURS.parents, strict=True)):
+        if without and joint not in spelt(scheme):
+            index[j] = index[parent]
+        else:
+            index[j] = len(names)
+            names.append(renamed(scheme)(joint))
+            parents.append(index[parent])
+    return tuple(names), tuple(parents)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_names_as_they_stand_in_files(scheme):
+    names, parents = skeleton(scheme)
+    found = {joint: names[j] for joint, j in named_joints(names, parents).items()}
+    assert found == spelt(scheme)
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_order_case_and_a_holder_above_do_not_matter(scheme):
+    names, parents = skeleton(scheme, without=False)
+    found = named_joints(names, parents)
+    held = named_joints(("Armature", *(name.upper() for name in names)), (-1, *(p + 1 for p in parents)))
+    assert held == {joint: j + 1 for joint, j in found.items()}
+    assert set(NEEDED) <= set(found)
+    assert len(set(found.values())) == len(found)
+
+
+def test_our_own_names_mean_themselves():
+    found = named_joints(OURS.joint_names, OURS.parents)
+    assert found == {joint: j for j, joint in enumerate(OURS.joint_names) if "Thumb" not in joint and
+                     "Finger" not in joint}  # fmt: skip
+
+
+def test_mixed_spellings_in_one_file():
+    """Exporters drop the colon, and count a second character."""
+    names, parents = skeleton("mixamo")
+    spellings = ("mixamorig{}", "mixamorig_{}", "mixamorig1:{}", "mixamorig1{}", "{}")
+    mixed = tuple(spellings[j % 5].format(name.split(":")[1]) for j, name in enumerate(names))
+    assert named_joints(mixed, parents) == named_joints(names, parents)
+
+
+def test_a_word_shared_by_most_names_says_nothing():
+    names, parents = skeleton("unreal")
+    marked = tuple(f"Character1_{name}_jnt" for name in names)
+    assert named_joints(marked, parents) == named_joints(names, parents)
+
+
+@pytest.mark.parametrize(("joints", "taken"), [(1, [0]), (2, [0, 1]), (3, [0, 1, 2]), (4, [0, 2, 3]), (5, [0, 2, 4])])
+def test_trunks_of_other_lengths(joints, taken):
+    trunk = tuple(f"bone{k}" for k in range(joints))
+    names = ("Hips", *trunk, "LeftArm", "RightArm", "Neck", "Head")
+    top = len(trunk)
+    found = named_joints(names, (*range(-1, top), top, top, top, top + 3))
+    assert [found[joint] - 1 for joint in ("LowerBack", "Spine", "Spine1") if joint in found] == taken
+    assert (names[found["Neck"]], names[found["Head"]]) == ("Neck", "Head")
+
+
+def test_what_is_missing_is_said_in_one_line():
+    names = ("root", "tail", *(f"leg{k}" for k in range(20)))
+    parents = tuple(np.arange(-1, len(names) - 1).tolist())
+    with pytest.raises(InputError, match=r"^fox: expected hips .* found none for .*LeftLeg") as error:
+        require_joints(named_joints(names, parents), NEEDED, names, "fox")
+    assert "among root, tail, leg0" in str(error.value)
+    assert "and 10 more" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert all(joint in str(error.value) for joint in BONES)
