@@ -25,6 +25,7 @@ from .off import read_off, write_off
 from .ply import PlySource, read_ply, write_ply
 from .sequence import read_sequence, write_sequence
 from .stl import read_stl, write_stl
+from .usd import read_usd, read_usd_clip, write_usd, write_usd_clip
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
@@ -76,6 +77,10 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".off": read_off,
     ".ply": read_ply,
     ".stl": read_stl,
+    ".usd": read_usd,
+    ".usda": read_usd,
+    ".usdc": read_usd,
+    ".usdz": read_usd,
     ".vrm": _read_gltf,
 }
 MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
@@ -86,13 +91,27 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".off": write_off,
     ".ply": write_ply,
     ".stl": write_stl,
+    ".usd": write_usd,
+    ".usda": write_usd,
+    ".usdc": write_usd,
+    ".usdz": write_usd,
 }
-CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {".npz": read_npz_clip}
+CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
+    ".npz": read_npz_clip,
+    ".usd": read_usd_clip,
+    ".usda": read_usd_clip,
+    ".usdc": read_usd_clip,
+    ".usdz": read_usd_clip,
+}
 """Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".glb": _write_gltf_clip,
     ".gltf": _write_gltf_clip,
     ".npz": write_npz_clip,
+    ".usd": write_usd_clip,
+    ".usda": write_usd_clip,
+    ".usdc": write_usd_clip,
+    ".usdz": write_usd_clip,
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
 """Files that may hold animations."""
