@@ -2,7 +2,8 @@
 
 Kept: all prims, materials, subsets, primvars, metadata and custom attributes of the root layer, and what it refers to.
 Changed: points, authored normals and extent of the meshes that were read, in their own coordinates, at all times.
-Dropped: their skins, blend shapes and animation, which would move the wanted points away.
+Dropped: their skins, blend shapes and animation, that of what they hang from included: it would move the wanted points
+away.
 """
 
 from __future__ import annotations
@@ -13,20 +14,22 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 
 from ..mesh import InputError, Mesh
 from .polygons import unit_rows
 from .usd_looks import at_corners, authored_normals
 from .usd_package import pack, unpack
 from .usd_skin import Body
-from .usd_stage import EVERYTHING, REST, matrix, transform_samples
+from .usd_stage import EVERYTHING, REST, matrix, turned_about
 
 # usd-core tells type checkers nothing of what is in it.
 # pyright: reportAttributeAccessIssue=false
 
 LOCAL_TOLERANCE = 1e-6
 """How far from its place, relative to the size of the mesh, float32 numbers in a prim's frame may put a point."""
+FLAT = 1e12
+"""Condition number from which on a transform flattens what it moves."""
 _OF_SKINS = (
     "primvars:skel:jointIndices",
     "primvars:skel:jointWeights",
@@ -115,8 +118,9 @@ class UsdSource:
             points = mesh.vertices[run.start : run.stop]
             unfit = _storage_error(T_world_prim, points) > LOCAL_TOLERANCE * np.ptp(mesh.vertices, axis=0).max()
             mirrored = bool(np.linalg.det(T_world_prim[:3, :3]) < 0)
-            if unfit or mirrored != run.mirrored or transform_samples(prim):
-                T_world_prim = _stand_still(prim, run.mirrored)
+            _freeze(prim, frames.GetTime())
+            if unfit or mirrored != run.mirrored:
+                T_world_prim = _place(prim, frames.GetTime(), run.mirrored)
             linear, origin = T_world_prim[:3, :3], T_world_prim[:3, 3]
             if mesh.corner_normals is not None:
                 faces = slice(run.first_face, run.first_face + len(run.corner_of))
@@ -172,21 +176,35 @@ def _own_prim(stage: Usd.Stage, path: str, file: Path) -> Usd.Prim:
 def _storage_error(T_world_prim: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "V 3"]) -> float:
     """How far float32 storage in a frame puts a point from its place, beyond what it does in the world's."""
     linear, origin = T_world_prim[:3, :3], T_world_prim[:3, 3]
-    if not np.linalg.cond(linear) < 1e12:
+    if not np.linalg.cond(linear) < FLAT:
         return np.inf
     local = ((points - origin) @ np.linalg.inv(linear).T).astype(np.float32).astype(np.float64)
     at_best = np.abs(points.astype(np.float32) - points).max(initial=0.0)
     return float(np.abs(local @ linear.T + origin - points).max(initial=0.0) - 2 * at_best)
 
 
-def _stand_still(prim: Usd.Prim, mirrored: bool) -> Float[np.ndarray, "4 4"]:
-    """Let a prim stand at the origin whatever its parents do; mirrored, if its faces are wound for that."""
+def _freeze(prim: Usd.Prim, time: Usd.TimeCode) -> None:
+    """Let all that places a prim stay as it is at a time."""
+    for one in turned_about(prim):
+        for op in one.GetOrderedXformOps():
+            if op.MightBeTimeVarying():
+                _set_always(op.GetAttr(), op.GetAttr().Get(time))
+
+
+def _place(prim: Usd.Prim, time: Usd.TimeCode, mirrored: bool) -> Float[np.ndarray, "4 4"]:
+    """Let a prim stand at the origin; mirrored, if its faces are wound for that. Returns how it stands.
+
+    Blender does not know that a prim may ignore its parents, so that is said only where they flatten all.
+    """
+    T_world_prim = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
+    T_world_parent = matrix(UsdGeom.XformCache(time).GetParentToWorldTransform(prim))
     mesh = UsdGeom.Xformable(prim)
     mesh.ClearXformOpOrder()
-    mesh.SetResetXformStack(True)
-    if mirrored:
-        mesh.AddScaleOp(opSuffix="mirror").Set((-1.0, 1.0, 1.0))
-    return np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
+    flat = not np.linalg.cond(T_world_parent[:3, :3]) < FLAT
+    mesh.SetResetXformStack(flat)
+    T_parent_prim = T_world_prim if flat else np.linalg.inv(T_world_parent) @ T_world_prim
+    mesh.AddTransformOp(opSuffix="placed").Set(Gf.Matrix4d(T_parent_prim.T.tolist()))
+    return T_world_prim
 
 
 def _set_points(prim: Usd.Prim, points: Float[np.ndarray, "V 3"]) -> None:
@@ -194,8 +212,8 @@ def _set_points(prim: Usd.Prim, points: Float[np.ndarray, "V 3"]) -> None:
     mesh = UsdGeom.Mesh(prim)
     values = points.astype(np.float32)
     if mesh.GetExtentAttr().HasAuthoredValue():
-        _set_always(mesh.GetExtentAttr(), np.stack([values.min(axis=0), values.max(axis=0)]))
-    _set_always(mesh.GetPointsAttr(), values)
+        _set_always(mesh.GetExtentAttr(), _vectors(np.stack([values.min(axis=0), values.max(axis=0)])))
+    _set_always(mesh.GetPointsAttr(), _vectors(values))
     for attribute in (mesh.GetVelocitiesAttr(), mesh.GetAccelerationsAttr()):
         if attribute.HasAuthoredValue():
             attribute.Block()
@@ -225,15 +243,19 @@ def _set_normals(prim: Usd.Prim, time: Usd.TimeCode, run: Run, normals: Float[np
         if primvar.IsIndexed():
             primvar.BlockIndices()
         primvar.SetInterpolation(interpolation)
-        _set_always(primvar.GetAttr(), values)
+        _set_always(primvar.GetAttr(), _vectors(values))
     else:
         mesh.SetNormalsInterpolation(interpolation)
-        _set_always(mesh.GetNormalsAttr(), values)
+        _set_always(mesh.GetNormalsAttr(), _vectors(values))
 
 
-def _set_always(attribute: Usd.Attribute, values: Float[np.ndarray, "N 3"]) -> None:
+def _set_always(attribute: Usd.Attribute, value) -> None:
     attribute.Clear()  # its time samples too
-    attribute.Set(Vt.Vec3fArray.FromNumpy(values))
+    attribute.Set(value)
+
+
+def _vectors(values: Float[np.ndarray, "N 3"]) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(values)
 
 
 def _drop_skin(prim: Usd.Prim) -> None:
