@@ -18,13 +18,14 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
-from pxr import Sdf, Usd, UsdGeom, UsdUtils, Vt
+from pxr import Sdf, Usd, UsdGeom, Vt
 
 from ..geometry import normal_turner
 from ..mesh import Clip, Mesh
 from ..paging import PAGED, Progress, each_frame
 from .polygons import polygon_corners, polygon_sizes
 from .usd_material import Names, add_parts, call
+from .usd_package import pack
 from .usd_source import UsdSource
 from .usd_stage import REST
 
@@ -51,8 +52,10 @@ def write_new(clip: Clip, path: Path, final: Path, progress: Progress | None = N
     with tempfile.TemporaryDirectory(prefix=".usd-", dir=path.parent) as folder:
         binary = Path(folder) / f"{final.stem}.usdc"
         if suffix == ".usdz":
-            _write_binary(clip, binary, Path(folder) / "textures", "./textures", progress)
-            UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(binary)), str(path))
+            inside = Path(folder) / "textures"
+            _write_binary(clip, binary, inside, f"./{inside.name}", progress)
+            images = sorted(f"{inside.name}/{image.name}" for image in inside.glob("*"))
+            pack(Path(folder), [binary.name, *images], path)
         else:
             _write_binary(clip, binary, textures, f"./{textures.name}", progress)
             Sdf.Layer.FindOrOpen(str(binary)).Export(str(path))
