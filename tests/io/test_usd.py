@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import usd_stages as stages
 import zoo
-from pxr import Gf, UsdGeom, UsdShade
+from pxr import Gf, Usd, UsdGeom, UsdShade
 
 from mimesh.geometry import face_normals
-from mimesh.io import load_clip, load_mesh
-from mimesh.mesh import InputError
+from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.mesh import InputError, Mesh
 
 CUBE = zoo.cube().vertices
 
@@ -234,6 +234,15 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"expected usd-core to read USD, found it not installed; pip install"):
         load_mesh(tmp_path / "a.usda")
+
+
+def test_a_file_that_was_written_again_is_read_again(tmp_path):
+    path = tmp_path / "a.usdc"
+    held = []
+    for factor in (1, 2):
+        save_mesh(Mesh(CUBE * factor, zoo.cube().faces), path)
+        held.append(Usd.Stage.Open(str(path)))
+        np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
 
 
 def test_holes_are_left_out(tmp_path):

@@ -195,6 +195,33 @@ def test_what_shows_is_the_given_points_at_every_time(tmp_path):
     assert not UsdGeom.Mesh(stage.GetPrimAtPath("/world/puppet/body")).GetVelocitiesAttr().Get()
 
 
+def test_what_other_layers_animate_stands_still_too(tmp_path):
+    """Samples of a referenced file and of a sublayer, in a folder of their own."""
+    (tmp_path / "parts").mkdir()
+    stage = stages.new_stage(tmp_path / "parts" / "a.usdc")
+    cube = stages.add_cube(stage)
+    rise = cube.AddTranslateOp()
+    for time in (1, 2):
+        cube.GetPointsAttr().Set(stages.vectors(zoo.cube().vertices * time), time)
+        rise.Set((0, 0, time), time)
+    stage.Save()
+    stage = stages.new_stage(tmp_path / "shot.usda")
+    stages.set_times(stage, 1, 2)
+    stage.GetPrimAtPath("/world").GetReferences().AddReference("./parts/a.usdc")
+    stage.Save()
+    top = Sdf.Layer.CreateNew(str(tmp_path / "top.usda"))
+    top.subLayerPaths.append("./shot.usda")
+    top.Save()
+    for name in ("shot.usda", "top.usda"):
+        assert len(load_clip(tmp_path / name, fps=24.0)) == 2
+        mesh = load_mesh(tmp_path / name)
+        moved = mesh.with_vertices(bent(mesh.vertices))
+        for after in ("b.usda", "b.usdz"):
+            save_mesh(moved, tmp_path / "out" / after)
+            again = load_clip(tmp_path / "out" / after)
+            np.testing.assert_allclose(again.vertices, moved.vertices[None], atol=1e-6)
+
+
 def test_instances_move_apart(tmp_path):
     stage = stages.new_stage(tmp_path / "part.usda")
     UsdGeom.Xform.Define(stage, "/world/inner")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from pxr import Tf, Usd, UsdGeom
+from pxr import Sdf, Tf, Usd, UsdGeom
 
 from ..mesh import InputError
 
@@ -26,6 +26,9 @@ def open_stage(path: Path) -> Usd.Stage:
     Raises:
         InputError: it is not USD, or damaged.
     """
+    known = Sdf.Layer.Find(str(path))
+    if known and not known.dirty:
+        known.Reload()  # layers that somebody still holds would not show that the file was written again
     try:
         return Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
