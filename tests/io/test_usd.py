@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 
 import numpy as np
@@ -243,6 +244,18 @@ def test_a_file_that_was_written_again_is_read_again(tmp_path):
         save_mesh(Mesh(CUBE * factor, zoo.cube().faces), path)
         held.append(Usd.Stage.Open(str(path)))
         np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
+
+
+def test_damaged_files_are_input_errors(tmp_path):
+    save_mesh(zoo.grid(9), tmp_path / "a.usdc")
+    content = np.frombuffer((tmp_path / "a.usdc").read_bytes(), np.uint8)
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        damaged = content.copy()
+        damaged[rng.integers(88, len(content), 6)] = rng.integers(256, size=6)
+        (tmp_path / f"{seed}.usdc").write_bytes(damaged.tobytes())
+        with contextlib.suppress(InputError):
+            load_clip(tmp_path / f"{seed}.usdc")
 
 
 def test_holes_are_left_out(tmp_path):

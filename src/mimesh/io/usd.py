@@ -7,7 +7,9 @@ usd_stage -> usd_skin, usd_looks -> usd_read      a stage becomes a Mesh or a Cl
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
+from collections.abc import Iterator
 from pathlib import Path
 
 from ..mesh import Clip, InputError, Mesh
@@ -24,7 +26,8 @@ def read_usd(path: Path) -> Mesh:
     _need_library(path, "read")
     from .usd_read import read_mesh
 
-    return read_mesh(path)
+    with _reading(path):
+        return read_mesh(path)
 
 
 def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -36,7 +39,8 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
     _need_library(path, "read")
     from .usd_read import read_clip
 
-    return read_clip(path, fps, progress)
+    with _reading(path):
+        return read_clip(path, fps, progress)
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:
@@ -64,3 +68,18 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
 def _need_library(path: Path, verb: str) -> None:
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
+
+
+@contextlib.contextmanager
+def _reading(path: Path) -> Iterator[None]:
+    """Say in one line what the library cannot read: values are read when they are wanted, so it may say so late."""
+    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
+
+    try:
+        yield
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: expected a USD stage, found a name that is no UTF-8; export it again") from error
+    except Tf.ErrorException as error:
+        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+        found = lines[0].rpartition(" : ")[2] if lines else "nothing"
+        raise InputError(f"{path}: expected a USD stage, found {found}; export it again") from error
