@@ -29,6 +29,7 @@ from .point_cache import read_cache, write_mdd, write_npy, write_pc2
 from .sequence import read_sequence, write_sequence
 from .stl import read_stl, write_stl
 from .timing import DEFAULT_FPS
+from .usd import read_usd, read_usd_clip, write_usd, write_usd_clip
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
@@ -120,6 +121,10 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".off": read_off,
     ".ply": read_ply,
     ".stl": read_stl,
+    ".usd": read_usd,
+    ".usda": read_usd,
+    ".usdc": read_usd,
+    ".usdz": read_usd,
     ".vrm": _read_gltf,
 }
 MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
@@ -130,6 +135,10 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".off": write_off,
     ".ply": write_ply,
     ".stl": write_stl,
+    ".usd": write_usd,
+    ".usda": write_usd,
+    ".usdc": write_usd,
+    ".usdz": write_usd,
 }
 CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
     ".bvh": _read_motion_clip,
@@ -137,6 +146,10 @@ CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] =
     ".npy": _read_cache,
     ".npz": _read_npz_clip,
     ".pc2": _read_cache,
+    ".usd": read_usd_clip,
+    ".usda": read_usd_clip,
+    ".usdc": read_usd_clip,
+    ".usdz": read_usd_clip,
 }
 """Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
@@ -146,6 +159,10 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".npy": _beside(write_npy),
     ".npz": write_npz_clip,
     ".pc2": _beside(write_pc2),
+    ".usd": write_usd_clip,
+    ".usda": write_usd_clip,
+    ".usdc": write_usd_clip,
+    ".usdz": write_usd_clip,
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
 """Files that may hold animations."""
