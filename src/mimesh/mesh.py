@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from .paging import let_go
+from .paging import each_frame, let_go
 
 
 class InputError(ValueError):
@@ -149,7 +149,7 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
             f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
             "export with one topology for the whole clip"
         )
-    for t, vertices in enumerate(clip.vertices):
+    for t, vertices in enumerate(each_frame(clip.vertices)):
         if not np.isfinite(vertices).all():
             raise InputError(
                 f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"

@@ -68,7 +68,32 @@ def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
         write_gltf_clip(clip, temporary, progress)
 
 
+def _read_alembic(path: Path) -> Mesh:
+    from .alembic_read import read_alembic
+
+    return read_alembic(path)
+
+
+def _read_alembic_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    from .alembic_read import read_alembic_clip
+
+    return read_alembic_clip(path, fps, progress)
+
+
+def _write_alembic(mesh: Mesh, path: Path) -> None:
+    from .alembic_write import write_alembic
+
+    write_alembic(mesh, path)
+
+
+def _write_alembic_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
+    from .alembic_write import write_alembic_clip
+
+    write_alembic_clip(clip, path, progress)
+
+
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
+    ".abc": _read_alembic,
     ".glb": _read_gltf,
     ".gltf": _read_gltf,
     ".npz": read_npz,
@@ -79,6 +104,7 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".vrm": _read_gltf,
 }
 MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
+    ".abc": _write_alembic,
     ".glb": _write_gltf,
     ".gltf": _write_gltf,
     ".npz": write_npz,
@@ -87,9 +113,13 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".ply": write_ply,
     ".stl": write_stl,
 }
-CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {".npz": read_npz_clip}
+CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
+    ".abc": _read_alembic_clip,
+    ".npz": read_npz_clip,
+}
 """Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
+    ".abc": _write_alembic_clip,
     ".glb": _write_gltf_clip,
     ".gltf": _write_gltf_clip,
     ".npz": write_npz_clip,
