@@ -73,7 +73,11 @@ def _first_group(head: bytes, path: Path) -> int:
 
 
 def _check_blocks(data: UInt8[np.ndarray, " N"], first: int, path: Path) -> None:
-    """Every group and every piece of data that can be reached must lie within the file."""
+    """Every group and every piece of data that can be reached must lie within the file.
+
+    Nor may a group that has begun to list data go on with an empty group, as one does whose list was overwritten by
+    zeros. What the pieces of data say is left to the library.
+    """
     waiting, seen = [first], set()
     while waiting:
         place = waiting.pop()
@@ -89,4 +93,11 @@ def _check_blocks(data: UInt8[np.ndarray, " N"], first: int, path: Path) -> None
                 "the file is cut short or damaged, export it again"
             )
         if not place & _DATA:
-            waiting += np.frombuffer(data[start + 8 : stop].tobytes(), "<u8").tolist()
+            children = np.frombuffer(data[start + 8 : stop].tobytes(), "<u8")
+            has_begun = np.logical_or.accumulate(children >= _DATA)
+            if (has_begun & (children == 0)).any():
+                raise InputError(
+                    f"{path}: expected samples in all places, found some overwritten by zeros at byte {start}; "
+                    "the file is damaged, export it again"
+                )
+            waiting += children.tolist()
