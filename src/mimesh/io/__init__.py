@@ -152,8 +152,8 @@ def load_clip(
     """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
 
     Args:
-        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file is
-            sampled at it.
+        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file, and
+            an Alembic archive, are sampled at it.
         animation: which one of a glTF file, by name or number; None: the first.
         progress: called with (frames read, frames in all).
 
@@ -208,7 +208,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
 
 
 def save_clip(clip: Clip, path: str | Path, suffix: str | None = None, progress: Progress | None = None) -> None:
-    """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
+    """Write a clip as one file (.glb, .npz, .abc) or, for a path without a suffix, as a folder of numbered meshes.
 
     `suffix` chooses the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
 
