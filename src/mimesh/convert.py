@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .io import FRAMES_ONLY, MESH_WRITERS, clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
+from .io import clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
+from .io.formats import FRAMES_ONLY, MESH_WRITERS
 from .mesh import Clip, InputError, Mesh, cut_clip
 from .paging import Progress
 

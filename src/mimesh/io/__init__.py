@@ -1,16 +1,14 @@
-"""Reading and writing meshes and clips: one file per format, suffix -> function in one literal dict each.
+"""Reading and writing meshes and clips in any format; `formats` says which file does which.
 
-A reader takes a Path and returns a Mesh or Clip, which `load_mesh` and `load_clip` check. A writer takes the Mesh or
-Clip and a Path; the file appears whole or not at all (`atomic.whole_file`). `save_mesh` gives the identity's own file
-back, points moved, whenever the suffix is the one it came with. Readers and writers of clips take frame by frame, so
-that long clips need no memory, and tell how far they are.
+What is read is checked here. `save_mesh` gives the identity's own file back, points moved, whenever the suffix is the
+one it came with. Clips are read and written frame by frame, so that long ones need no memory.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -19,159 +17,26 @@ import numpy as np
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from ..paging import Progress
 from .atomic import whole_file
+from .formats import (
+    ANIMATED,
+    CACHES,
+    CLIP_READERS,
+    CLIP_WRITERS,
+    FRAME_SUFFIXES,
+    MESH_READERS,
+    MESH_WRITERS,
+    MOTIONS,
+)
 from .mtl import copy_companions
-from .npz import read_npz, read_npz_clip, write_npz, write_npz_clip
-from .obj import read_obj, write_obj
 from .obj_source import ObjSource
-from .off import read_off, write_off
-from .ply import PlySource, read_ply, write_ply
-from .point_cache import read_cache, write_mdd, write_npy, write_pc2
+from .ply import PlySource
 from .sequence import read_sequence, write_sequence
-from .stl import read_stl, write_stl
 from .timing import DEFAULT_FPS
-from .usd import read_usd, read_usd_clip, write_usd, write_usd_clip
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
 
 Function = TypeVar("Function")
-
-
-def _read_gltf(path: Path) -> Mesh:
-    from .gltf import read_gltf
-
-    return read_gltf(path)
-
-
-def _write_gltf(mesh: Mesh, path: Path) -> None:
-    from .gltf import write_gltf
-
-    with whole_file(path) as temporary:
-        write_gltf(mesh, temporary)
-
-
-def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
-    """Write a mesh with joints and their animation as .glb or .gltf (see `gltf_skinned`).
-
-    Raises:
-        InputError: another format, or a place that cannot be written to.
-    """
-    from .gltf_skinned import write_gltf_skinned
-
-    path = Path(path)
-    if path.suffix.lower() not in (".glb", ".gltf"):
-        raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
-    with _writing(path), whole_file(path) as temporary:
-        write_gltf_skinned(skeleton, fps, temporary)
-
-
-def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
-    from .gltf import write_gltf_clip
-
-    with whole_file(path) as temporary:
-        write_gltf_clip(clip, temporary, progress)
-
-
-def _read_motion(path: Path) -> Mesh:
-    from ..motions.on_body import motion_file_mesh
-
-    return motion_file_mesh(path)
-
-
-def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from ..motions.on_body import motion_file_clip
-
-    return motion_file_clip(path, fps, progress)
-
-
-def _read_npz(path: Path) -> Mesh:
-    from ..motions.on_body import is_motion_file
-
-    return _read_motion(path) if is_motion_file(path) else read_npz(path)
-
-
-def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from ..motions.on_body import is_motion_file
-
-    return (_read_motion_clip if is_motion_file(path) else read_npz_clip)(path, fps, progress)
-
-
-def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    return read_cache(path, fps, MESH_READERS.keys() - MOTIONS, load_mesh, progress)
-
-
-def _beside(write: Callable[[Clip, Path, Progress | None], None]) -> Callable[[Clip, Path, Progress | None], None]:
-    """A writer of points alone that also writes the mesh they belong to, beside them, so that they can be read."""
-
-    def both(clip: Clip, path: Path, progress: Progress | None) -> None:
-        beside = _mesh_to_write_beside(clip, path)
-        write(clip, path, progress)
-        if beside is not None:
-            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
-
-    return both
-
-
-MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
-    ".bvh": _read_motion,
-    ".glb": _read_gltf,
-    ".gltf": _read_gltf,
-    ".npz": _read_npz,
-    ".obj": read_obj,
-    ".off": read_off,
-    ".ply": read_ply,
-    ".stl": read_stl,
-    ".usd": read_usd,
-    ".usda": read_usd,
-    ".usdc": read_usd,
-    ".usdz": read_usd,
-    ".vrm": _read_gltf,
-}
-MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
-    ".glb": _write_gltf,
-    ".gltf": _write_gltf,
-    ".npz": write_npz,
-    ".obj": write_obj,
-    ".off": write_off,
-    ".ply": write_ply,
-    ".stl": write_stl,
-    ".usd": write_usd,
-    ".usda": write_usd,
-    ".usdc": write_usd,
-    ".usdz": write_usd,
-}
-CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
-    ".bvh": _read_motion_clip,
-    ".mdd": _read_cache,
-    ".npy": _read_cache,
-    ".npz": _read_npz_clip,
-    ".pc2": _read_cache,
-    ".usd": read_usd_clip,
-    ".usda": read_usd_clip,
-    ".usdc": read_usd_clip,
-    ".usdz": read_usd_clip,
-}
-"""Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress."""
-CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
-    ".glb": _write_gltf_clip,
-    ".gltf": _write_gltf_clip,
-    ".mdd": _beside(write_mdd),
-    ".npy": _beside(write_npy),
-    ".npz": write_npz_clip,
-    ".pc2": _beside(write_pc2),
-    ".usd": write_usd_clip,
-    ".usda": write_usd_clip,
-    ".usdc": write_usd_clip,
-    ".usdz": write_usd_clip,
-}
-ANIMATED = (".glb", ".gltf", ".vrm")
-"""Files that may hold animations."""
-MOTIONS = {".bvh"}
-"""Files that never are a frame of a clip."""
-FRAMES_ONLY = (".mdd", ".npy", ".npz", ".pc2")
-"""Files of frames, none of which is the mesh at rest."""
-FRAME_SUFFIXES = (".obj", ".ply")
-"""What a clip is written as when it goes into a folder."""
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -200,8 +65,9 @@ def load_clip(
     A motion file, which has joints and no mesh, is played by the shipped body (`motions.on_body`).
 
     Args:
-        fps: overrides the file's own frame rate; without either it is 30 per second. An animation of a glTF file and a
-            motion file (.bvh, or .npz of joint rotations) are sampled at it.
+        fps: overrides the file's own frame rate; without either it is 30 per second. Files that know the time of their
+            frames (glTF, USD, Alembic, MDD, motions) are sampled at it, so that they last as long as before; others
+            (folders, archives of arrays, PC2) are played at it.
         animation: which one of a glTF file, by name or number; None: the first.
         progress: called with (frames read, frames in all).
 
@@ -262,7 +128,7 @@ def save_clip(
     progress: Progress | None = None,
     blendshapes: int | None = None,
 ) -> float | None:
-    """Write a clip as one file (.glb, .npz) or, for a path without a suffix, as a folder of numbered meshes.
+    """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:
         suffix: the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
@@ -280,8 +146,11 @@ def save_clip(
     if blendshapes is not None:
         return _save_blended(clip, path, progress, blendshapes)
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
+        beside = _mesh_to_write_beside(clip, path) if path.suffix.lower() in CACHES else None
         with _writing(path):
             CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
+        if beside is not None:
+            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
         return None
     if not is_folder:
         raise InputError(
@@ -310,6 +179,21 @@ def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes
         raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
     with _writing(path), whole_file(path) as temporary:
         return write_gltf_clip(clip, temporary, progress, blendshapes)
+
+
+def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
+    """Write a mesh with joints and their animation as .glb or .gltf (see `gltf_skinned`).
+
+    Raises:
+        InputError: another format, or a place that cannot be written to.
+    """
+    from .gltf_skinned import write_gltf_skinned
+
+    path = Path(path)
+    if path.suffix.lower() not in (".glb", ".gltf"):
+        raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
+    with _writing(path), whole_file(path) as temporary:
+        write_gltf_skinned(skeleton, fps, temporary)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

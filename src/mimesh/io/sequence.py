@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import re
 from collections import Counter
@@ -11,12 +12,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import Clip, InputError, Mesh
+from ..mesh import Clip, InputError, Mesh, check_mesh
 from ..paging import Progress, each_frame, stored
 from .atomic import whole_folder
 from .obj import read_obj_points
 from .obj_source import ObjSource
 from .ply import PlySource, read_ply_points
+from .stl import StlSource, read_stl_points
 
 _NUMBER = re.compile(r"\d+")
 
@@ -32,7 +34,7 @@ def read_sequence(
 
     Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
     another name around the number) the longest is read. `read` reads a mesh; later OBJ and PLY frames that differ in
-    nothing but their points are read faster.
+    nothing but their points are read faster. STL frames are welded as the first one is (see `read_stl_points`).
 
     Raises:
         InputError: no numbered meshes, two series of equal length, or a frame of another topology, which is named.
@@ -108,6 +110,9 @@ def _series(path: Path) -> str:
 
 
 def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+    if isinstance(first.source, StlSource) and path.suffix.lower() == ".stl":
+        points = read_stl_points(path, first.source)
+        return check_mesh(dataclasses.replace(first, vertices=points), path).vertices
     points = None
     if isinstance(first.source, ObjSource):
         points = read_obj_points(path, first.source)

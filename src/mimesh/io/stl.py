@@ -15,6 +15,8 @@ from .polygons import unit_rows
 from .text import read_numbers, replace_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_ROUNDING = 1e-5
+"""Of the largest coordinate: corners this near to each other are one vertex, written twice."""
 _HEADER_SIZE = 84  # 80 bytes of anything and a triangle count
 
 
@@ -65,7 +67,7 @@ def read_stl(path: Path) -> Mesh:
     """
     data = path.read_bytes()
     is_text = _is_text(data)
-    soup, parts = _read_text(data, path) if is_text else (_read_binary(data, path), ())
+    soup, parts = _read_soup(data, path)
     merged, index = weld(soup)
     _, first, appearance = np.unique(index, return_index=True, return_inverse=True)
     order = np.argsort(first)
@@ -73,6 +75,34 @@ def read_stl(path: Path) -> Mesh:
     rank[order] = np.arange(len(order))
     vertices, faces = merged[order], rank[appearance].reshape(-1, 3)
     return Mesh(vertices, faces, name=path.stem, parts=parts, source=StlSource(data, vertices, faces, is_text))
+
+
+def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
+    """Vertices of a later frame of a clip, welded as the first frame was: that two meet, or parted ones do, is motion.
+
+    A vertex is where the first of its corners is; the others must be there as well, to rounding.
+
+    Raises:
+        InputError: another number of triangles, or a vertex of the first frame that comes apart in this one.
+    """
+    soup, _ = _read_soup(path.read_bytes(), path)
+    corners = like.faces.reshape(-1)
+    if len(soup) != len(corners):
+        raise InputError(
+            f"{path}: expected {len(like.faces)} triangles as in the first frame, found {len(soup) // 3}; "
+            "export all frames from one mesh"
+        )
+    points = np.empty_like(like.vertices)
+    points[corners[::-1]] = soup[::-1]  # of several corners of one vertex, the first comes last
+    apart = np.abs(soup - points[corners]).max(axis=1) > _ROUNDING * np.abs(soup).max()
+    if apart.any():
+        number = int(np.argmax(apart))
+        raise InputError(
+            f"{path}: expected triangles that meet in the first frame to stay together, found vertex {corners[number]} "
+            f"apart in triangle {number // 3}; begin with a frame in which nothing touches, or export .obj, "
+            "which says what belongs together"
+        )
+    return points
 
 
 def write_stl(mesh: Mesh, path: Path) -> None:
@@ -84,6 +114,11 @@ def write_stl(mesh: Mesh, path: Path) -> None:
     records["corners"] = mesh.vertices[mesh.faces]
     with whole_file(path) as temporary:
         temporary.write_bytes(bytes(80) + len(records).to_bytes(4, "little") + records.tobytes())
+
+
+def _read_soup(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
+    """The corners of all triangles, and the solids of a text file."""
+    return _read_text(data, path) if _is_text(data) else (_read_binary(data, path), ())
 
 
 def _is_text(data: bytes) -> bool:
