@@ -148,13 +148,13 @@ def binding(document: Document, node: int, primitive: dict[str, Any]) -> Binding
     if skin is None or "JOINTS_0" not in primitive["attributes"]:
         return None
     joints, weights = influences(document, primitive)
-    nodes = np.array(document.gltf["skins"][skin]["joints"], np.int64)
+    nodes, T_joint_bind = np.array(document.gltf["skins"][skin]["joints"], np.int64), _inverse_binds(document, skin)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(nodes):
         raise InputError(
             f"{document.path}: expected joints below {len(nodes)} in skin {skin}, found {joints.max()}; "
             "the file is damaged, export it again"
         )
-    return Binding(nodes, _inverse_binds(document, skin), joints, weights)
+    return Binding(nodes, T_joint_bind, joints, weights)
 
 
 def vertex_matrices(
