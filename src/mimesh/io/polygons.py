@@ -44,6 +44,14 @@ def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
     return first + np.where(step < 2, step, 3 * step - 4)
 
 
+def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
+    """Of values at the triangle corners (F, 3), those at the corners of each polygon, as lists."""
+    sizes = polygon_sizes(mesh)
+    flat = values.reshape(-1)[polygon_corners(sizes)].tolist()
+    stops = np.cumsum(sizes).tolist()
+    return [flat[stop - size : stop] for size, stop in zip(sizes.tolist(), stops, strict=True)]
+
+
 def unit_rows(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
     """Vectors at length one; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
