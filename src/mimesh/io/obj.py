@@ -64,6 +64,7 @@ def read_obj_points(path: Path, like: ObjSource) -> Float[np.ndarray, "V 3"] | N
 def write_obj(mesh: Mesh, path: Path) -> None:
     """Write any mesh as a new OBJ file of polygons, with `<name>.mtl` and its images beside it if it has materials."""
     lines = [f"o {mtl.safe_name(mesh.name)}"]
+    called = mtl.material_names(mesh)
     if any(part.material for part in mesh.parts):
         library = mtl.write_library(mesh, path.with_suffix(".mtl"))
         lines.insert(0, f"mtllib {library.name}")
@@ -80,7 +81,7 @@ def write_obj(mesh: Mesh, path: Path) -> None:
     starts = np.cumsum(polygon_sizes(mesh) - 2) - (polygon_sizes(mesh) - 2)  # each polygon's first triangle
     for part in mesh.parts or (Part("", 0, len(mesh.faces)),):
         lines += [f"g {mtl.safe_name(part.name)}"] if part.name else []
-        lines += [f"usemtl {mtl.safe_name(part.material.name)}"] if part.material else []
+        lines += [f"usemtl {called[part.material]}"] if part.material else []
         first, last = np.searchsorted(starts, [part.start, part.stop]).tolist()
         lines += ["f " + " ".join(polygon) for polygon in polygons[first:last]]
     with whole_file(path) as temporary:
@@ -130,14 +131,15 @@ def _find_keywords(lines: Sequence[bytes]) -> dict[bytes, list[int]]:
             continue
         for number in numbers:
             words = lines[number].split(None, 1)
-            word = words[0].removeprefix(b"\xef\xbb\xbf") if words else b""  # a file may begin with a byte order mark
+            # A file may begin with a byte order mark, and a line may be continued right behind its keyword.
+            word = words[0].removeprefix(b"\xef\xbb\xbf").removesuffix(b"\\") if words else b""
             if word in found:
                 found[word].append(number)
     return {word: sorted(numbers) for word, numbers in found.items()}
 
 
 def _logical_lines(data: bytes) -> list[bytes]:
-    """Lines with their ends; a line that ends in a backslash is joined with the next (comments are not)."""
+    """Lines with their ends; a line that ends in a backslash is joined with the next (a comment is not)."""
     lines = data.splitlines(keepends=True)
     if b"\\\n" not in data and b"\\\r" not in data:
         return lines
@@ -148,7 +150,7 @@ def _logical_lines(data: bytes) -> list[bytes]:
             joined[-1] += line
         else:
             joined.append(line)
-        continued = line.rstrip(b"\r\n").endswith(b"\\") and not joined[-1].lstrip().startswith(b"#")
+        continued = line.rstrip(b"\r\n").endswith(b"\\") and b"#" not in joined[-1]
     return joined
 
 
