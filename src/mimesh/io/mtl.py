@@ -9,9 +9,12 @@ from pathlib import Path
 
 from ..mesh import Material, Mesh
 from .atomic import whole_file
+from .text import decoded
 
 _SIGNED = "# written by mimesh\n"
 """First line of our own libraries: those may be written over."""
+DEFAULT = "default"
+"""What faces without a group or a material are given to, for in an OBJ nothing ends the ones before."""
 _MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
 """Beginnings of the statements that name an image."""
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
@@ -30,7 +33,8 @@ def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Materi
         if not (folder / name).is_file():
             continue
         found.append(name)
-        for block in _NEW_MATERIAL.split((folder / name).read_text("utf-8", "replace"))[1:]:
+        text = "\n".join(decoded(line) for line in (folder / name).read_bytes().splitlines())
+        for block in _NEW_MATERIAL.split(text)[1:]:
             material, images = _read_material(block, folder, Path(name).parent)
             materials[material.name] = material
             found += images
@@ -81,7 +85,7 @@ def write_library(mesh: Mesh, path: Path) -> Path:
 def material_names(mesh: Mesh) -> dict[Material, str]:
     """What each material of a mesh is called in a new file: a name of its own, whatever it was called before."""
     names: dict[Material, str] = {}
-    taken: set[str] = set()
+    taken = {DEFAULT} if any(part.material is None for part in mesh.parts) else set()
     for material in (part.material for part in mesh.parts if part.material):
         if material not in names:
             names[material] = _free(safe_name(material.name), taken)

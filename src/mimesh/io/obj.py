@@ -16,7 +16,7 @@ from .atomic import whole_file
 from .colors import linear_rgba, srgb_rgba
 from .obj_source import ObjSource
 from .polygons import fan_corners, polygon_sizes, polygons_of, unit_rows
-from .text import line_number, read_numbers, without_comments
+from .text import decoded, line_number, read_numbers, without_comments
 
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
 _COMPLETE = (b"/0/0", b"/0", b"")  # what a corner such as 7, 7/8 or 7/8/9 lacks of three indices
@@ -79,9 +79,11 @@ def write_obj(mesh: Mesh, path: Path) -> None:
     lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in normals.tolist()]
     polygons = polygons_of(mesh, _corner_words(mesh.faces, uv_index, normal_index))
     starts = np.cumsum(polygon_sizes(mesh) - 2) - (polygon_sizes(mesh) - 2)  # each polygon's first triangle
+    grouped = False
     for part in mesh.parts or (Part("", 0, len(mesh.faces)),):
-        lines += [f"g {mtl.safe_name(part.name)}"] if part.name else []
-        lines += [f"usemtl {called[part.material]}"] if part.material else []
+        grouped = grouped or bool(part.name)  # from then on a part without a name has to say so
+        lines += [f"g {mtl.safe_name(part.name or mtl.DEFAULT)}"] if grouped else []
+        lines += [f"usemtl {called[part.material] if part.material else mtl.DEFAULT}"] if called else []
         first, last = np.searchsorted(starts, [part.start, part.stop]).tolist()
         lines += ["f " + " ".join(polygon) for polygon in polygons[first:last]]
     with whole_file(path) as temporary:
@@ -230,7 +232,7 @@ def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -
     for number, first_face in zip(
         source.state_lines, np.searchsorted(source.face_lines, source.state_lines).tolist(), strict=True
     ):
-        keyword, *rest = source.lines[number].strip().decode("utf-8", "replace").split(None, 1)
+        keyword, *rest = decoded(source.lines[number].strip()).split(None, 1)
         _, name, material = runs[-1]
         value = rest[0] if rest else ""
         run = (first_face, name, value) if keyword == "usemtl" else (first_face, value, material)
@@ -250,7 +252,7 @@ def _library_names(lines: Sequence[bytes], index: Sequence[int], folder: Path) -
     """Names after `mtllib`: one name with spaces if such a file exists, else one per word."""
     names: list[str] = []
     for number in index:
-        rest = lines[number].strip().decode("utf-8", "replace").split(None, 1)[1:]
+        rest = decoded(lines[number].strip()).split(None, 1)[1:]
         for name in (text.replace("\\", "/") for text in rest):
             names += [name] if (folder / name).is_file() else name.split()
     return names

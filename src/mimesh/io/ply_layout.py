@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..mesh import InputError
+from .text import decoded
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -72,7 +73,7 @@ def read_header(data: bytes, path: Path) -> Header:
         raise InputError(
             f"{path}: expected a PLY header from 'ply' to 'end_header', found none; export it again as PLY"
         )
-    texts = [line.decode("utf-8", "replace") for line in data[: end.start()].splitlines()]
+    texts = [decoded(line) for line in data[: end.start()].splitlines()]
     lines = [text.split() for text in texts]
     try:
         encoding = next(words[1] for words in lines if words[:1] == ["format"])
