@@ -178,6 +178,8 @@ def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> byte
         if mesh.corner_uv is not None:
             rows["twice"], rows["uv"] = 2 * size, mesh.corner_uv.reshape(-1, 2)[here].reshape(len(rows), -1)
         pieces[size], widths[sizes == size] = rows, rows.dtype.itemsize
+    if len(pieces) == 1:
+        return rows.tobytes()
     places, body = np.cumsum(widths) - widths, np.zeros(widths.sum(), np.uint8)
     for size, rows in pieces.items():
         width = rows.dtype.itemsize

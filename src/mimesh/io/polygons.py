@@ -47,6 +47,8 @@ def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
 def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
     """Of values at the triangle corners (F, 3), those at the corners of each polygon, as lists."""
     sizes = polygon_sizes(mesh)
+    if (sizes == 3).all():
+        return values.reshape(-1, 3).tolist()
     flat = values.reshape(-1)[polygon_corners(sizes)].tolist()
     stops = np.cumsum(sizes).tolist()
     return [flat[stop - size : stop] for size, stop in zip(sizes.tolist(), stops, strict=True)]
