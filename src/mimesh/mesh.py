@@ -68,6 +68,8 @@ class Mesh:
     """Texture coordinate of each face corner, origin at the lower left (OBJ's way; glTF's v is 1 - ours)."""
     corner_normals: Float[np.ndarray, "F 3 3"] | None = None
     """Unit normal of each face corner where the file gave normals; hard edges live here."""
+    vertex_colors: Float[np.ndarray, "V 4"] | None = None
+    """Linear RGBA of each vertex in 0..1, where the file gave colours; it multiplies the base colour."""
     parts: tuple[Part, ...] = ()
     """Consecutive runs that cover all faces; empty means one unnamed part."""
     source: Source | None = None
@@ -188,7 +190,10 @@ def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
         raise ValueError(f"order must be a permutation of 0..{len(mesh.vertices) - 1}, got {len(order)} entries")
     rank = np.empty(len(order), mesh.faces.dtype)
     rank[order] = np.arange(len(order), dtype=mesh.faces.dtype)
-    return dataclasses.replace(mesh, vertices=mesh.vertices[order], faces=rank[mesh.faces], source=None)
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[order]
+    return dataclasses.replace(
+        mesh, vertices=mesh.vertices[order], faces=rank[mesh.faces], vertex_colors=colors, source=None
+    )
 
 
 def _has_area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import struct
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,14 @@ import pygltflib
 FORMAT = {5120: "b", 5121: "B", 5122: "h", 5123: "H", 5125: "I", 5126: "f"}
 LARGEST = {5120: 127, 5121: 255, 5122: 32767, 5123: 65535}
 COUNT = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+
+
+def json_of(path: Path) -> dict[str, Any]:
+    """The JSON of a .glb or .gltf."""
+    content = path.read_bytes()
+    if path.suffix == ".gltf":
+        return json.loads(content)
+    return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
 class Twin:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
 import gltf_samples as samples
 import numpy as np
 import pytest
-from gltf_twin import Twin
+from gltf_twin import Twin, json_of
 
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.mesh import Mesh
@@ -44,13 +42,6 @@ def written(mesh: Mesh, path: Path, move: Any = None) -> Path:
 
 def plain(primitive: Any) -> dict[str, Any]:
     return {**vars(primitive), "attributes": vars(primitive.attributes)}
-
-
-def json_of(path: Path) -> dict[str, Any]:
-    content = path.read_bytes()
-    if path.suffix == ".gltf":
-        return json.loads(content)
-    return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])

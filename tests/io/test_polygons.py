@@ -1,10 +1,13 @@
 """Polygons become fans of triangles, and come back whole."""
 
+import struct
+
 import numpy as np
 import pytest
 
 from mimesh.io import load_mesh, save_mesh
-from mimesh.io.polygons import fan_corners, polygon_corners, polygon_sizes
+from mimesh.io.obj import write_obj
+from mimesh.io.polygons import fan_corners, polygon_corners, polygon_sizes, polygons_of
 from mimesh.mesh import Mesh
 
 
@@ -32,3 +35,54 @@ def test_a_file_says_how_large_its_polygons_are(tmp_path):
 def test_without_a_file_all_are_triangles():
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2], [2, 1, 0]]))
     assert polygon_sizes(mesh).tolist() == [3, 3]
+
+
+MIXED = (
+    "o thing\n"
+    + "".join(f"v {x} {y} {x * y}\nvt {x / 4} {y / 4}\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (2, 2)))
+    + "usemtl red\nf 1/1 2/2 3/3 4/4\nf 2/2 5/5 6/6\nusemtl blue\nf 1/1 2/2 5/5 6/6 3/3\nf 4/1 3/2 2/3 1/4\n"
+)
+POLYGONS = [[0, 1, 2, 3], [1, 4, 5], [0, 1, 4, 5, 2], [3, 2, 1, 0]]
+
+
+@pytest.mark.parametrize("steps", [("ply",), ("off",), ("ply", "obj"), ("off", "ply", "obj", "off"), ("obj", "ply")])
+def test_polygons_and_seams_survive_other_formats(steps, tmp_path):
+    path = tmp_path / "0.obj"
+    path.write_text(MIXED)
+    mesh = first = load_mesh(path)
+    for number, suffix in enumerate(steps, 1):
+        path = tmp_path / f"{number}.{suffix}"
+        save_mesh(mesh, path)
+        mesh = load_mesh(path)
+        assert polygons_of(mesh, mesh.faces) == POLYGONS
+        assert np.array_equal(mesh.vertices, first.vertices)
+        assert mesh.corner_uv is None or np.array_equal(mesh.corner_uv, first.corner_uv)
+    assert mesh.corner_uv is not None or "off" in steps
+
+
+def test_polygons_stay_in_their_parts(tmp_path):
+    (tmp_path / "a.obj").write_text(MIXED)
+    mesh = load_mesh(tmp_path / "a.obj")
+    write_obj(mesh, tmp_path / "b.obj")
+    back = load_mesh(tmp_path / "b.obj")
+    assert [(p.start, p.stop, p.material.name) for p in back.parts] == [(0, 3, "red"), (3, 8, "blue")]
+    assert polygons_of(back, back.faces) == POLYGONS
+
+
+@pytest.mark.parametrize("corners", [127, 128, 300])
+def test_very_large_polygons_are_counted_in_full(corners, tmp_path):
+    angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    points = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for x, y in zip(np.cos(angle), np.sin(angle), strict=True))
+    (tmp_path / "a.obj").write_text(points + "f " + " ".join(f"{k}/{k}" for k in range(1, corners + 1)) + "\nf 1 2 3\n")
+    save_mesh(load_mesh(tmp_path / "a.obj"), tmp_path / "b.ply")
+    back = load_mesh(tmp_path / "b.ply")
+    assert polygons_of(back, back.faces) == [list(range(corners)), [0, 1, 2]]
+    body = (tmp_path / "b.ply").read_bytes().partition(b"end_header\n")[2][12 * corners :]
+    one, two = ("<B", "<i")[corners > 127], []
+    while body:  # a naive reader of the faces
+        for kind in ("<i", "<f"):
+            (count,) = struct.unpack_from(one, body)
+            two.append(list(struct.unpack_from(f"<{count}{kind[1]}", body, struct.calcsize(one))))
+            body = body[struct.calcsize(one) + 4 * count :]
+    assert (two[0], two[2]) == (list(range(corners)), [0, 1, 2])
+    assert np.array_equal(np.reshape(two[1], (-1, 2)), np.float32(np.stack([np.cos(angle), np.sin(angle)], axis=1)))

@@ -104,7 +104,7 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
 
     Then polygons, texture coordinates, materials, groups, comments and order are as they were, and the material
     libraries and images it names are copied beside it unless files of these names exist. In another format it becomes a
-    new file of triangles.
+    new file: of polygons where the format has them (OBJ, PLY, OFF), else of triangles.
 
     Raises:
         InputError: a format that is not written, or a place that cannot be written to.

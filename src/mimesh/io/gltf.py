@@ -2,6 +2,7 @@
 
 gltf_check -> gltf_document -> gltf_scene -> gltf_read          a file becomes a Mesh
 gltf_draft -> gltf_move -> gltf_primitives -> gltf_edit         its source, written back
+gltf_animation -> gltf_bake                                     its animations as points
               gltf_build, gltf_clip                             a Mesh from elsewhere, frames as morph targets
 """
 
@@ -15,7 +16,8 @@ import numpy as np
 from ..mesh import Clip, Mesh, check_mesh
 from ..paging import Progress, stored
 from .blend_shapes import fit_blend
-from .gltf_animation import baked_frames, find_animation, frame_rate, read_channels
+from .gltf_animation import find_animation, frame_rate, read_channels
+from .gltf_bake import baked_frames
 from .gltf_build import build_document
 from .gltf_check import is_understood
 from .gltf_clip import add_frames

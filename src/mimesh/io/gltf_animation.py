@@ -1,4 +1,4 @@
-"""Animations of a glTF file, baked: node transforms, skins and morph weights become points, frame by frame.
+"""Animations of a glTF file: what moves, and its values at any time.
 
 Keys are read as the standard has them: STEP, LINEAR (rotations along the great arc) and CUBICSPLINE; before the first
 key and after the last one a channel holds its value. Animated pointers of extensions are not read.
@@ -6,18 +6,16 @@ key and after the last one a channel holds its value. Animated pointers of exten
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..mesh import InputError
 from .gltf_document import Document, read_floats
-from .gltf_read import Rest, primitive_of
-from .gltf_scene import morph_weights, morphed, node_matrices, transform, vertex_matrices, world_matrices
-from .timing import LONGEST, frame_count, usual_rate
+from .gltf_scene import dots, quaternions_of_unit
+from .timing import usual_rate
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """What moves, and how many numbers that is; as many as there are targets for weights."""
@@ -34,27 +32,29 @@ class Channel:
     """At the keys; three times as wide with in- and out-tangents around them if cubic."""
     interpolation: str
 
-    def at(self, time: float) -> Float[np.ndarray, " C"]:
-        """The value at a time in seconds."""
+    def at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
+        """The values at times in seconds."""
         width = self.values.shape[1] // (3 if self.interpolation == "CUBICSPLINE" else 1)
         middle = slice(width, 2 * width) if self.interpolation == "CUBICSPLINE" else slice(0, width)
-        after = int(np.searchsorted(self.times, time, side="right"))
-        if after == 0 or after == len(self.times):
-            value = self.values[min(after, len(self.times) - 1), middle]
-        else:
-            value = self._between(after, time, middle)
-        return value / (np.linalg.norm(value) or 1.0) if self.path == "rotation" else value
+        after = np.searchsorted(self.times, times, side="right")
+        values = self.values[np.minimum(after, len(self.times) - 1), middle]
+        inside = (after > 0) & (after < len(self.times))
+        values[inside] = self._between(after[inside], times[inside], middle)
+        return quaternions_of_unit(values) if self.path == "rotation" else values
 
-    def _between(self, after: int, time: float, middle: slice) -> Float[np.ndarray, " C"]:
-        start, end = self.times[after - 1 : after + 1]
-        s, a, b = (time - start) / (end - start), self.values[after - 1], self.values[after]
+    def _between(
+        self, after: Int[np.ndarray, " T"], times: Float[np.ndarray, " T"], middle: slice
+    ) -> Float[np.ndarray, "T C"]:
+        a, b = self.values[after - 1], self.values[after]
         if self.interpolation == "STEP":
-            return a[middle]
+            return a[:, middle]
+        span = (self.times[after] - self.times[after - 1])[:, None]
+        s = (times - self.times[after - 1])[:, None] / span
         if self.interpolation == "CUBICSPLINE":
             width = middle.stop - middle.start
-            leaving, arriving = (end - start) * a[2 * width :], (end - start) * b[:width]
+            leaving, arriving = span * a[:, 2 * width :], span * b[:, :width]
             hermite = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
-            return hermite[0] * a[middle] + hermite[1] * leaving + hermite[2] * b[middle] + hermite[3] * arriving
+            return hermite[0] * a[:, middle] + hermite[1] * leaving + hermite[2] * b[:, middle] + hermite[3] * arriving
         return _slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
 
 
@@ -111,31 +111,6 @@ def frame_rate(channels: list[Channel]) -> float | None:
     return usual_rate(np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)])))
 
 
-def baked_frames(
-    document: Document, rest: Rest, channels: list[Channel], fps: float
-) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
-    """How many frames an animation has, and the vertices of the Mesh in each: frame k is at k / fps seconds."""
-    last = max((float(channel.times[-1]) for channel in channels), default=0.0)
-    if last > LONGEST:
-        raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
-    count = frame_count(last, fps)
-    return count, (_frame(document, rest, channels, t / fps) for t in range(count))
-
-
-def _frame(document: Document, rest: Rest, channels: list[Channel], time: float) -> Float[np.ndarray, "V 3"]:
-    values = {(channel.node, channel.path): channel.at(time) for channel in channels}
-    T_world_node = world_matrices(document, node_matrices(document, values))
-    points = []
-    for run in rest.runs:
-        primitive = primitive_of(document, (run.node, run.primitives[0]))
-        weights = values.get((run.node, "weights"))
-        weights = morph_weights(document, run.node) if weights is None else weights.tolist()
-        still = morphed(document, primitive, "POSITION", weights)
-        assert still is not None
-        points.append(transform(vertex_matrices(document, run.node, primitive, T_world_node), still))
-    return np.concatenate(points)
-
-
 def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> Channel:
     times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
     interpolation = sampler.get("interpolation", "LINEAR")
@@ -157,11 +132,14 @@ def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]
     return Channel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
 
 
-def _slerp(a: Float[np.ndarray, 4], b: Float[np.ndarray, 4], s: float) -> Float[np.ndarray, 4]:
-    """Along the shorter arc between two unit quaternions."""
-    cosine = float(a @ b)
-    b, cosine = (-b, -cosine) if cosine < 0 else (b, cosine)
-    if cosine > 0.9995:
-        return (1 - s) * a + s * b
-    angle = np.arccos(cosine)
-    return (np.sin((1 - s) * angle) * a + np.sin(s * angle) * b) / np.sin(angle)
+def _slerp(
+    a: Float[np.ndarray, "T 4"], b: Float[np.ndarray, "T 4"], s: Float[np.ndarray, "T 1"]
+) -> Float[np.ndarray, "T 4"]:
+    """Along the shorter arc between unit quaternions; between near ones along the chord."""
+    cosine = dots(a, b)
+    b, cosine = np.where(cosine < 0, -b, b), np.abs(cosine)
+    values = (1 - s) * a + s * b
+    far = cosine[:, 0] <= 0.9995
+    angle, s = np.arccos(cosine[far]), s[far]
+    values[far] = (np.sin((1 - s) * angle) * a[far] + np.sin(s * angle) * b[far]) / np.sin(angle)
+    return values

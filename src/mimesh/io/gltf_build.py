@@ -16,6 +16,9 @@ from .gltf_read import POINTS
 GREY = Material("default")
 """For parts without a material: glTF's own default is a bare metal, which looks black in most viewers."""
 
+WHITE = Material("default", (1.0, 1.0, 1.0, 1.0))
+"""The same where vertices have colours, which it multiplies."""
+
 
 def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
     """A document that shows `moved`, with its vertices split where the uv or the normal of `mesh` changes.
@@ -27,11 +30,12 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
     primitives, placed = [], []
     materials: dict[Material, int] = {}
+    bare = GREY if mesh.vertex_colors is None else WHITE
     for part, vertex_of, corner_of, indices in _split_parts(mesh):
         primitive = _primitive(draft, moved, vertex_of, corner_of)
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
-            primitive["material"] = materials.setdefault(part.material or GREY, len(materials))
+            primitive["material"] = materials.setdefault(part.material or bare, len(materials))
         primitives.append(primitive)
         placed.append(Placed(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"]))
     draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0}]
@@ -76,8 +80,10 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
 def _primitive(
     draft: Draft, moved: Mesh, vertex_of: Int[np.ndarray, " N"], corner_of: Int[np.ndarray, " N"]
 ) -> dict[str, Any]:
-    """Positions of all elements; normals and uv too where there are faces."""
+    """Positions and colours of all elements; normals and uv too where there are faces."""
     attributes = {"POSITION": draft.add_floats(moved.vertices[vertex_of], VERTEX_DATA, bounds=True)}
+    if moved.vertex_colors is not None:
+        attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], VERTEX_DATA)
     if not (corner_of >= 0).any():
         return {"attributes": attributes, "mode": POINTS}
     if moved.corner_normals is not None:

@@ -104,6 +104,9 @@ REFERENCES = {
 COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 """Extensions that hide the vertices from us where they are required; elsewhere the file has plain data beside them."""
 
+PICTURES = {"KHR_texture_basisu"}
+"""Extensions that hide the pictures from us where they are required; elsewhere the file has PNG or JPEG beside them."""
+
 HARMLESS = (
     "KHR_materials_",
     "KHR_texture_",
@@ -185,6 +188,11 @@ def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
             raise InputError(
                 f"{path}: expected plain vertex data, found {name}; export without compression (Blender: untick "
                 "'Compression'; gltf-transform: 'copy' after removing it)"
+            )
+        if str(name) in PICTURES:
+            raise InputError(
+                f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
+                "(gltf-transform: 'png' or 'jpeg')"
             )
         if not is_understood(str(name)):
             raise InputError(

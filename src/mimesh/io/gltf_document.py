@@ -288,5 +288,7 @@ def _fetch(uri: str, path: Path) -> bytes | None:
             return base64.b64decode(uri.partition(",")[2], validate=True)
         except binascii.Error as error:
             raise InputError(f"{path}: expected base64 data in a data: URI, found {error}; export it again") from error
-    file = path.parent / unquote(uri)
-    return file.read_bytes() if uri and os.path.isfile(file) else None
+    for name in (unquote(uri), uri):  # some exporters write names as they are
+        if uri and os.path.isfile(path.parent / name):
+            return (path.parent / name).read_bytes()
+    return None

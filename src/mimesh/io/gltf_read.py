@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 
 from ..geometry import face_vectors
 from ..mesh import InputError, Material, Mesh, Part
+from .colors import with_alpha
 from .gltf_document import Document, image_type
 from .gltf_scene import (
     attribute,
@@ -80,6 +81,7 @@ def read_rest(document: Document) -> tuple[Mesh, Rest]:
         name=document.path.stem,
         corner_uv=_corner_uv(document, shown, rows),
         corner_normals=_corner_normals(document, shown, rows, T_world_node, face_vectors(vertices, faces)),
+        vertex_colors=_vertex_colors(document, runs, len(vertices)),
         parts=_parts(document, rest),
     )
     return mesh, rest
@@ -190,6 +192,24 @@ def _corner_normals(
     normals = np.concatenate(corners)
     flat = np.where(vectors.any(axis=1, keepdims=True), unit(vectors), [0.0, 1.0, 0.0])[:, None]
     return np.where(normals.any(axis=2, keepdims=True), normals, flat)
+
+
+def _vertex_colors(document: Document, runs: tuple[Run, ...], count: int) -> Float[np.ndarray, "V 4"] | None:
+    """COLOR_0 of all vertices, white where a primitive has none; None where no primitive has any.
+
+    Of primitives that draw one vertex in several colours the last one counts.
+    """
+    colors = np.ones((count, 4))
+    found = False
+    for run in runs:
+        for number in run.primitives:
+            primitive = primitive_of(document, (run.node, number))
+            values = attribute(document, primitive, "COLOR_0")
+            if values is not None:
+                drawn = read_indices(document, primitive)
+                colors[run.start + drawn] = with_alpha(values)[drawn]
+                found = True
+    return colors if found else None
 
 
 def _corner_uv(document: Document, shown: list[Shown], rows: list[np.ndarray]) -> Float[np.ndarray, "F 3 2"] | None:

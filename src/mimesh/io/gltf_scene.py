@@ -7,31 +7,37 @@ same functions serve the file's rest state and any frame of its animations.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..mesh import InputError
 from .gltf_document import Document, read_accessor, read_floats
 
-REST_TURN_AND_SCALE = {"rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
-def node_matrices(
-    document: Document, moved: Mapping[tuple[int, str], np.ndarray] | None = None
-) -> Float[np.ndarray, "N 4 4"]:
-    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale.
-
-    `moved` gives the translation, rotation or scale of nodes (by number and name) where an animation has changed it.
-    """
-    nodes = [dict(node) for node in document.gltf.get("nodes", [])]
-    for (node, path), value in (moved or {}).items():
-        nodes[node][path] = value
-    return np.array([_node_matrix(node) for node in nodes], np.float64).reshape(-1, 4, 4)
+def node_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
+    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale."""
+    return np.array([_node_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
-def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "N 4 4"]:
+def moved_matrices(
+    document: Document, moved: Mapping[tuple[int, str], Float[np.ndarray, "T C"]], frames: int
+) -> Float[np.ndarray, "T N 4 4"]:
+    """The same in each frame, where `moved` gives the translation, rotation or scale of nodes by number and name."""
+    T_parent_node = np.tile(node_matrices(document), (frames, 1, 1, 1))
+    changes: dict[int, dict[str, Any]] = {}
+    for (node, path), values in moved.items():
+        changes.setdefault(node, {})[path] = values
+    for node, values in changes.items():
+        T_parent_node[:, node] = _node_matrix({**document.gltf["nodes"][node], **values})
+    return T_parent_node
+
+
+def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:
     """Each node's transform to the world: the product of the transforms from its root down.
 
     Raises:
@@ -41,7 +47,7 @@ def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "N 4 4"]
     parent = parents_of(document)
     for node in parents_first(document, parent):
         if parent[node] >= 0:
-            T_world_node[node] = T_world_node[parent[node]] @ T_parent_node[node]
+            T_world_node[..., node, :, :] = T_world_node[..., parent[node], :, :] @ T_parent_node[..., node, :, :]
     return T_world_node
 
 
@@ -111,45 +117,76 @@ def morph_weights(document: Document, node: int) -> list[float]:
     return [float(weight) for weight in weights]
 
 
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """Which nodes hold the vertices of a primitive, and how: all that a skin says, in no particular pose."""
+
+    nodes: Int[np.ndarray, " J"]
+    """The joints of the skin."""
+    T_joint_bind: Float[np.ndarray, "J 4 4"] | None
+    """Inverse bind matrices; None where the skin has none, that is where they do nothing."""
+    joints: Int[np.ndarray, "V K"]
+    weights: Float[np.ndarray, "V K"]
+    """Rows sum to 1."""
+
+    def matrices(self, T_world_node: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "V 3 4"]:
+        """The blend of the joints' transforms that takes each vertex to the world."""
+        T_world_bind = T_world_node[self.nodes]
+        T_world_bind = T_world_bind if self.T_joint_bind is None else T_world_bind @ self.T_joint_bind
+        blend = np.zeros((len(self.joints), 3, 4))
+        for joint, weight in zip(self.joints.T, self.weights.T, strict=True):
+            blend += weight[:, None, None] * T_world_bind[joint, :3]
+        return blend
+
+
+def binding(document: Document, node: int, primitive: dict[str, Any]) -> Binding | None:
+    """How the skin of a node holds the vertices of a primitive; None where they follow the node itself.
+
+    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js.
+    """
+    skin = document.gltf["nodes"][node].get("skin")
+    if skin is None or "JOINTS_0" not in primitive["attributes"]:
+        return None
+    joints, weights = influences(document, primitive)
+    nodes, T_joint_bind = np.array(document.gltf["skins"][skin]["joints"], np.int64), _inverse_binds(document, skin)
+    if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(nodes):
+        raise InputError(
+            f"{document.path}: expected joints below {len(nodes)} in skin {skin}, found {joints.max()}; "
+            "the file is damaged, export it again"
+        )
+    return Binding(nodes, T_joint_bind, joints, weights)
+
+
 def vertex_matrices(
     document: Document, node: int, primitive: dict[str, Any], T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "M 3 4"]:
     """What takes each vertex of a primitive to the world: its joints' blend, or one matrix for all without a skin.
 
-    A skinned vertex ignores the transform of the node that shows it, as glTF has it. Weights are divided by their sum;
-    a vertex without any weight follows its first joint, as in three.js.
+    A skinned vertex ignores the transform of the node that shows it, as glTF has it.
     """
-    skin = document.gltf["nodes"][node].get("skin")
-    if skin is None or "JOINTS_0" not in primitive["attributes"]:
-        return T_world_node[node][None, :3]
-    joints, weights = influences(document, primitive)
-    T_world_bind = joint_matrices(document, skin, T_world_node)
-    if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(T_world_bind):
-        raise InputError(
-            f"{document.path}: expected joints below {len(T_world_bind)} in skin {skin}, found {joints.max()}; "
-            "the file is damaged, export it again"
-        )
-    blend = np.zeros((len(joints), 3, 4))
-    for joint, weight in zip(joints.T, weights.T, strict=True):
-        blend += weight[:, None, None] * T_world_bind[joint, :3]
-    return blend
+    bound = binding(document, node, primitive)
+    return T_world_node[node][None, :3] if bound is None else bound.matrices(T_world_node)
 
 
 def joint_matrices(
     document: Document, skin: int, T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "J 4 4"]:
     """World from bind space for each joint of a skin: its node's transform times its inverse bind matrix."""
+    T_world_joint, T_joint_bind = T_world_node[document.gltf["skins"][skin]["joints"]], _inverse_binds(document, skin)
+    return T_world_joint if T_joint_bind is None else T_world_joint @ T_joint_bind
+
+
+def _inverse_binds(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] | None:
     entry = document.gltf["skins"][skin]
-    T_world_joint = T_world_node[entry["joints"]]
     if "inverseBindMatrices" not in entry:
-        return T_world_joint
-    columns = read_floats(document, entry["inverseBindMatrices"])
-    if columns.shape[1] != 16 or len(columns) < len(T_world_joint):
+        return None
+    count, columns = len(entry["joints"]), read_floats(document, entry["inverseBindMatrices"])
+    if columns.shape[1] != 16 or len(columns) < count:
         raise InputError(
-            f"{document.path}: expected {len(T_world_joint)} inverse bind matrices in skin {skin}, found "
+            f"{document.path}: expected {count} inverse bind matrices in skin {skin}, found "
             f"{len(columns)} x {columns.shape[1]} numbers; export it again"
         )
-    return T_world_joint @ columns[: len(T_world_joint)].reshape(-1, 4, 4).transpose(0, 2, 1)
+    return columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
 
 
 def transform(matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
@@ -175,25 +212,37 @@ def unit(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
     return vectors / np.where(length > 0, length, 1.0)
 
 
-def _node_matrix(node: dict[str, Any]) -> Float[np.ndarray, "4 4"]:
+def dots(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
+    """The inner product of each pair of rows."""
+    return (a[..., None, :] @ b[..., :, None])[..., 0]
+
+
+def quaternions_of_unit(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
+    """Quaternions at length one; zeros stay."""
+    length = np.sqrt(dots(quat_xyzw, quat_xyzw))
+    return quat_xyzw / np.where(length > 0, length, 1.0)
+
+
+def _node_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+    """Of one node, whose translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    matrix = np.eye(4)
-    rotation, scale = (np.array(node.get(key, rest), np.float64) for key, rest in REST_TURN_AND_SCALE.items())
-    matrix[:3, :3] = _rotation(rotation) * scale
-    matrix[:3, 3] = node.get("translation", [0, 0, 0])
+    values = {path: np.array(node.get(path, rest), np.float64) for path, rest in REST.items()}
+    matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
+    matrix[..., :3, :3] = _rotation(values["rotation"]) * values["scale"][..., None, :]
+    matrix[..., :3, 3] = values["translation"]
+    matrix[..., 3, 3] = 1.0
     return matrix
 
 
-def _rotation(quat_xyzw: Float[np.ndarray, 4]) -> Float[np.ndarray, "3 3"]:
-    x, y, z, w = quat_xyzw / (np.linalg.norm(quat_xyzw) or 1.0)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+def _rotation(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
+    x, y, z, w = np.moveaxis(quaternions_of_unit(quat_xyzw), -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 def parents_of(document: Document) -> list[int]:

@@ -9,17 +9,23 @@ from pathlib import Path
 
 from ..mesh import Material, Mesh
 from .atomic import whole_file
+from .text import decoded
 
 _SIGNED = "# written by mimesh\n"
 """First line of our own libraries: those may be written over."""
+DEFAULT = "default"
+"""What faces without a group or a material are given to, for in an OBJ nothing ends the ones before."""
+_MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
+"""Beginnings of the statements that name an image."""
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
 
 
 def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Material], list[str]]:
     """Materials of the libraries that can be read, and the files found (libraries and images), relative to `folder`.
 
-    Takes name, diffuse colour (Kd, taken as linear), opacity (d or Tr) and the diffuse image (map_Kd). A library or an
-    image that is not there costs the looks, never the mesh.
+    Takes name, diffuse colour (Kd, taken as linear), opacity (d or Tr) and the diffuse image (map_Kd). Images of other
+    statements (bumps, gloss, reflections) are found too. A library or an image that is not there costs the looks, never
+    the mesh.
     """
     materials: dict[str, Material] = {}
     found: list[str] = []
@@ -27,10 +33,11 @@ def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Materi
         if not (folder / name).is_file():
             continue
         found.append(name)
-        for block in _NEW_MATERIAL.split((folder / name).read_text("utf-8", "replace"))[1:]:
-            material, image = _read_material(block, folder, Path(name).parent)
+        text = "\n".join(decoded(line) for line in (folder / name).read_bytes().splitlines())
+        for block in _NEW_MATERIAL.split(text)[1:]:
+            material, images = _read_material(block, folder, Path(name).parent)
             materials[material.name] = material
-            found += [image] if image else []
+            found += images
     return materials, list(dict.fromkeys(found))
 
 
@@ -69,11 +76,33 @@ def write_library(mesh: Mesh, path: Path) -> Path:
     wanted, number = path, 2
     while path.exists() and not path.read_text("utf-8", "replace").startswith(_SIGNED):
         path, number = wanted.with_stem(f"{wanted.stem}-{number}"), number + 1
-    materials = {safe_name(part.material.name): part.material for part in mesh.parts if part.material}
-    text = _SIGNED + "".join(_material_text(name, material, path) for name, material in materials.items())
+    text = _SIGNED + "".join(_material_text(name, material, path) for material, name in material_names(mesh).items())
     with whole_file(path) as temporary:
         temporary.write_text(text, "utf-8")
     return path
+
+
+def material_names(mesh: Mesh) -> dict[Material, str]:
+    """What each material of a mesh is called in a new file: a name of its own, whatever it was called before."""
+    names: dict[Material, str] = {}
+    taken = {DEFAULT} if any(part.material is None for part in mesh.parts) else set()
+    for material in (part.material for part in mesh.parts if part.material):
+        if material not in names:
+            names[material] = _free(safe_name(material.name), taken)
+            taken |= {names[material].lower(), _file_word(names[material]).lower()}
+    return names
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """The name, or with the next free number; images are called after it, on systems that know no capitals too."""
+    wanted, number = name, 2
+    while name.lower() in taken or _file_word(name).lower() in taken:
+        name, number = f"{wanted}-{number}", number + 1
+    return name
+
+
+def _file_word(name: str) -> str:
+    return "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
 
 
 def safe_name(name: str) -> str:
@@ -86,14 +115,14 @@ def _material_text(name: str, material: Material, path: Path) -> str:
     text = f"newmtl {name}\nKd {red:.6g} {green:.6g} {blue:.6g}\nd {alpha:.6g}\n"
     if material.texture is None:
         return text + "\n"
-    word = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in name)
-    image = path.with_name(f"{path.stem}_{word}{image_suffix(material.texture)}")
+    image = path.with_name(f"{path.stem}_{_file_word(name)}{image_suffix(material.texture)}")
     with whole_file(image) as temporary:
         temporary.write_bytes(material.texture)
     return text + f"map_Kd {image.name}\n\n"
 
 
-def _read_material(block: str, folder: Path, inner: Path) -> tuple[Material, str]:
+def _read_material(block: str, folder: Path, inner: Path) -> tuple[Material, list[str]]:
+    """A material, and all images that it names and that are there."""
     lines = block.splitlines()
     pairs = [line.split(None, 1) for line in lines[1:]]
     values = {pair[0].lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
@@ -102,7 +131,8 @@ def _read_material(block: str, folder: Path, inner: Path) -> tuple[Material, str
     opacity = _numbers(values.get("d", ""), 1) or [1.0 - t for t in _numbers(values.get("tr", ""), 1)] or [1.0]
     texture = read_image(folder / image) if image else None
     name = lines[0].strip() if lines else ""
-    return Material(name, (color[0], color[1], color[2], opacity[0]), texture), image
+    others = [_find_image(text, folder, inner) for word, text in values.items() if word.startswith(_MAPS)]
+    return Material(name, (color[0], color[1], color[2], opacity[0]), texture), [name for name in others if name]
 
 
 def _numbers(text: str, count: int) -> list[float]:

@@ -13,9 +13,10 @@ from jaxtyping import Float, Int
 from ..mesh import InputError, Material, Mesh, Part
 from . import mtl
 from .atomic import whole_file
+from .colors import linear_rgba, srgb_rgba
 from .obj_source import ObjSource
-from .polygons import fan_corners, unit_rows
-from .text import line_number, read_numbers, without_comments
+from .polygons import fan_corners, polygon_sizes, polygons_of, unit_rows
+from .text import decoded, line_number, read_numbers, without_comments
 
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
 _COMPLETE = (b"/0/0", b"/0", b"")  # what a corner such as 7, 7/8 or 7/8/9 lacks of three indices
@@ -24,9 +25,11 @@ _COMPLETE = (b"/0/0", b"/0", b"")  # what a corner such as 7, 7/8 or 7/8/9 lacks
 def read_obj(path: Path) -> Mesh:
     """Read an OBJ file: vertices in the file's order and count, polygons as triangle fans, looks if the .mtl is there.
 
-    Parts are runs of faces under one `o` or `g` and one `usemtl`. The rest of the file (n-gons, lines, points,
-    smoothing, vertex colours, comments, unknown statements) is kept in `source`. Where only some corners have a
-    texture coordinate the others get (0, 0); where only some have a normal the others get their vertex's.
+    Parts are runs of faces under one `o` or `g` and one `usemtl`. Six numbers after `v` are a point and its colour,
+    sRGB-encoded, in 0..1 or, if any is above 1, in 0..255. The rest of the file (n-gons, lines, points, smoothing,
+    comments, unknown statements) is kept in `source`. Where only some corners have a texture coordinate the others get
+    (0, 0); where only some have a normal the others get their vertex's; where only some vertices have a colour the
+    others are white.
 
     Raises:
         InputError: a number or an index that cannot be read or is out of range; the line is named.
@@ -40,6 +43,7 @@ def read_obj(path: Path) -> Mesh:
         name=path.stem,
         corner_uv=_corner_uv(source, uv_index, path),
         corner_normals=_corner_normals(source, faces, normal_index),
+        vertex_colors=_vertex_colors(source, path),
         parts=_read_parts(source, polygon, path),
         source=source,
     )
@@ -58,21 +62,30 @@ def read_obj_points(path: Path, like: ObjSource) -> Float[np.ndarray, "V 3"] | N
 
 
 def write_obj(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new OBJ file of triangles, with `<name>.mtl` and its images beside it if it has materials."""
+    """Write any mesh as a new OBJ file of polygons, with `<name>.mtl` and its images beside it if it has materials."""
     lines = [f"o {mtl.safe_name(mesh.name)}"]
+    called = mtl.material_names(mesh)
     if any(part.material for part in mesh.parts):
         library = mtl.write_library(mesh, path.with_suffix(".mtl"))
         lines.insert(0, f"mtllib {library.name}")
-    lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
+    points = [f"v {x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
+    if mesh.vertex_colors is not None:
+        colors = srgb_rgba(mesh.vertex_colors)[:, :3].tolist()  # an OBJ has no alpha
+        points = [f"{point} {r:.6g} {g:.6g} {b:.6g}" for point, (r, g, b) in zip(points, colors, strict=True)]
+    lines += points
     uv, uv_index = _distinct(mesh.corner_uv)
     normals, normal_index = _distinct(mesh.corner_normals)
     lines += [f"vt {u!r} {v!r}" for u, v in uv.tolist()]
     lines += [f"vn {x:.6g} {y:.6g} {z:.6g}" for x, y, z in normals.tolist()]
-    corners = _corner_words(mesh.faces, uv_index, normal_index)
+    polygons = polygons_of(mesh, _corner_words(mesh.faces, uv_index, normal_index))
+    starts = np.cumsum(polygon_sizes(mesh) - 2) - (polygon_sizes(mesh) - 2)  # each polygon's first triangle
+    grouped = False
     for part in mesh.parts or (Part("", 0, len(mesh.faces)),):
-        lines += [f"g {mtl.safe_name(part.name)}"] if part.name else []
-        lines += [f"usemtl {mtl.safe_name(part.material.name)}"] if part.material else []
-        lines += [f"f {a} {b} {c}" for a, b, c in corners[part.start : part.stop]]
+        grouped = grouped or bool(part.name)  # from then on a part without a name has to say so
+        lines += [f"g {mtl.safe_name(part.name or mtl.DEFAULT)}"] if grouped else []
+        lines += [f"usemtl {called[part.material] if part.material else mtl.DEFAULT}"] if called else []
+        first, last = np.searchsorted(starts, [part.start, part.stop]).tolist()
+        lines += ["f " + " ".join(polygon) for polygon in polygons[first:last]]
     with whole_file(path) as temporary:
         temporary.write_bytes("\n".join([*lines, ""]).encode())
 
@@ -120,14 +133,15 @@ def _find_keywords(lines: Sequence[bytes]) -> dict[bytes, list[int]]:
             continue
         for number in numbers:
             words = lines[number].split(None, 1)
-            word = words[0].removeprefix(b"\xef\xbb\xbf") if words else b""  # a file may begin with a byte order mark
+            # A file may begin with a byte order mark, and a line may be continued right behind its keyword.
+            word = words[0].removeprefix(b"\xef\xbb\xbf").removesuffix(b"\\") if words else b""
             if word in found:
                 found[word].append(number)
     return {word: sorted(numbers) for word, numbers in found.items()}
 
 
 def _logical_lines(data: bytes) -> list[bytes]:
-    """Lines with their ends; a line that ends in a backslash is joined with the next (comments are not)."""
+    """Lines with their ends; a line that ends in a backslash is joined with the next (a comment is not)."""
     lines = data.splitlines(keepends=True)
     if b"\\\n" not in data and b"\\\r" not in data:
         return lines
@@ -138,7 +152,7 @@ def _logical_lines(data: bytes) -> list[bytes]:
             joined[-1] += line
         else:
             joined.append(line)
-        continued = line.rstrip(b"\r\n").endswith(b"\\") and not joined[-1].lstrip().startswith(b"#")
+        continued = line.rstrip(b"\r\n").endswith(b"\\") and b"#" not in joined[-1]
     return joined
 
 
@@ -201,13 +215,24 @@ def _corner_normals(source: ObjSource, faces, index: Int[np.ndarray, "F 3"]) -> 
     return np.where(index[..., None] >= 0, source.normals[index], vertex_normals(source.vertices, faces)[faces])
 
 
+def _vertex_colors(source: ObjSource, path: Path) -> Float[np.ndarray, "V 4"] | None:
+    rows = without_comments([source.lines[i] for i in source.vertex_lines.tolist()])
+    colored = np.flatnonzero(np.array([len(row.split()) for row in rows], int) == 7)
+    if not len(colored):
+        return None
+    values = np.ones((len(rows), 3))
+    given = read_numbers(source.lines, source.vertex_lines[colored].tolist(), 4, 3, path)
+    values[colored] = given / 255 if given.max() > 1 else given
+    return linear_rgba(values)
+
+
 def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -> tuple[Part, ...]:
     """Runs of triangles under one name and material; none where the file has a single unnamed run."""
     runs: list[tuple[int, str, str]] = [(0, "", "")]
     for number, first_face in zip(
         source.state_lines, np.searchsorted(source.face_lines, source.state_lines).tolist(), strict=True
     ):
-        keyword, *rest = source.lines[number].strip().decode("utf-8", "replace").split(None, 1)
+        keyword, *rest = decoded(source.lines[number].strip()).split(None, 1)
         _, name, material = runs[-1]
         value = rest[0] if rest else ""
         run = (first_face, name, value) if keyword == "usemtl" else (first_face, value, material)
@@ -227,7 +252,7 @@ def _library_names(lines: Sequence[bytes], index: Sequence[int], folder: Path) -
     """Names after `mtllib`: one name with spaces if such a file exists, else one per word."""
     names: list[str] = []
     for number in index:
-        rest = lines[number].strip().decode("utf-8", "replace").split(None, 1)[1:]
+        rest = decoded(lines[number].strip()).split(None, 1)[1:]
         for name in (text.replace("\\", "/") for text in rest):
             names += [name] if (folder / name).is_file() else name.split()
     return names
@@ -241,12 +266,11 @@ def _distinct(values) -> tuple[np.ndarray, np.ndarray | None]:
     return flat, index.reshape(values.shape[:2])
 
 
-def _corner_words(faces, uv_index, normal_index) -> list[list[str]]:
+def _corner_words(faces, uv_index, normal_index) -> np.ndarray:
     def words(index) -> list[str]:
         return [""] * faces.size if index is None else [str(i) for i in (index.ravel() + 1).tolist()]
 
     ending = {(True, True): "{}", (False, True): "{}/{}", (True, False): "{}//{}", (False, False): "{}/{}/{}"}
     pattern = ending[uv_index is None, normal_index is None]
     columns = [words(index) for index in (faces, uv_index, normal_index) if index is not None]
-    flat = [pattern.format(*row) for row in zip(*columns, strict=True)]
-    return [flat[i : i + 3] for i in range(0, len(flat), 3)]
+    return np.array([pattern.format(*row) for row in zip(*columns, strict=True)], object)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..mesh import InputError, Mesh
 from .atomic import whole_file
-from .polygons import fan_corners, scatter_corners, unit_rows
+from .polygons import fan_corners, polygons_of, scatter_corners, unit_rows
 from .text import line_number, read_numbers, replace_rows, without_comments
 
 # The counts may follow the keyword on its line, even without a space (ModelNet); the keyword may be missing.
@@ -27,6 +27,8 @@ class OffSource:
     vertex_lines: Int[np.ndarray, " V"]
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
+    sizes: Int[np.ndarray, " P"]
+    """Corners of each polygon."""
     normals: Float[np.ndarray, "V 3"] | None
     """Vertex normals at length one, in a NOFF file."""
     suffix = ".off"
@@ -63,18 +65,19 @@ def read_off(path: Path) -> Mesh:
         )
     vertex_lines, face_lines = rows[:vertex_count], rows[vertex_count:]
     vertices = read_numbers(lines, vertex_lines, 0, 3, path)
-    faces = _read_faces(plain, face_lines, vertex_count, path)
+    faces, sizes = _read_faces(plain, face_lines, vertex_count, path)
     normals = unit_rows(read_numbers(lines, vertex_lines, 3, 3, path)) if has_normals else None
     corner_normals = normals[faces] if normals is not None and len(faces) else None
-    source = OffSource(lines, np.array(vertex_lines, int), vertices, faces, normals)
+    source = OffSource(lines, np.array(vertex_lines, int), vertices, faces, sizes, normals)
     return Mesh(vertices, faces, name=path.stem, corner_normals=corner_normals, source=source)
 
 
 def write_off(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new OFF file of triangles; normals, texture coordinates and materials are not written."""
-    lines = ["OFF", f"{len(mesh.vertices)} {len(mesh.faces)} 0"]
+    """Write any mesh as a new OFF file of polygons; normals, texture coordinates and looks are not written."""
+    polygons = polygons_of(mesh, mesh.faces)
+    lines = ["OFF", f"{len(mesh.vertices)} {len(polygons)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
-    lines += [f"3 {a} {b} {c}" for a, b, c in mesh.faces.tolist()]
+    lines += [" ".join(map(str, [len(polygon), *polygon])) for polygon in polygons]
     with whole_file(path) as temporary:
         temporary.write_bytes("\n".join([*lines, ""]).encode())
 
@@ -100,7 +103,10 @@ def _read_header(lines: list[bytes], full: list[int], path: Path) -> tuple[int, 
     return int(counts[0]), int(counts[1]), used, b"N" in (match["kind"] or b"")
 
 
-def _read_faces(lines: list[bytes], index: list[int], vertex_count: int, path: Path) -> Int[np.ndarray, "F 3"]:
+def _read_faces(
+    lines: list[bytes], index: list[int], vertex_count: int, path: Path
+) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " P"]]:
+    """Triangles, and the corners of the polygons they are of."""
     rows = [lines[i].split() for i in index]
     try:
         polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]
@@ -115,5 +121,5 @@ def _read_faces(lines: list[bytes], index: list[int], vertex_count: int, path: P
                 f"{path}: expected a corner count and indices in 0..{vertex_count - 1}, "
                 f"found {found!r} in line {line_number(lines, i)}; the file is damaged, export it again"
             )
-    triangles, _ = fan_corners(np.array([len(polygon) for polygon in polygons], int))
-    return np.array(list(chain.from_iterable(polygons)), np.int64)[triangles]
+    sizes = np.array([len(polygon) for polygon in polygons], int)
+    return np.array(list(chain.from_iterable(polygons)), np.int64)[fan_corners(sizes)[0]], sizes

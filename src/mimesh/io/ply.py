@@ -11,10 +11,12 @@ from jaxtyping import Float, Int
 
 from ..mesh import InputError, Material, Mesh, Part
 from .atomic import whole_file
+from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image
 from .ply_layout import Column, Header, gather, locate, read_header, read_units, scatter
-from .polygons import fan_corners, scatter_corners, unit_rows
+from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners, unit_rows
 
+_COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
 
 
@@ -30,6 +32,8 @@ class PlySource:
     columns: dict[str, dict[str, Column]]
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
+    sizes: Int[np.ndarray, " P"]
+    """Corners of each polygon."""
     normals: Float[np.ndarray, "V 3"] | None
     """Vertex normals at length one, where the file has nx, ny, nz."""
     companions: list[str]
@@ -84,8 +88,8 @@ def read_ply(path: Path) -> Mesh:
     """Read a PLY file: vertices in the file's order, polygons as triangle fans; without faces it is a point cloud.
 
     Takes normals (nx ny nz), texture coordinates per vertex (s t, u v, texture_u texture_v) or per face corner
-    (texcoord), and the image of a `comment TextureFile`. All else (colours, confidence, other elements) is kept in
-    `source`. Triangle strips are not read.
+    (texcoord), colours per vertex (red green blue, alpha, taken as sRGB-encoded), and the image of a `comment
+    TextureFile`. All else (confidence, other elements) is kept in `source`. Triangle strips are not read.
 
     Raises:
         InputError: a header or body that is damaged or cut short, or has no x, y, z.
@@ -117,8 +121,9 @@ def read_ply(path: Path) -> Mesh:
         name=path.stem,
         corner_uv=_read_uv(columns, units, faces, triangles, sizes),
         corner_normals=normals[faces] if normals is not None and len(faces) else None,
+        vertex_colors=_read_colors(columns["vertex"], units),
         parts=parts,
-        source=PlySource(path, data, header, units, columns, vertices, faces, normals, companions),
+        source=PlySource(path, data, header, units, columns, vertices, faces, sizes, normals, companions),
     )
 
 
@@ -138,24 +143,48 @@ def read_ply_points(path: Path, like: PlySource) -> Float[np.ndarray, "V 3"] | N
 
 
 def write_ply(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new binary PLY file: float positions, triangles and corner texture coordinates.
+    """Write any mesh as a new binary PLY file: float positions, colours, polygons and corner texture coordinates.
 
-    Normals, parts, materials and images are not written.
+    Colours are sRGB-encoded bytes. Normals, parts, materials and images are not written.
     """
-    uv = mesh.corner_uv is not None
+    sizes = polygon_sizes(mesh)
+    count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"
+    vertex = [("xyz", "<f4", (3,))] + ([("rgba", "u1", (4,))] if mesh.vertex_colors is not None else [])
+    rows = np.zeros(len(mesh.vertices), np.dtype(vertex))
+    rows["xyz"] = mesh.vertices
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(mesh.vertices)}"]
     header += [f"property float {axis}" for axis in "xyz"]
-    if len(mesh.faces):
-        header += [f"element face {len(mesh.faces)}", "property list uchar int vertex_indices"]
-        header += ["property list uchar float texcoord"] if uv else []
-    fields = [("count", "u1"), ("corners", "<i4", (3,))] + ([("six", "u1"), ("uv", "<f4", (6,))] if uv else [])
-    rows = np.zeros(len(mesh.faces), np.dtype(fields))
-    rows["count"], rows["corners"] = 3, mesh.faces
-    if mesh.corner_uv is not None:
-        rows["six"], rows["uv"] = 6, mesh.corner_uv.reshape(-1, 6)
+    if mesh.vertex_colors is not None:
+        header += [f"property uchar {name}" for name in _COLOR_NAMES]
+        rows["rgba"] = np.round(255 * srgb_rgba(mesh.vertex_colors))
+    if len(sizes):
+        header += [f"element face {len(sizes)}", f"property list {count} int vertex_indices"]
+        header += [f"property list {count} float texcoord"] if mesh.corner_uv is not None else []
     with whole_file(path) as temporary:
         text = "\n".join([*header, "end_header", ""]).encode()
-        temporary.write_bytes(text + mesh.vertices.astype("<f4").tobytes() + rows.tobytes())
+        temporary.write_bytes(text + rows.tobytes() + _polygon_bytes(mesh, sizes, count))
+
+
+def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> bytes:
+    """The face element: each polygon's vertices, and its texture coordinates if the mesh has any."""
+    corners, number = polygon_corners(sizes), "u1" if count == "uchar" else "<i4"
+    first = np.cumsum(sizes) - sizes
+    pieces, widths = {}, np.zeros(len(sizes), np.int64)
+    for size in np.unique(sizes).tolist():
+        fields = [("count", number), ("corners", "<i4", (size,)), ("twice", number), ("uv", "<f4", (2 * size,))]
+        rows = np.zeros((sizes == size).sum(), np.dtype(fields if mesh.corner_uv is not None else fields[:2]))
+        here = corners[first[sizes == size, None] + np.arange(size)]
+        rows["count"], rows["corners"] = size, mesh.faces.reshape(-1)[here]
+        if mesh.corner_uv is not None:
+            rows["twice"], rows["uv"] = 2 * size, mesh.corner_uv.reshape(-1, 2)[here].reshape(len(rows), -1)
+        pieces[size], widths[sizes == size] = rows, rows.dtype.itemsize
+    if len(pieces) == 1:
+        return rows.tobytes()
+    places, body = np.cumsum(widths) - widths, np.zeros(widths.sum(), np.uint8)
+    for size, rows in pieces.items():
+        width = rows.dtype.itemsize
+        body[places[sizes == size, None] + np.arange(width)] = rows.view(np.uint8).reshape(-1, width)
+    return body.tobytes()
 
 
 def _read_points(columns, units: np.ndarray, names: tuple[str, str, str]) -> Float[np.ndarray, "V 3"] | None:
@@ -186,6 +215,19 @@ def _read_uv(columns, units: np.ndarray, faces, triangles, sizes) -> Float[np.nd
         if len(faces) and all(name in vertex and vertex[name].counts is None for name in pair):
             return np.stack([gather(units, vertex[name]).astype(np.float64) for name in pair], axis=1)[faces]
     return None
+
+
+def _read_colors(vertex: dict[str, Column], units: np.ndarray) -> Float[np.ndarray, "V 4"] | None:
+    """Linear colours of the vertices; integers are 0..1 of their type's range, floats as they are."""
+    names = [name for name in _COLOR_NAMES if name in vertex and vertex[name].counts is None]
+    if names[:3] != list(_COLOR_NAMES[:3]):
+        return None
+    values = [gather(units, vertex[name]) / _full(vertex[name].dtype) for name in names]
+    return linear_rgba(np.stack(values, axis=1).astype(np.float64))
+
+
+def _full(dtype: np.dtype) -> float:
+    return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
 
 
 def _read_texture(header: Header, path: Path, faces: int) -> tuple[tuple[Part, ...], list[str]]:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..mesh import InputError
+from .text import decoded
 
 _TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -67,12 +68,13 @@ def read_header(data: bytes, path: Path) -> Header:
     Raises:
         InputError: not a PLY file, or a header that is cut short or says what PLY does not know.
     """
-    end = re.search(rb"[\r\n]end_header", data)
+    end = re.search(rb"([\r\n])end_header[ \t]*", data)
     if not data.startswith(b"ply") or end is None:
         raise InputError(
             f"{path}: expected a PLY header from 'ply' to 'end_header', found none; export it again as PLY"
         )
-    lines = [line.decode("utf-8", "replace").split() for line in data[: end.start()].splitlines()]
+    texts = [decoded(line) for line in data[: end.start()].splitlines()]
+    lines = [text.split() for text in texts]
     try:
         encoding = next(words[1] for words in lines if words[:1] == ["format"])
         order = _BYTE_ORDERS[encoding]
@@ -82,8 +84,10 @@ def read_header(data: bytes, path: Path) -> Header:
             f"{path}: expected a PLY header with a known format, elements and property types, "
             f"found {str(error) or 'no format'}; export it again as binary PLY"
         ) from error
-    comments = tuple(" ".join(words[1:]) for words in lines if words[:1] == ["comment"])
-    return Header(order == "=", elements, comments, end.end() + (2 if data[end.end() :][:2] == b"\r\n" else 1))
+    comments = tuple(text.strip().removeprefix("comment").strip() for text in texts if text.split()[:1] == ["comment"])
+    # Where lines end in a bare CR, an LF behind the last one is the first byte of the body.
+    is_pair = end[1] == b"\n" and data[end.end() :][:2] == b"\r\n"
+    return Header(order == "=", elements, comments, end.end() + (2 if is_pair else 1))
 
 
 def read_units(data: bytes, header: Header, path: Path) -> np.ndarray:

@@ -50,6 +50,16 @@ def backwards(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
     return 2 * first + np.repeat(sizes, sizes) - 1 - np.arange(len(first))
 
 
+def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
+    """Of values at the triangle corners (F, 3), those at the corners of each polygon, as lists."""
+    sizes = polygon_sizes(mesh)
+    if (sizes == 3).all():
+        return values.reshape(-1, 3).tolist()
+    flat = values.reshape(-1)[polygon_corners(sizes)].tolist()
+    stops = np.cumsum(sizes).tolist()
+    return [flat[stop - size : stop] for size, stop in zip(sizes.tolist(), stops, strict=True)]
+
+
 def unit_rows(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
     """Vectors at length one; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)

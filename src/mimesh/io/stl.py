@@ -12,7 +12,7 @@ from ..geometry import face_vectors, weld
 from ..mesh import InputError, Mesh, Part
 from .atomic import whole_file
 from .polygons import unit_rows
-from .text import read_numbers, replace_numbers
+from .text import decoded, read_numbers, replace_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _ROUNDING = 1e-5
@@ -159,7 +159,7 @@ def _read_parts(lines: list[bytes], facets: list[int]) -> tuple[Part, ...]:
     if len(solids) < 2:
         return ()
     starts = np.searchsorted(facets, solids).tolist()
-    names = [b" ".join(lines[i].split()[1:]).decode("utf-8", "replace") for i in solids]
+    names = [decoded(b" ".join(lines[i].split()[1:])) for i in solids]
     spans = zip(names, starts, [*starts[1:], len(facets)], strict=True)
     return tuple(Part(name, start, stop) for name, start, stop in spans if start < stop)
 

@@ -25,6 +25,14 @@ def without_comments(lines: Iterable[bytes]) -> list[bytes]:
     return [line if b"#" not in line and b"\\" not in line else _clean(line) for line in lines]
 
 
+def decoded(name: bytes) -> str:
+    """Text of a file that does not say how it is encoded: UTF-8, else Latin-1."""
+    try:
+        return name.decode("utf-8")
+    except UnicodeDecodeError:
+        return name.decode("latin-1")
+
+
 def line_number(lines: Sequence[bytes], index: int) -> int:
     """The number an editor shows for `lines[index]`, counted from 1; continued lines count as several."""
     return 1 + sum(len(line.splitlines()) for line in lines[:index])

@@ -1,0 +1,104 @@
+"""Hostile but legal text files: nothing of them is lost, whatever is done to their points."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import hostile
+import numpy as np
+import pytest
+from nasty import naive_obj, triangles_of
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.mesh import Clip, Mesh
+
+FILES = {
+    (suffix, name): text
+    for suffix in ("obj", "ply", "off", "stl")
+    for name, text in getattr(hostile, suffix.upper()).items()
+}
+ENDS = {"LF": b"\n", "CRLF": b"\r\n", "CR": b"\r"}
+
+
+@pytest.fixture(params=[(*key, end) for key in FILES for end in ENDS], ids=" ".join)
+def file(request, tmp_path) -> Path:
+    suffix, name, end = request.param
+    folder = tmp_path / "Größe & 大小 #1 %20"
+    folder.mkdir()
+    path = folder / f"{name} ü.{suffix}"
+    path.write_bytes(FILES[suffix, name].replace(b"\n", ENDS[end]))
+    return path
+
+
+def shifted(mesh: Mesh) -> Mesh:
+    """Every second vertex elsewhere, so that some lines change and others must not."""
+    vertices = mesh.vertices.copy()
+    vertices[1::2] += np.array([0.125, -3.0, 1 / 3]) * np.maximum(1.0, np.abs(vertices[1::2]))
+    return mesh.with_vertices(vertices)
+
+
+def words_of(data: bytes) -> list[bytes]:
+    """All words and all gaps between them."""
+    return re.split(rb"([\s\\]+)", data)
+
+
+def test_unmoved_the_file_is_the_same_byte_by_byte(file):
+    save_mesh(load_mesh(file), file.with_stem("same"))
+    assert file.with_stem("same").read_bytes() == file.read_bytes()
+
+
+def test_moved_points_come_back_and_everything_else_does_too(file):
+    mesh = load_mesh(file)
+    moved = shifted(mesh)
+    save_mesh(moved, file.with_stem("moved"))
+    back = load_mesh(file.with_stem("moved"))
+    width = np.float32 if b"property float" in file.read_bytes() else np.float64
+    assert np.array_equal(back.vertices.astype(width), moved.vertices.astype(width))
+    assert np.array_equal(back.faces, mesh.faces)
+    assert [(p.name, p.start, p.stop) for p in back.parts] == [(p.name, p.start, p.stop) for p in mesh.parts]
+    for name in ("corner_uv", "vertex_colors"):
+        assert np.array_equal(getattr(back, name), getattr(mesh, name))
+
+
+def test_only_numbers_change_and_only_of_points_that_moved(file):
+    mesh = load_mesh(file)
+    # A step keeps all normals; where they turn, lines for more of them may be added.
+    moved = mesh.with_vertices(mesh.vertices + 1) if mesh.corner_normals is not None else shifted(mesh)
+    save_mesh(moved, file.with_stem("moved"))
+    before, after = (words_of(path.read_bytes()) for path in (file, file.with_stem("moved")))
+    assert before[1::2] == after[1::2]  # all gaps, line ends included
+    changed = sum(old != new for old, new in zip(before, after, strict=True))
+    points = (moved.vertices != mesh.vertices).any(axis=1).sum()
+    assert 0 < changed <= (12 * len(mesh.faces) if file.suffix == ".stl" else 3 * points)
+
+
+@pytest.mark.parametrize("name", hostile.OBJ)
+def test_a_naive_reader_finds_the_same_polygons(name, tmp_path):
+    text = hostile.OBJ[name]
+    (tmp_path / "a.obj").write_bytes(text)
+    mesh = load_mesh(tmp_path / "a.obj")
+    naive = re.sub(rb"#[^\n]*", b"", text)  # a comment ends with its line, whatever it ends in
+    vertices, polygons, _ = naive_obj(re.sub(rb"(?m)^\s*f\s", b"f ", naive))
+    assert np.array_equal(mesh.vertices, vertices)
+    assert np.array_equal(mesh.faces, triangles_of(polygons)[0])
+
+
+@pytest.mark.parametrize("key", FILES, ids=" ".join)
+def test_a_clip_keeps_looks_and_names(key, tmp_path):
+    file = tmp_path / f"a.{key[0]}"
+    file.write_bytes(FILES[key])
+    mesh = load_mesh(file)
+    moved = shifted(mesh)
+    save_clip(Clip(mesh, np.stack([mesh.vertices, moved.vertices])), file.with_name("clip.glb"))
+    clip = load_clip(file.with_name("clip.glb"))
+    size = np.abs(moved.vertices).max()
+    for frame, wanted in zip(clip.vertices, (mesh.vertices, moved.vertices), strict=True):
+        assert np.allclose(frame[clip.mesh.faces], wanted[mesh.faces], atol=1e-6 * size)
+    if mesh.corner_uv is not None:
+        assert np.allclose(clip.mesh.corner_uv, mesh.corner_uv, atol=1e-6)
+    if mesh.vertex_colors is not None:
+        colors = clip.mesh.vertex_colors[clip.mesh.faces]
+        assert np.allclose(colors, mesh.vertex_colors[mesh.faces], atol=1e-6)
+    names = [(p.material.name if p.material else "default", p.start, p.stop) for p in mesh.parts]
+    assert not names or [(p.material.name, p.start, p.stop) for p in clip.mesh.parts] == names

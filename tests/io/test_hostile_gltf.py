@@ -1,0 +1,230 @@
+"""Hostile but legal glTF: all that a file says besides points and normals is in the written one."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+from gltf_twin import Twin, json_of
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.mesh import Clip, InputError
+
+MOVED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_0", "WEIGHTS_0")
+BYTES_OF = ("accessors", "bufferViews", "buffers", "images", "skins", "animations")
+FOLDER = "Größe & 大小 #1"
+
+
+def sparse_over_a_view(sample: samples.Sample, values: np.ndarray) -> int:
+    """An accessor whose view is wrong in two rows, which its sparse part puts right."""
+    wrong, places = values.copy(), np.array([1, len(values) - 1])
+    wrong[places] += 9
+    index = sample.accessor(wrong)
+    indices = {"bufferView": sample.view(places.astype("<u4").tobytes()), "componentType": 5125}
+    patch = {"bufferView": sample.view(values[places].astype("<f4").tobytes())}
+    sample.gltf["accessors"][index] |= {"sparse": {"count": 2, "indices": indices, "values": patch}}
+    return index
+
+
+def everything() -> samples.Sample:
+    """Quantised points under a scaling node, two scenes, variants, transformed textures, extras of every kind."""
+    sample = samples.Sample()
+    positions, normals, uv, faces = samples.box(0.5)
+    rng = np.random.default_rng(0)
+    attributes = {
+        "POSITION": sample.accessor(np.round((positions + 0.5) * 65535), "u2", normalized=True),
+        "NORMAL": sample.accessor(np.round(normals * 127), "i1", normalized=True),
+        "TEXCOORD_0": sample.accessor(np.round(uv * 255), "u1", normalized=True),
+        "TEXCOORD_1": sparse_over_a_view(sample, rng.random((24, 2))),
+        "COLOR_0": sample.accessor(rng.random((24, 4))),
+        "COLOR_1": sample.accessor(rng.integers(0, 65536, (24, 3)), "u2", normalized=True),
+        "_HEAT": sample.accessor(rng.random(24)),
+    }
+    soup = positions[faces.ravel()] + [3, 0, 0]
+    red = {"index": 0, "texCoord": 1, "extensions": {"KHR_texture_transform": {"offset": [0.5, 0], "scale": [2, -1]}}}
+    variants = {"mappings": [{"material": 1, "variants": [0], "name": "x"}, {"material": 0, "variants": [1]}]}
+    sample.gltf |= {
+        "extensionsUsed": [
+            "KHR_mesh_quantization",
+            "KHR_texture_transform",
+            "KHR_materials_variants",
+            "KHR_lights_punctual",
+        ],
+        "extensionsRequired": ["KHR_mesh_quantization", "KHR_texture_transform"],
+        "extensions": {
+            "KHR_materials_variants": {"variants": [{"name": "été"}, {"name": "winter 冬"}]},
+            "KHR_lights_punctual": {"lights": [{"type": "spot", "spot": {}, "extras": [1, {"a": None}]}]},
+        },
+        "extras": {"nested": [1, 2.5, "ü", None, {"deep": True}]},
+        "scene": 1,
+        "scenes": [{"name": "other", "nodes": [4]}, {"name": "shown 舞台", "nodes": [0], "extras": 7}],
+        "nodes": [
+            {"name": "root / 根", "scale": [-2, 1, 1], "rotation": samples.QUARTER, "children": [1, 3]},
+            {"name": "grown", "scale": [0.5, 4, 1], "translation": [1, 2, 3], "children": [2]},
+            {"name": "name with  spaces", "mesh": 0, "matrix": [0, -1, 0, 0, 1, 0, 0, 0, 0, 0, -1, 0, 5, 6, 7, 1]},
+            {"name": "lamp", "extensions": {"KHR_lights_punctual": {"light": 0}}, "camera": 0},
+            {"name": "elsewhere", "mesh": 0, "extras": {"x": "y"}},
+        ],
+        "cameras": [{"type": "orthographic", "orthographic": {"xmag": 1, "ymag": 1, "znear": 0.1, "zfar": 9}}],
+        "materials": [
+            {"name": "Ziegel rot", "pbrMetallicRoughness": {"baseColorTexture": red}, "normalTexture": {"index": 0}},
+            {"name": "Ziegel rot", "emissiveFactor": [1, 0, 0], "alphaMode": "MASK", "alphaCutoff": 0.25},
+        ],
+        "textures": [{"source": 0, "sampler": 0, "name": "t"}],
+        "samplers": [{"magFilter": 9728, "wrapS": 33648}],
+        "images": [{"bufferView": sample.view(samples.png()), "mimeType": "image/png", "name": "red ü"}],
+        "meshes": [
+            {
+                "name": "box 箱",
+                "extras": {"lod": 1},
+                "primitives": [
+                    {
+                        "attributes": attributes,
+                        "indices": sample.indices(faces, "u1"),
+                        "material": 0,
+                        "extensions": {"KHR_materials_variants": variants},
+                    },
+                    {"attributes": {"POSITION": sample.accessor(soup)}, "material": 1, "extras": "no indices"},
+                    {"attributes": {"POSITION": sample.accessor(soup[:5])}, "mode": 3},
+                    {"attributes": {"POSITION": sample.accessor(soup[:6])}, "mode": 5},
+                ],
+            }
+        ],
+    }
+    return sample
+
+
+def twin_of(path: Path) -> Twin:
+    """A second reader of the file without its extras, of which it knows only objects."""
+    copy, gltf = path.with_stem("plain"), json_of(path)
+    text = json.dumps(without_extras(gltf)).encode()
+    binary = (
+        b"" if path.suffix == ".gltf" else path.read_bytes()[28 + struct.unpack_from("<I", path.read_bytes(), 12)[0] :]
+    )
+    copy.write_bytes(text if path.suffix == ".gltf" else samples.pack_glb(json.loads(text), binary))
+    return Twin(copy)
+
+
+def without_extras(value: Any) -> Any:
+    if isinstance(value, list):
+        return [without_extras(item) for item in value]
+    if isinstance(value, dict):
+        return {key: without_extras(item) for key, item in value.items() if key != "extras"}
+    return value
+
+
+def resolved(path: Path) -> dict[str, Any]:
+    """The JSON of a file with the values behind its references in their place; without what is moved or dropped."""
+    twin, gltf = twin_of(path), json_of(path)
+    for mesh in gltf["meshes"]:
+        for primitive in mesh["primitives"]:
+            primitive["attributes"] = {
+                name: values_of(twin, index) for name, index in primitive["attributes"].items() if name not in MOVED
+            }
+            primitive["indices"] = values_of(twin, primitive["indices"]) if "indices" in primitive else None
+            primitive["targets"] = len(primitive.get("targets", []))
+    images = [(twin.image(number), image.get("name")) for number, image in enumerate(gltf.get("images", []))]
+    return {**{key: value for key, value in gltf.items() if key not in BYTES_OF}, "images": images}
+
+
+def values_of(twin: Twin, index: int) -> tuple:
+    entry = twin.file.accessors[index]
+    return entry.componentType, entry.type, bool(entry.normalized), twin.values(index).tolist()
+
+
+def without_meshes(gltf: dict[str, Any]) -> dict[str, Any]:
+    """Each node with the mesh that it shows: shared meshes may have become several."""
+    meshes = gltf.pop("meshes")
+    for node in gltf["nodes"]:
+        if "mesh" in node:
+            node["mesh"] = meshes[node["mesh"]]
+        node.pop("skin", None)
+    return gltf
+
+
+@pytest.mark.parametrize("make", [everything, samples.hero, samples.props])
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_all_but_points_and_normals_is_as_it_was(make, suffix, tmp_path):
+    path = make().glb(tmp_path / "a.glb")
+    mesh = load_mesh(path)
+    moved = mesh.with_vertices(mesh.vertices * [1, 1.5, 1] + [0, 0.25, 1])
+    save_mesh(moved, tmp_path / f"b{suffix}")
+    assert without_meshes(resolved(tmp_path / f"b{suffix}")) == without_meshes(resolved(path))
+    back = load_mesh(tmp_path / f"b{suffix}")
+    assert np.allclose(back.vertices, moved.vertices, atol=1e-6 * np.ptp(moved.vertices))
+    for name in ("faces", "corner_uv", "vertex_colors"):
+        assert np.array_equal(getattr(back, name), getattr(mesh, name))
+    assert back.parts == mesh.parts
+
+
+@pytest.mark.parametrize("make", [everything, samples.hero, samples.props])
+def test_a_clip_keeps_all_that_is_not_moved(make, tmp_path):
+    path = make().glb(tmp_path / "a.glb")
+    mesh = load_mesh(path)
+    frames = np.stack([mesh.vertices + [t, 0, 0.5 * t] for t in range(3)])
+    save_clip(Clip(mesh, frames), tmp_path / "b.glb")
+    before, after = (without_meshes(resolved(file)) for file in (path, tmp_path / "b.glb"))
+    for node in [*before["nodes"], *after["nodes"]]:
+        for name in ("extras", "weights"):
+            node.get("mesh", {}).pop(name, None)
+        for primitive in node.get("mesh", {}).get("primitives", []):
+            primitive.pop("targets", None)
+    assert after == before
+    clip = load_clip(tmp_path / "b.glb")
+    assert np.allclose(clip.vertices, frames, atol=1e-6 * np.ptp(frames))
+    assert clip.mesh.parts == mesh.parts
+
+
+@pytest.mark.parametrize("name", ["the data.bin", "50%20off.bin", "数据 #1?.bin", "a+b&c.bin"])
+@pytest.mark.parametrize("escape", [quote, str], ids=["escaped", "as it is"])
+def test_buffers_and_images_beside_the_file_are_found(name, escape, tmp_path):
+    sample = everything()
+    (tmp_path / FOLDER / "maps").mkdir(parents=True)
+    (tmp_path / FOLDER / name).write_bytes(sample.data)
+    picture = f"maps/{Path(name).stem}.png"
+    (tmp_path / FOLDER / picture).write_bytes(samples.png())
+    gltf = sample.finished()
+    gltf["buffers"][0]["uri"] = escape(name)
+    gltf["images"].append({"uri": escape(picture)})
+    (tmp_path / FOLDER / "a b.gltf").write_text(json.dumps(gltf), "utf-8")
+    mesh = load_mesh(tmp_path / FOLDER / "a b.gltf")
+    assert np.array_equal(mesh.vertices, load_mesh(everything().glb(tmp_path / "a.glb")).vertices)
+    save_mesh(mesh, tmp_path / "out" / "a b.gltf")
+    assert [twin_of(tmp_path / "out" / "a b.gltf").image(number) for number in range(2)] == [samples.png()] * 2
+
+
+@pytest.mark.parametrize(
+    ("extension", "remedy"),
+    [
+        ("KHR_draco_mesh_compression", "without compression"),
+        ("EXT_meshopt_compression", "without compression"),
+        ("KHR_texture_basisu", "PNG or JPEG"),
+        ("ACME_fur", "without it"),
+    ],
+)
+def test_required_extensions_that_are_not_understood_are_named(extension, remedy, tmp_path):
+    sample = everything()
+    sample.gltf["extensionsUsed"].append(extension)
+    sample.gltf["extensionsRequired"].append(extension)
+    with pytest.raises(InputError, match=extension) as caught:
+        load_mesh(sample.glb(tmp_path / "a.glb"))
+    assert remedy in str(caught.value)
+
+
+def test_an_optional_picture_format_stays_beside_the_plain_one(tmp_path):
+    sample = everything()
+    sample.gltf["extensionsUsed"].append("KHR_texture_basisu")
+    ktx = b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(68)
+    sample.gltf["images"].append({"bufferView": sample.view(ktx), "mimeType": "image/ktx2"})
+    sample.gltf["textures"][0]["extensions"] = {"KHR_texture_basisu": {"source": 1}}
+    mesh = load_mesh(sample.glb(tmp_path / "a.glb"))
+    save_mesh(mesh, tmp_path / "b.glb")
+    assert json_of(tmp_path / "b.glb")["textures"][0] == sample.gltf["textures"][0]
+    assert twin_of(tmp_path / "b.glb").image(1) == ktx
+    assert mesh.parts[0].material.texture == samples.png()
