@@ -64,8 +64,11 @@ def convert(
     if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         return _convert_mesh(load_mesh(source), target)
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
-    wanted = (start, stop, step) if frame is None else (frame, frame + 1 or None, 1)
-    clip = cut_clip(clip, *wanted)
+    if frame is not None:
+        if not -len(clip) <= frame < len(clip):
+            raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
+        start, stop, step = frame, frame + 1 or None, 1
+    clip = cut_clip(clip, start, stop, step)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not moving:
         return _convert_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))

@@ -173,8 +173,8 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
     vertices = clip.vertices[start:stop:step]
     if len(vertices) == 0:
         raise InputError(
-            f"{clip.mesh.name}: expected frames within its {len(clip)}, found {start} to "
-            f"{'the end' if stop is None else stop}, which leaves none; give others"
+            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
+            f"{'the end' if stop is None else stop}, which leaves none; change them"
         )
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
     return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)

@@ -85,7 +85,7 @@ def test_a_movie_that_fails_halfway_leaves_no_file(tmp_path):
 @pytest.mark.parametrize(
     ("name", "frames", "fps", "message"),
     [
-        ("a.mp4", 2, 10.0, "expected a movie name ending in .webp or .gif, found .mp4"),
+        ("a.avi", 2, 10.0, "expected a movie name ending in .webp, .gif or .mp4, found .avi"),
         ("a", 2, 10.0, "found no suffix"),
         ("a.gif", 0, 10.0, "expected at least one frame, found none"),
         ("a.gif", 2, 0.0, "expected a positive frame rate, found 0"),

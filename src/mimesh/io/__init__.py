@@ -68,7 +68,7 @@ def load_clip(
         fps: overrides the file's own frame rate; without either it is 30 per second. Files that know the time of their
             frames (glTF, USD, Alembic, MDD, motions) are sampled at it, so that they last as long as before; others
             (folders, archives of arrays, PC2) are played at it.
-        animation: which one of a glTF file, by name or number; None: the first.
+        animation: which one of a glTF file, by name or number; None: the first, with those that move other nodes.
         progress: called with (frames read, frames in all).
 
     Raises:

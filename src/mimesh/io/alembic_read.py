@@ -140,9 +140,7 @@ def _join(shapes: list[Shape], start: float, others: dict[str, int], path: Path)
     )
 
 
-def _all_corners(
-    given: list[Float[np.ndarray, "C K"] | None], surfaces: list[Surface]
-) -> Float[np.ndarray, "D K"] | None:
+def _all_corners(given: list[np.ndarray | None], surfaces: list[Surface]) -> Float[np.ndarray, "C K"] | None:
     """Values of all corners, zeros where a mesh has none; None where no mesh has any."""
     width = next((values.shape[1] for values in given if values is not None), None)
     if width is None:

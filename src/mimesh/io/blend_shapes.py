@@ -1,7 +1,7 @@
 """A clip as a few blend shapes with weights over time: principal components of how it departs from its first frame.
 
-Of all ways to show T frames with K shapes on top of frame 0 this has the least squared error. Frame 0 itself is exact,
-its weights are all zero. Weights reach from -1 to 1 at most.
+Of all ways to show T frames with K shapes and an exact frame 0 this has the least squared error. Weights reach from 0
+to 1, because clients cut off others; so the shapes are added to a base that is not itself a frame.
 """
 
 from __future__ import annotations
@@ -22,15 +22,19 @@ NOTHING = 1e-14
 
 @dataclass(frozen=True, eq=False)
 class Blend:
-    """Weights of K shapes in every frame; the shapes follow from the frames (`shares`)."""
+    """A base and the weights of K shapes on top of it in every frame."""
 
+    base: Float[np.ndarray, "V 3"]
     weights: Float32[np.ndarray, "T K"]
     error: float
     """Farthest that any vertex is from where it should be, in the mesh's unit."""
 
     def shares(self) -> Float[np.ndarray, "K T"]:
-        """What makes each shape out of the frames' differences from frame 0, whatever is linear in them."""
-        return np.linalg.pinv(self.weights.astype(np.float64))
+        """What makes the shapes of how all frames differ from the base, in whatever is linear in the vertices."""
+        weights = self.weights.astype(np.float64)
+        shares = np.linalg.pinv(weights - weights[0])
+        shares[:, 0] -= shares.sum(axis=1)
+        return shares
 
 
 def fit_blend(clip: Clip, count: int, progress: Progress | None = None) -> Blend:
@@ -48,31 +52,34 @@ def fit_blend(clip: Clip, count: int, progress: Progress | None = None) -> Blend
         differences = _differences(clip, block)
         gram += differences @ differences.T
         _tell(progress, done, 2 * len(blocks))
-    weights = _weights(gram, min(count, frames - 1))
-    if not weights.size:
+    signed = _weights(gram, min(count, frames - 1))
+    if not signed.size:
         raise InputError(f"{clip.mesh.name}: expected a clip that moves for --blendshapes, found none; leave it out")
-    blend = Blend(weights, 0.0)
-    shares, error = blend.shares(), 0.0
+    low, span = signed.min(axis=0), np.ptp(signed, axis=0)
+    to_base, weights = low @ np.linalg.pinv(signed), ((signed - low) / span).astype(np.float32)
+    base = clip.vertices[0].astype(np.float64)
+    blend, error = Blend(base, weights, 0.0), 0.0
+    shares = blend.shares()
     for done, block in enumerate(blocks, len(blocks)):
         differences = _differences(clip, block)
+        offset = to_base @ differences
+        base[block] += offset.reshape(-1, 3)
         shapes = (shares @ differences).astype(np.float32)
-        off = (differences - weights @ shapes).reshape(frames, -1, 3)
+        off = (differences - offset - weights @ shapes).reshape(frames, -1, 3)
         error = max(error, float(np.linalg.norm(off, axis=-1).max()))
         _tell(progress, done, 2 * len(blocks))
-    return Blend(weights, error)
+    return Blend(base, weights, error)
 
 
-def _weights(gram: Float[np.ndarray, "T T"], count: int) -> Float32[np.ndarray, "T K"]:
-    """Weights of the largest components, the strongest first."""
+def _weights(gram: Float[np.ndarray, "T T"], count: int) -> Float[np.ndarray, "T K"]:
+    """Weights of the largest components, the strongest first; those of frame 0 are zero."""
     from scipy.linalg import eigh
 
     if count < 1:
-        return np.zeros((len(gram), 0), np.float32)
+        return np.zeros((len(gram), 0))
     power, direction = eigh(gram, subset_by_index=[len(gram) - count, len(gram) - 1])
-    kept = np.flatnonzero(power > NOTHING * max(power[-1], 0.0))[::-1]
-    kept = kept[power[kept] > 0]
-    weights = direction[:, kept] * np.sqrt(power[kept])
-    return (weights / np.abs(weights).max(axis=0, initial=np.finfo(float).tiny)).astype(np.float32)
+    kept = np.flatnonzero(power > NOTHING * max(power[-1], np.finfo(float).tiny))[::-1]
+    return direction[:, kept] * np.sqrt(power[kept])
 
 
 def _blocks(clip: Clip) -> list[slice]:

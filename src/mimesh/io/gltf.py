@@ -16,7 +16,7 @@ import numpy as np
 from ..mesh import Clip, Mesh, check_mesh
 from ..paging import Progress, stored
 from .blend_shapes import fit_blend
-from .gltf_animation import find_animation, frame_rate, read_channels
+from .gltf_animation import frame_rate, played_channels
 from .gltf_bake import baked_frames
 from .gltf_build import build_document
 from .gltf_check import is_understood
@@ -51,7 +51,8 @@ def read_gltf_clip(
 
     Args:
         fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
-        animation: its name, the name behind its last "|", or its number; None: the first.
+        animation: its name, the name behind its last "|", or its number; None: the first, and with it those that move
+            other nodes.
 
     Raises:
         InputError: as `read_gltf`, no such animation, or a damaged one.
@@ -61,7 +62,7 @@ def read_gltf_clip(
     document = mesh.source.document
     if animation is None and not mesh.source.animations:
         return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
-    channels = read_channels(document, find_animation(document, animation))
+    channels = played_channels(document, animation)
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = baked_frames(document, mesh.source.rest, channels, fps)
     vertices = stored(frames, count, len(mesh.vertices), progress=progress)
@@ -96,14 +97,14 @@ def write_gltf_clip(
         How far a vertex is then from its frame at most, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
-    first = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64))
+    blend = None if blendshapes is None or len(clip) == 1 else fit_blend(clip, blendshapes, progress)
+    first = np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base
+    shown = mesh.with_vertices(first)
     if isinstance(mesh.source, GltfSource):
-        draft, placed = edit_document(mesh.source, first, keep_targets=False)
+        draft, placed = edit_document(mesh.source, shown, keep_targets=False)
     else:
-        draft, placed = build_document(mesh, first)
-    blend = None
+        draft, placed = build_document(mesh, shown)
     if len(clip) > 1:
-        blend = None if blendshapes is None else fit_blend(clip, blendshapes, progress)
         add_frames(draft, placed, mesh, clip, progress, blend)
     draft.save(path)
     return None if blend is None else blend.error

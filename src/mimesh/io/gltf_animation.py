@@ -63,15 +63,13 @@ def animation_names(document: Document) -> tuple[str, ...]:
     return tuple(str(entry.get("name") or i) for i, entry in enumerate(document.gltf.get("animations", [])))
 
 
-def find_animation(document: Document, wanted: str | None) -> int:
-    """Number of the animation of a name or number; the first if none is wanted.
+def find_animation(document: Document, wanted: str) -> int:
+    """Number of the animation of a name or number.
 
     Raises:
         InputError: there is none of that name, with the names there are.
     """
     names = animation_names(document)
-    if wanted is None:
-        return 0
     if wanted in names:
         return names.index(wanted)
     endings = [i for i, name in enumerate(names) if name.rpartition("|")[2] == wanted]
@@ -104,6 +102,26 @@ def read_channels(document: Document, animation: int) -> list[Channel]:
             "the file is damaged, export it again"
         ) from error
     return found
+
+
+def played_channels(document: Document, wanted: str | None) -> list[Channel]:
+    """What moves in the animation of a name or number; if none is wanted, in the first and in all that go with it.
+
+    With it go, in order, those that move nothing which is moved already: exporters that write an animation for each
+    object mean them all at once, while other ways for the same joints to move are there to choose from.
+
+    Raises:
+        InputError: as `find_animation` and `read_channels`.
+    """
+    if wanted is not None:
+        return read_channels(document, find_animation(document, wanted))
+    chosen: list[Channel] = []
+    for number in range(len(document.gltf.get("animations", []))):
+        moved = {(channel.node, channel.path) for channel in chosen}
+        channels = read_channels(document, number)
+        if not any((channel.node, channel.path) in moved for channel in channels):
+            chosen += channels
+    return chosen
 
 
 def frame_rate(channels: list[Channel]) -> float | None:

@@ -5,11 +5,12 @@ exactly one target is active, between two keys two, and what is shown there is t
 Clients may limit how many targets act at once (glTF promises eight), which never touches this layout. Frame 0 is the
 mesh itself, so that a client that ignores morph targets shows the beginning of the clip.
 
-Long clips may have a few blend shapes instead (`blend_shapes`), all active at once.
+Long clips may have a few blend shapes instead (`blend_shapes`), all active at once, whose weights at rest show frame 0.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -33,43 +34,50 @@ def add_frames(
     progress: Progress | None = None,
     blend: Blend | None = None,
 ) -> None:
-    """Add the frames of `clip` to a document that shows its frame 0; `mesh` is the clip's, with corner normals.
+    """Add the frames of `clip` to a document that shows its frame 0 or, with `blend`, the base of that.
 
-    What goes into the file waits on disk: memory does not grow with the number of frames.
+    `mesh` is the clip's, with corner normals. What goes into the file waits on disk: memory does not grow with the
+    number of frames.
     """
-    deltas = _frame_deltas(placed, mesh, clip, progress)
-    attributes = _one_each(deltas, placed) if blend is None else _blended(deltas, placed, blend.shares()[:, 1:])
+    if blend is None:
+        first = np.asarray(clip.vertices[0], np.float64)
+        deltas = _frame_deltas(placed, mesh, clip, first, progress)
+        attributes = _one_each(itertools.islice(deltas, 1, None), placed)
+        weights, kind = np.eye(len(clip), dtype=np.float32)[:, 1:], "frame"
+    else:
+        deltas = _frame_deltas(placed, mesh, clip, blend.base, progress)
+        attributes = _blended(deltas, placed, blend.shares())
+        weights, kind = blend.weights, "shape"
     for one, spools in zip(placed, attributes, strict=True):
         targets = _add_targets(draft, spools)
         for primitive in one.primitives:
             primitive["targets"] = [dict(target) for target in targets]
     nodes = list(dict.fromkeys(one.node for one in placed))
-    weights = np.eye(len(clip), dtype=np.float32)[:, 1:] if blend is None else blend.weights
-    names = [f"{'frame' if blend is None else 'shape'} {number}" for number in range(1, weights.shape[1] + 1)]
+    names = [f"{kind} {number}" for number in range(1, weights.shape[1] + 1)]
     for node in nodes:
-        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names)
+        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
     draft.gltf["animations"] = [_animation(draft, nodes, clip, weights)]
 
 
 def _frame_deltas(
-    placed: list[Placed], mesh: Mesh, clip: Clip, progress: Progress | None
+    placed: list[Placed], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
 ) -> Iterator[list[dict[str, Float[np.ndarray, "N 3"]]]]:
-    """What each frame after the first adds to the float32 attributes of frame 0, for each placed group."""
+    """What each frame adds to the float32 attributes of the base, for each placed group."""
     turned = None
     if any(one.has_normals for one in placed):
         assert mesh.corner_normals is not None
         turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
-    base: list[dict[str, np.ndarray]] = []
-    for frame, vertices in enumerate(each_frame(clip.vertices, progress)):
+
+    def shown(vertices: Float[np.ndarray, "V 3"]) -> list[dict[str, Float[np.ndarray, "N 3"]]]:
         normals = turned(vertices).reshape(-1, 3) if turned else None
-        now = [_local(one, vertices, normals) for one in placed]
-        if frame == 0:
-            base = [{name: values.astype(np.float32) for name, values in group.items()} for group in now]
-        else:
-            yield [
-                {name: values - start[name] for name, values in group.items()}
-                for group, start in zip(now, base, strict=True)
-            ]
+        return [_local(one, vertices, normals) for one in placed]
+
+    start = [{name: values.astype(np.float32) for name, values in group.items()} for group in shown(base)]
+    for vertices in each_frame(clip.vertices, progress):
+        yield [
+            {name: values - before[name] for name, values in group.items()}
+            for group, before in zip(shown(vertices), start, strict=True)
+        ]
 
 
 def _one_each(
@@ -85,9 +93,9 @@ def _one_each(
 
 
 def _blended(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed], shares: Float[np.ndarray, "K S"]
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed], shares: Float[np.ndarray, "K T"]
 ) -> list[dict[str, Spool]]:
-    """For each group and attribute, targets that are mixed from all frames after the first."""
+    """For each group and attribute, targets that are mixed from all frames."""
     sums: list[dict[str, np.ndarray]] = [{} for _ in placed]
     for groups, share in zip(deltas, shares.T, strict=True):
         for group, total in zip(groups, sums, strict=True):
@@ -128,7 +136,7 @@ def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]
     return targets
 
 
-def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str]) -> None:
+def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str], weights: list[float]) -> None:
     """Weights and names for the targets, and targets that do nothing for the lines and points of the mesh.
 
     glTF wants one number of targets for all primitives of a mesh. An accessor without a view is all zeros.
@@ -138,7 +146,7 @@ def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str]) -> None
             count = draft.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
             zeros = {"componentType": 5126, "count": count, "type": "VEC3", "min": [0.0] * 3, "max": [0.0] * 3}
             primitive["targets"] = [{"POSITION": draft.add_accessor(zeros)}] * len(names)
-    mesh["weights"] = [0.0] * len(names)
+    mesh["weights"] = weights
     if isinstance(mesh.setdefault("extras", {}), dict):
         mesh["extras"]["targetNames"] = names
 

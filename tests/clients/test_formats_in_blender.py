@@ -1,0 +1,187 @@
+"""Every format in Blender: what it shows of our files in every frame, and what we read of the files it writes.
+
+Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
+Figures go to the file that MIMESH_FORMATS names; the table of docs/formats.md is made of them.
+"""
+
+import itertools
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from client_programs import blender
+from dressed import dressed_clip
+from people import person, walk
+from scipy.spatial import cKDTree
+
+import mimesh
+from mimesh.convert import convert
+from mimesh.io import load_clip, save_clip, save_mesh
+from mimesh.provenance import commit, libraries
+
+pytestmark = pytest.mark.client
+CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".pc2", ".mdd", ".obj", ".ply")
+MESHES = (".glb", ".gltf", ".usda", ".usdz", ".abc", ".obj", ".ply", ".stl")
+OURS_OF_BLENDER = (
+    "scene.glb",
+    "separate.gltf",
+    "scene.usda",
+    "scene.usdc",
+    "scene.usdz",
+    "scene.abc",
+    "obj",
+    "ply",
+    "fbx.glb",
+)
+FIGURES: dict[str, dict] = {}
+CLOSE = 1e-5
+"""Of the mesh's size."""
+
+
+def in_blender(vertices):
+    """From y up to z up, as Blender's importers turn it."""
+    return np.stack([vertices[..., 0], -vertices[..., 2], vertices[..., 1]], axis=-1)
+
+
+def apart(found, wanted):
+    """Farthest that a vertex's way is from the nearest way of the other side, over the size; orders may differ."""
+    assert len(found) == len(wanted)
+    ways = [frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) for frames in (found, wanted)]
+    farthest = 0.0
+    for one, other in itertools.permutations(ways):
+        _, nearest = cKDTree(other).query(one)
+        off = (one - other[nearest]).reshape(len(one), -1, 3)
+        farthest = max(farthest, float(np.linalg.norm(off, axis=-1).max()))
+    return farthest / float(np.ptp(wanted, axis=(0, 1)).max())
+
+
+def run(mode, folder):
+    python = blender()
+    subprocess.run([python, "-I", Path(__file__).with_name("blender_formats.py"), mode, folder], check=True)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def report():
+    """Keep the figures once all is done."""
+    yield
+    path = os.environ.get("MIMESH_FORMATS")
+    if path and FIGURES:
+        made = {"commit": commit(), "client": "Blender 4.5.15 (bpy)", "libraries": libraries()}
+        Path(path).write_text(json.dumps({"provenance": made, "formats": FIGURES}, indent=2, sort_keys=True) + "\n")
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory):
+    """Our files of a dressed clip (quads, seams, materials, a texture, colours), and what Blender shows of them."""
+    folder = tmp_path_factory.mktemp("ours")
+    clip = dressed_clip(folder / "dressed", frames=6, fps=24.0)
+    jobs = []
+    for suffix in CLIPS:
+        if suffix in (".obj", ".ply"):
+            save_clip(clip, folder / f"clip{suffix[1:]}", suffix)
+            files = sorted((folder / f"clip{suffix[1:]}").glob(f"*{suffix}"))
+            jobs += [{"name": f"clip{suffix}{t}", "path": str(path), "frames": 1} for t, path in enumerate(files)]
+        elif suffix in (".pc2", ".mdd"):
+            save_clip(clip, folder / f"clip{suffix}")
+            cache = {"path": str(folder / "clip.obj"), "cache": str(folder / f"clip{suffix}")}
+            jobs.append({"name": f"clip{suffix}", "frames": len(clip)} | cache)
+        else:
+            save_clip(clip, folder / f"clip{suffix}")
+            jobs.append({"name": f"clip{suffix}", "path": str(folder / f"clip{suffix}"), "frames": len(clip)})
+    for suffix in MESHES:
+        save_mesh(clip.mesh, folder / f"mesh{suffix}")
+        jobs.append({"name": f"mesh{suffix}", "path": str(folder / f"mesh{suffix}"), "frames": 1})
+    save_clip(clip, folder / "few.glb", blendshapes=4)
+    jobs.append({"name": "few.glb", "path": str(folder / "few.glb"), "frames": len(clip)})
+    moved = mimesh.animate(person(0, faces=2000), walk(1, frames=6, faces=2500))
+    moved.save_skinned(folder / "skinned.glb")
+    jobs.append({"name": "skinned.glb", "path": str(folder / "skinned.glb"), "frames": 6})
+    (folder / "jobs.json").write_text(
+        json.dumps([{"fps": 30 if "skinned" in job["name"] else 24} | job for job in jobs])
+    )
+    run("read", folder)
+    return folder, clip
+
+
+@pytest.fixture(scope="module")
+def theirs(tmp_path_factory):
+    """A folder of Blender's files."""
+    blender()
+    folder = tmp_path_factory.mktemp("theirs")
+    run("write", folder)
+    return folder
+
+
+def note(suffix, kind, error, dump=None, clip=None):
+    """Keep a figure, and of our files what Blender finds in them."""
+    figures = FIGURES.setdefault(suffix, {})
+    figures[kind] = max(figures.get(kind, 0.0), error)
+    if dump is not None:
+        figures["keeps"] = {
+            "polygons": bool((dump["sizes"] > 3).any()),
+            "UVs": len(dump["uv"]) > 0,
+            "materials": len(dump["materials"]) >= 2,
+            "textures": int(dump["images"]) > 0,
+            "colours": int(dump["colors"]) > 0,
+        }
+
+
+@pytest.mark.parametrize("suffix", CLIPS)
+def test_blender_shows_every_frame_of_a_clip(suffix, ours):
+    folder, clip = ours
+    if suffix in (".obj", ".ply"):
+        dumps = [np.load(folder / f"clip{suffix}{t}.npz") for t in range(len(clip))]
+        dump, frames = dumps[0], np.concatenate([one["vertices"] for one in dumps])
+    else:
+        dump = np.load(folder / f"clip{suffix}.npz")
+        frames = dump["vertices"]
+    error = apart(frames, in_blender(clip.vertices.astype(np.float64)))
+    note(suffix, "clip in Blender", error, None if suffix in (".pc2", ".mdd") else dump, clip)
+    assert error <= CLOSE
+
+
+@pytest.mark.parametrize("suffix", MESHES)
+def test_blender_shows_a_mesh(suffix, ours):
+    folder, clip = ours
+    dump = np.load(folder / f"mesh{suffix}.npz")
+    error = apart(dump["vertices"], in_blender(clip.mesh.vertices)[None])
+    note(suffix, "mesh in Blender", error, dump, clip)
+    assert error <= CLOSE
+
+
+def test_blender_shows_blend_shapes_as_we_do(ours):
+    folder, _ = ours
+    expected = load_clip(folder / "few.glb").vertices
+    assert apart(np.load(folder / "few.glb.npz")["vertices"], in_blender(expected)) <= CLOSE
+
+
+def test_blender_shows_a_skin_as_we_do(ours):
+    folder, _ = ours
+    expected = load_clip(folder / "skinned.glb", fps=10.0).vertices
+    error = apart(np.load(folder / "skinned.glb.npz")["vertices"], in_blender(expected))
+    note(".glb", "skin in Blender", error)
+    assert error <= 1e-6
+
+
+@pytest.mark.parametrize("name", OURS_OF_BLENDER)
+def test_we_read_what_blender_wrote(name, theirs):
+    truth = np.load(theirs / ("truth_fbx.npz" if name == "fbx.glb" else "truth.npz"))["vertices"]
+    clip = load_clip(theirs / name, fps=24.0)
+    found = clip.vertices.astype(np.float64)
+    if not name.endswith(("usda", "usdc", "usdz", "ply")):  # those Blender writes z up, as they are
+        found = in_blender(found)
+    error = apart(found, truth)
+    note({"fbx.glb": ".fbx", "obj": ".obj", "ply": ".ply"}.get(name, Path(name).suffix), "Blender's, read", error)
+    assert error <= CLOSE
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdc", ".abc"])
+def test_what_blender_wrote_survives_conversion(suffix, theirs, tmp_path):
+    convert(theirs / f"scene{suffix}", tmp_path / f"a{suffix}")
+    again = load_clip(tmp_path / f"a{suffix}")
+    first = load_clip(theirs / f"scene{suffix}")
+    assert again.fps == first.fps
+    assert apart(again.vertices.astype(np.float64), first.vertices.astype(np.float64)) <= CLOSE
