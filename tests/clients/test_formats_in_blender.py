@@ -100,7 +100,7 @@ def ours(tmp_path_factory):
     moved.save_skinned(folder / "skinned.glb")
     jobs.append({"name": "skinned.glb", "path": str(folder / "skinned.glb"), "frames": 6})
     (folder / "jobs.json").write_text(
-        json.dumps([{"fps": 30 if "skinned" in job["name"] else 24} | job for job in jobs])
+        json.dumps([{"fps": 10 if "skinned" in job["name"] else 24} | job for job in jobs])
     )
     run("read", folder)
     return folder, clip
