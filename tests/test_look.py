@@ -145,7 +145,7 @@ def test_a_clip_has_frames_and_seconds_and_a_still_has_none(tmp_path):
     clip = Clip(mesh, np.repeat(mesh.vertices[None], 48, axis=0), 24.0)
     facts = facts_of(mesh, clip, tmp_path)
     assert (facts.frames, facts.fps, facts.seconds, facts.format) == (48, 24.0, 2.0, "folder")
-    assert "48 frames at 24 fps, 2.00 s" in facts.text()
+    assert "48 frames at 24 per second, 2.00 s" in facts.text()
     still = facts_of(mesh, Clip(mesh, mesh.vertices[None], 24.0), tmp_path / "a.OBJ")
     assert (still.frames, still.fps, still.seconds, still.format) == (1, None, None, "obj")
     assert "fps" not in still.text()

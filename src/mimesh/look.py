@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from .frame import Frame
 from .geometry import face_areas, face_vectors, weld
 from .mesh import Clip, Mesh
 
@@ -55,6 +56,7 @@ class Facts:
     """Vertices of no face; 0 for a point cloud."""
     has_uv: bool
     has_normals: bool
+    has_colors: bool
     parts: tuple[str, ...]
     materials: tuple[str, ...]
     textures: int
@@ -64,8 +66,10 @@ class Facts:
     seconds: float | None
     animations: tuple[str, ...]
     """Names of those in the file; the clip is the first."""
-    motion: str | None
-    """What a motion file is and who plays it; None for meshes."""
+    details: tuple[tuple[str, str], ...]
+    """What else the file says, name and value: its unit and axes, joints, blend shapes, who plays a motion."""
+    stands: str | None
+    """Which way it stands and faces if it is a person, found from its shape; None for what has no surface."""
     notes: tuple[str, ...]
     """What the file holds that a moved copy of it will not, one line each."""
 
@@ -100,7 +104,8 @@ def look(path: str | Path) -> Facts:
     from .io import load_clip
 
     clip = load_clip(path)
-    return dataclasses.replace(facts_of(clip.mesh, clip, path), motion=_motion(Path(path)))
+    facts = facts_of(clip.mesh, clip, path)
+    return dataclasses.replace(facts, details=facts.details + _motion(Path(path)))
 
 
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> Facts:
@@ -135,6 +140,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         loose_vertices=len(mesh.vertices) - len(np.unique(mesh.faces)) if len(mesh.faces) else 0,
         has_uv=mesh.corner_uv is not None,
         has_normals=mesh.corner_normals is not None,
+        has_colors=mesh.vertex_colors is not None,
         parts=tuple(part.name for part in mesh.parts),
         materials=tuple(materials),
         textures=len({m.texture for m in materials.values() if m.texture}),
@@ -142,7 +148,8 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # only some formats have anything to say
-        motion=None,
+        details=getattr(mesh.source, "details", ()),
+        stands=_stands(mesh) if len(mesh.faces) else None,
         notes=getattr(mesh.source, "notes", ()),
     )
 
@@ -150,8 +157,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
 def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
-    if facts.motion:
-        yield "motion", facts.motion
+    yield from facts.details
     yield "vertices", f"{facts.vertices:,}{split}"
     triangles = f" triangles from {facts.polygons:,} polygons" if facts.polygons not in (None, facts.faces) else ""
     yield "faces", f"{facts.faces:,}{triangles}" if facts.faces else "none (a point cloud)"
@@ -159,6 +165,8 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
         yield "components", f"{facts.components:,}"
     yield "size", " x ".join(f"{side:.4g}" for side in facts.size) + _in_unit(facts)
     yield "bounds", " to ".join("(" + ", ".join(f"{v:.4g}" for v in corner) + ")" for corner in (facts.low, facts.high))
+    if facts.stands:
+        yield "stands", facts.stands
     if facts.faces:
         yield "surface", _surface(facts)
     yield "looks", _looks(facts)
@@ -167,9 +175,7 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
     if facts.materials:
         yield "materials", _names(facts.materials)
     if facts.fps and facts.seconds:
-        yield "clip", f"{facts.frames:,} frames at {facts.fps:g} fps, {facts.seconds:.2f} s"
-    if len(facts.animations) > 1:
-        yield "animations", _names(facts.animations, 20)
+        yield "clip", f"{facts.frames:,} frames at {facts.fps:g} per second, {facts.seconds:.2f} s"
 
 
 def _warnings(facts: Facts) -> Iterator[str]:
@@ -198,7 +204,7 @@ def _surface(facts: Facts) -> str:
 
 
 def _looks(facts: Facts) -> str:
-    found = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals
+    found = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals + ["vertex colours"] * facts.has_colors
     if facts.textures:
         found.append(_plural(facts.textures, "texture"))
     return ", ".join(found) or "no UVs, normals or textures"
@@ -215,17 +221,23 @@ def _plural(count: int, one: str, many: str | None = None) -> str:
 
 
 def _polygons(mesh: Mesh) -> int | None:
-    from .io.obj_source import ObjSource
+    from .io.polygons import polygon_sizes
 
-    return int((mesh.source.sizes > 2).sum()) if isinstance(mesh.source, ObjSource) else None
+    return len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None
 
 
-def _motion(path: Path) -> str | None:
+def _motion(path: Path) -> tuple[tuple[str, str], ...]:
     from .motions.on_body import is_motion_file, motion_joints
 
     if not is_motion_file(path):
-        return None
-    return f"{_plural(motion_joints(path), 'joint')}, played on the shipped body, which is what follows"
+        return ()
+    joints = _plural(motion_joints(path), "joint")
+    return (("motion", f"{joints}, played on the shipped body, which is what is told here"),)
+
+
+def _stands(mesh: Mesh) -> str:
+    frame = Frame.fit(mesh)
+    return f"up {frame.up}, front {frame.front}, taken for a person{' (a guess)' if frame.unsure else ''}"
 
 
 def _format(path: Path | None) -> str:

@@ -94,7 +94,8 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
     def read(mesh: Path) -> Mesh:
         return MESH_READERS[mesh.suffix.lower()](mesh)
 
-    return read_cache(path, fps, MESH_READERS.keys() - MOTIONS, read, progress)
+    meshes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *FRAMES_ONLY)]
+    return read_cache(path, fps, sorted(meshes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
 
 
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {

@@ -63,6 +63,24 @@ def animation_names(document: Document) -> tuple[str, ...]:
     return tuple(str(entry.get("name") or i) for i, entry in enumerate(document.gltf.get("animations", [])))
 
 
+def document_details(document: Document) -> tuple[tuple[str, str], ...]:
+    """Unit, joints of the skins, blend shapes and length of the animations, as text; only what there is."""
+    gltf = document.gltf
+    found = [("unit", "metre, y up (all glTF files)")]
+    if skins := [len(skin["joints"]) for skin in gltf.get("skins", [])]:
+        found.append(("skins", f"{len(skins)}, of {', '.join(map(str, skins))} joints"))
+    shapes = [
+        max((len(primitive.get("targets", [])) for primitive in mesh["primitives"]), default=0)
+        for mesh in gltf.get("meshes", [])
+    ]
+    if any(shapes):
+        found.append(("blend shapes", ", ".join(str(count) for count in shapes if count)))
+    for number, name in enumerate(animation_names(document)):
+        times = [channel.times[-1] for channel in read_channels(document, number)]
+        found.append(("animation", f"{name}, {max(times, default=0.0):.2f} s"))
+    return tuple(found)
+
+
 def find_animation(document: Document, wanted: str) -> int:
     """Number of the animation of a name or number.
 

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from ..geometry import vertex_normals, weld
 from ..mesh import Mesh
-from .gltf_animation import animation_names
+from .gltf_animation import animation_names, document_details
 from .gltf_document import Document
 from .gltf_draft import Carrier, Draft
 from .gltf_move import has_turning_data, surface_turns
@@ -41,6 +41,11 @@ class GltfSource:
     suffix: str
     notes: tuple[str, ...]
     """One line for each thing of the file that is not in the written one."""
+
+    @property
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """What the file has besides a surface, name and value."""
+        return document_details(self.document)
 
     @property
     def animations(self) -> tuple[str, ...]:

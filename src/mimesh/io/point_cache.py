@@ -8,7 +8,7 @@ big-endian. NPY: one array (T, V, 3), or (V, 3) for a mesh. PC2 and NPY know no 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -37,7 +37,7 @@ class Cache:
 def read_cache(
     path: Path,
     fps: float | None,
-    suffixes: Collection[str],
+    suffixes: Sequence[str],
     read: Callable[[Path], Mesh],
     progress: Progress | None = None,
 ) -> Clip:
@@ -46,7 +46,7 @@ def read_cache(
     Args:
         fps: frames a second. An MDD file has times: it is sampled at this rate, linearly between its frames. The others
             are played at it; None is 30 for them.
-        suffixes: formats of meshes that `read` reads.
+        suffixes: formats of meshes that `read` reads, likeliest first.
 
     Raises:
         InputError: the file is damaged or cut short, or the mesh beside it has another number of vertices.
@@ -161,18 +161,24 @@ def _mapped(path: Path, dtype: str, offset: int, count: int, points: int) -> Flo
     return np.memmap(path, dtype, "r", offset, (count, points, 3))
 
 
-def _mesh_beside(path: Path, vertices: int, suffixes: Collection[str], read: Callable[[Path], Mesh]) -> Mesh | None:
-    """The mesh of the same name in the same folder; None where there is none.
+def _mesh_beside(path: Path, vertices: int, suffixes: Sequence[str], read: Callable[[Path], Mesh]) -> Mesh | None:
+    """The first mesh of the same name in the same folder that fits; None where there is none of that name.
 
     Raises:
         InputError: none of those there has so many vertices.
     """
-    files = sorted(file for file in path.parent.glob("*") if file.stem == path.stem and file.suffix.lower() in suffixes)
-    meshes = [read(file) for file in files]
-    fitting = [mesh for mesh in meshes if len(mesh.vertices) == vertices]
-    if meshes and not fitting:
+    strangers = []
+    for suffix in suffixes:
+        for file in sorted(path.parent.glob("*")):
+            if file.stem == path.stem and file.suffix.lower() == suffix:
+                mesh = read(file)
+                if len(mesh.vertices) == vertices:
+                    return mesh
+                strangers.append((file.name, len(mesh.vertices)))
+    if strangers:
+        name, count = strangers[0]
         raise InputError(
-            f"{path}: expected as many points as {files[0].name} has vertices, {len(meshes[0].vertices)}, found "
-            f"{vertices}; put the mesh it was made from beside it, or rename one of them"
+            f"{path}: expected as many points as {name} has vertices, {count}, found {vertices}; "
+            "put the mesh it was made from beside it, or rename one of them"
         )
-    return fitting[0] if fitting else None
+    return None

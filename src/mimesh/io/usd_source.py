@@ -72,6 +72,11 @@ class UsdSource:
     notes: tuple[str, ...]
     """One line for each thing of the file that is not in the written one, or in another way."""
 
+    @property
+    def details(self) -> tuple[tuple[str, str], ...]:
+        """The stage's unit and axis, name and value."""
+        return (("unit", f"{self.meters_per_unit:g} m, {self.up_axis.lower()} up"),)
+
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file with the points of `mesh`, in the format of `path`'s suffix.
 
