@@ -23,6 +23,12 @@ VERTEX_DATA, INDEX_DATA = 34962, 34963
 KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
+_PIECE = 3 * 2**20
+"""Bytes that are encoded at once; a multiple of three."""
+_PLACE = "\ue000buffer\ue000"
+"""Where the buffer goes in the text of a .gltf; these characters are for private use."""
+
+
 class Spool:
     """Arrays of one shape, one after the other on disk: a clip's frames on their way into a file, never in memory."""
 
@@ -85,13 +91,7 @@ class Draft:
         """Write a .gltf with the buffer inside as base64, or a .glb for any other suffix."""
         gltf = {**self.gltf, "buffers": [{"byteLength": self.size}] if self.size else []}
         if path.suffix.lower() == ".gltf":
-            whole = io.BytesIO()
-            self._write(whole)
-            data = base64.b64encode(whole.getbuffer()).decode()
-            gltf["buffers"] = [
-                {**buffer, "uri": f"data:application/octet-stream;base64,{data}"} for buffer in gltf["buffers"]
-            ]
-            path.write_bytes(_dump(gltf))
+            self._save_text(gltf, path)
             return
         text = _dump(gltf)
         text += b" " * (-len(text) % 4)
@@ -101,6 +101,20 @@ class Draft:
             if self.size:
                 file.write(struct.pack("<II", self.size, BINARY_CHUNK))
                 self._write(file)
+
+    def _save_text(self, gltf: dict[str, Any], path: Path) -> None:
+        """Write JSON with the buffer in it, piece by piece."""
+        for buffer in gltf["buffers"]:
+            buffer["uri"] = f"data:application/octet-stream;base64,{_PLACE}"
+        head, _, tail = _dump(gltf).partition(_PLACE.encode())
+        with path.open("wb") as file, tempfile.TemporaryFile() as whole:
+            file.write(head)
+            if self.size:
+                self._write(whole)
+                whole.seek(0)
+            while piece := whole.read(_PIECE):
+                file.write(base64.b64encode(piece))
+            file.write(tail)
 
     def _write(self, file: io.BufferedIOBase) -> None:
         for chunk in self.chunks:

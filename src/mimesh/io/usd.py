@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -66,6 +67,8 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
 
 
 def _need_library(path: Path, verb: str) -> None:
+    # Else the library maps files, and what has been read of a long clip stays in memory.
+    os.environ.setdefault("USDC_USE_PREAD", "1")
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
 
