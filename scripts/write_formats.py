@@ -110,13 +110,14 @@ def formats_table(figures: dict[str, Any]) -> str:
 def memory_table(report: dict[str, Any]) -> str:
     """Peak memory of converting a tenth of a clip, and all of it."""
     few, many = report["frames"] // 10, report["frames"]
-    head = f"| format | write {few:,} | write {many:,} | own | read {few:,} | read {many:,} | own | write s | read s | MiB |"
+    columns = [f"write {few:,}", f"{many:,}", "own", f"read {few:,}", f"{many:,}", "own", "write, s", "read, s", "MiB"]
+    head = f"| format | {' | '.join(columns)} |"
     rows = [head, "|---|---|---|---|---|---|---|---|---|---|"]
     rows += [_memory_row(name, figures, few, many) for name, figures in report["formats"].items()]
     parts = [
         "## Memory of long clips",
-        f"`mimesh convert` between .npz and each format, a clip of {report['vertices']:,} vertices, {few:,} and {many:,} "
-        "frames: peak of memory in MiB, of which *own* cannot be given back (what is mapped from a file can), seconds and "
+        f"`mimesh convert` between .npz and each format, a clip of {report['vertices']:,} vertices, {few:,} and "
+        f"{many:,} frames: peak of memory in MiB, of the long one also what no file stands behind (*own*), seconds and "
         f"size of the long one. Commit {report['commit']}, {report['machine']}.",
         "\n".join(rows),
     ]

@@ -15,8 +15,11 @@ from .paging import Progress
 MOVIES = (".gif", ".mp4", ".webp")
 """Written as pictures, to be looked at."""
 MOVIE_SIZE = (640, 720)
-BARE = (".mdd", ".npy", ".npz", ".off", ".pc2", ".ply", ".stl")
-"""Formats whose new files hold little more than the shape."""
+POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
+LACKS = {suffix: POINTS for suffix in (".mdd", ".npy", ".npz", ".off", ".pc2", ".stl")}
+LACKS |= {".ply": ("materials", "texture coordinates", "normals"), ".abc": ("textures", "vertex colours")}
+LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
+"""Suffix -> what a new file of it does not hold, of what a Mesh has."""
 
 
 @dataclass(frozen=True)
@@ -118,14 +121,16 @@ def blend_note(deviation: float | None) -> tuple[str, ...]:
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """What a format that holds less than the mesh's file leaves behind, in words."""
     suffix = path.suffix.lower()
-    if suffix not in BARE or (mesh.source is not None and mesh.source.suffix == suffix):
+    if mesh.source is not None and mesh.source.suffix == suffix:
         return ()
     has = {
         "materials": any(one.material for one in mesh.parts),
-        "texture coordinates": mesh.corner_uv is not None and suffix != ".ply",
+        "textures": any(one.material and one.material.texture for one in mesh.parts),
+        "texture coordinates": mesh.corner_uv is not None,
         "normals": mesh.corner_normals is not None,
+        "vertex colours": mesh.vertex_colors is not None,
     }
-    lost = [name for name, present in has.items() if present]
+    lost = [name for name in LACKS.get(suffix, ()) if has[name]]
     return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
 
 
