@@ -16,10 +16,10 @@ MOVIES = (".gif", ".mp4", ".webp")
 """Written as pictures, to be looked at."""
 MOVIE_SIZE = (640, 720)
 POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
-LACKS = {suffix: POINTS for suffix in (".mdd", ".npy", ".npz", ".off", ".pc2", ".stl")}
+LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals"), ".abc": ("textures", "vertex colours")}
 LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
-"""Suffix -> what a new file of it does not hold, of what a Mesh has."""
+"""Suffix -> what a new file of it does not hold, of what a Mesh has; caches of points have a mesh beside them."""
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from gltf_twin import Twin
 
-from mimesh.io.gltf import read_gltf
+from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf_edit import GltfSource
 
 
@@ -240,3 +240,21 @@ def test_empty_primitives_are_passed_over(tmp_path):
     assert len(mesh.vertices) == 58
     mesh.source.write(mesh, tmp_path / "b.glb")
     np.testing.assert_array_equal(read_gltf(tmp_path / "b.glb").faces, mesh.faces)
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf"])
+def test_large_files_are_the_same_when_paged_in(suffix, tmp_path, monkeypatch):
+    sample = samples.hero()
+    path = sample.glb(tmp_path / "a.glb")
+    write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
+    whole = read_gltf(tmp_path / f"b{suffix}")
+    monkeypatch.setattr("mimesh.io.gltf_pages.LARGE", 100)
+    monkeypatch.setattr("mimesh.io.gltf_pages._PIECE", 8)
+    paged = read_gltf(tmp_path / f"b{suffix}")
+    assert paged.source.document.pages.maps
+    assert not whole.source.document.pages.maps
+    paged.source.document.let_go()
+    np.testing.assert_array_equal(paged.vertices, whole.vertices)
+    assert bytes(paged.source.document.binary) == bytes(whole.source.document.binary)
+    write_gltf(paged, tmp_path / f"c{suffix}")
+    assert (tmp_path / f"c{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()

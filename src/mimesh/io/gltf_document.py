@@ -5,23 +5,18 @@ All buffers, embedded or beside the file, are joined into one on opening, so tha
 
 from __future__ import annotations
 
-import base64
-import binascii
 import json
-import mmap
-import os
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ..mesh import InputError
-from ..paging import LARGE
 from .gltf_check import COMPRESSION, check_document
+from .gltf_pages import Pages
 
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 LANES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -39,12 +34,11 @@ class Document:
     """In memory, or a large file that the system pages in."""
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where it could not be had (a file that is not there, or is no image)."""
-    mapped: mmap.mmap | None = field(default=None, repr=False)
+    pages: Pages = field(default_factory=Pages, repr=False)
 
     def let_go(self) -> None:
         """Give back the memory that pages of a large file have taken."""
-        if self.mapped is not None and hasattr(self.mapped, "madvise"):
-            self.mapped.madvise(mmap.MADV_DONTNEED)
+        self.pages.let_go()
 
 
 def open_document(path: Path) -> Document:
@@ -53,17 +47,17 @@ def open_document(path: Path) -> Document:
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or needs an extension that is not understood.
     """
-    mapped = _map(path)
-    content = memoryview(path.read_bytes() if mapped is None else mapped)
+    pages = Pages()
+    content = pages.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (bytes(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (pages.without_large_data(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
-    gltf, binary = _join_buffers(_without_compression(gltf), chunk, path)
-    images = tuple(_read_image(image, gltf, binary, path) for image in gltf.get("images", []))
-    document = Document(path, gltf, binary, images, mapped)
+    gltf, binary = _join_buffers(_without_compression(gltf), chunk, path, pages)
+    images = tuple(_read_image(image, gltf, binary, path, pages) for image in gltf.get("images", []))
+    document = Document(path, gltf, binary, images, pages)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
     return document
@@ -165,14 +159,6 @@ def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int,
     return np.lib.stride_tricks.as_strided(memory, (count, size), (stride, 1), writeable=False)
 
 
-def _map(path: Path) -> mmap.mmap | None:
-    """A large file, mapped; None for one that is simply read."""
-    if path.stat().st_size < LARGE:
-        return None
-    with path.open("rb") as file:
-        return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-
-
 def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
     """The JSON and the binary chunk of a GLB file."""
     if len(content) < 20:
@@ -227,12 +213,12 @@ def _without_compression(gltf: dict[str, Any]) -> dict[str, Any]:
 
 
 def _join_buffers(
-    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path
+    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, pages: Pages
 ) -> tuple[dict[str, Any], bytes | memoryview]:
     """The JSON with every view pointing into one joined buffer, and that buffer; a single one is not copied."""
     starts, parts, total = [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, path)
+        content = _read_buffer(buffer, index, chunk, path, pages)
         padding = bytes(-len(content) % 4)
         starts.append(total)
         parts += [content, padding]
@@ -244,9 +230,11 @@ def _join_buffers(
     return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
 
 
-def _read_buffer(buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path) -> bytes | memoryview:
+def _read_buffer(
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, pages: Pages
+) -> bytes | memoryview:
     uri = buffer.get("uri")
-    content = (chunk if index == 0 else None) if uri is None else _fetch(uri, path)
+    content = (chunk if index == 0 else None) if uri is None else pages.fetch(uri, path)
     if content is None:
         raise InputError(
             f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
@@ -272,23 +260,12 @@ def _moved_view(
     return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
 
 
-def _read_image(image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> bytes | None:
+def _read_image(
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, pages: Pages
+) -> bytes | None:
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
         return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = _fetch(image.get("uri", ""), path)
+    content = bytes(pages.fetch(image.get("uri", ""), path) or b"")
     # A file that is no image must not travel into the file we write, whatever a stranger's glTF points at.
     return content if content and image_type(content) else None
-
-
-def _fetch(uri: str, path: Path) -> bytes | None:
-    """The bytes behind a data: URI or a file beside `path`; None when there is no such file (the net is not asked)."""
-    if uri.startswith("data:"):
-        try:
-            return base64.b64decode(uri.partition(",")[2], validate=True)
-        except binascii.Error as error:
-            raise InputError(f"{path}: expected base64 data in a data: URI, found {error}; export it again") from error
-    for name in (unquote(uri), uri):  # some exporters write names as they are
-        if uri and os.path.isfile(path.parent / name):
-            return (path.parent / name).read_bytes()
-    return None
