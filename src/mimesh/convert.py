@@ -17,6 +17,8 @@ MOVIES = (".gif", ".mp4", ".webp")
 MOVIE_SIZE = (640, 720)
 BARE = (".mdd", ".npy", ".npz", ".off", ".pc2", ".ply", ".stl")
 """Formats whose new files hold little more than the shape."""
+COLORLESS = (".abc", ".mdd", ".npy", ".npz", ".off", ".pc2", ".stl", ".usd", ".usda", ".usdc", ".usdz")
+"""Formats whose new files hold no colours of vertices."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +48,8 @@ def convert(
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of another name.
 
-    What moves is written moving where the format can; a format of one mesh gets it at rest. The file's own format keeps
-    all it holds, but for the points of a `frame`.
+    What moves is written moving where the format can; a format of one mesh gets it at rest or, where an animation or
+    frames are chosen, the first of these. The file's own format keeps all it holds, but for the points of a `frame`.
 
     Args:
         fps: as `load_clip`: files with times are sampled at it, others are played at it.
@@ -60,8 +62,9 @@ def convert(
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
-    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
-    if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir() or blendshapes is not None
+    at_rest = frame is None and animation is None and (start, stop, step) == (0, None, 1)
+    if at_rest and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         return _convert_mesh(load_mesh(source), target)
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
     if frame is not None:
@@ -94,11 +97,9 @@ def write_clip(
     Raises:
         InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
     """
-    if path.suffix.lower() not in MOVIES:
+    if path.suffix.lower() not in MOVIES or blendshapes is not None:
         error = save_clip(clip, path, frames_as, progress, blendshapes)
         return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
-    if blendshapes is not None:
-        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
     from .frame import Frame
     from .view.movie import clip_frames, save_movie
 
@@ -118,12 +119,13 @@ def blend_note(deviation: float | None) -> tuple[str, ...]:
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """What a format that holds less than the mesh's file leaves behind, in words."""
     suffix = path.suffix.lower()
-    if suffix not in BARE or (mesh.source is not None and mesh.source.suffix == suffix):
+    if mesh.source is not None and mesh.source.suffix == suffix:
         return ()
     has = {
-        "materials": any(one.material for one in mesh.parts),
-        "texture coordinates": mesh.corner_uv is not None and suffix != ".ply",
-        "normals": mesh.corner_normals is not None,
+        "materials": suffix in BARE and any(one.material for one in mesh.parts),
+        "texture coordinates": suffix in BARE and mesh.corner_uv is not None and suffix != ".ply",
+        "normals": suffix in BARE and mesh.corner_normals is not None,
+        "vertex colours": suffix in COLORLESS and mesh.vertex_colors is not None,
     }
     lost = [name for name, present in has.items() if present]
     return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
