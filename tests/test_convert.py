@@ -1,5 +1,6 @@
 """Any format into any other: frames, faces and rates stay; what cannot stay is said."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -87,8 +88,29 @@ def test_what_is_lost_is_said(tmp_path):
     assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", frame=None).notes[-1]
     with pytest.raises(InputError, match="--blendshapes"):
         convert(tmp_path / "a.npz", tmp_path / "b.webp", blendshapes=3)
+    with pytest.raises(InputError, match="--blendshapes"):
+        convert(tmp_path / "a.npz", tmp_path / "b.obj", blendshapes=3)
     notes = convert(tmp_path / "a.npz", tmp_path / "b.glb", blendshapes=3).notes
     assert "no vertex is farther than" in notes[-1]
+
+
+def test_chosen_frames_are_not_exchanged_for_the_mesh_at_rest(tmp_path):
+    rest = zoo.cube()
+    save_clip(Clip(rest, clip().vertices + 1.0, 30.0), tmp_path / "a.glb")
+    done = convert(tmp_path / "a.glb", tmp_path / "b.off", start=2)
+    assert "first of 2 frames" in done.notes[-1]
+    for name, chosen, frame in (("b", {"start": 2}, 2), ("c", {"animation": "0"}, 0)):
+        convert(tmp_path / "a.glb", tmp_path / f"{name}.off", **chosen)
+        wanted = load_clip(tmp_path / "a.glb").vertices[frame]
+        np.testing.assert_allclose(load_mesh(tmp_path / f"{name}.off").vertices, wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", MESHES)
+def test_colours_of_vertices_stay_or_are_said_to_be_lost(suffix, tmp_path):
+    colored = dataclasses.replace(zoo.cube(), vertex_colors=np.full((8, 4), [0.2, 0.4, 0.6, 1.0]))
+    save_mesh(colored, tmp_path / "a.ply")
+    notes = convert(tmp_path / "a.ply", tmp_path / f"b{suffix}").notes
+    assert (load_mesh(tmp_path / f"b{suffix}").vertex_colors is None) == any("vertex colours" in note for note in notes)
 
 
 @pytest.mark.parametrize("suffix", CLIPS)

@@ -49,8 +49,8 @@ def convert(
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of another name.
 
-    What moves is written moving where the format can; a format of one mesh gets it at rest. The file's own format keeps
-    all it holds, but for the points of a `frame`.
+    What moves is written moving where the format can; a format of one mesh gets it at rest or, where an animation or
+    frames are chosen, the first of these. The file's own format keeps all it holds, but for the points of a `frame`.
 
     Args:
         fps: as `load_clip`: files with times are sampled at it, others are played at it.
@@ -63,8 +63,9 @@ def convert(
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
-    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
-    if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir() or blendshapes is not None
+    at_rest = frame is None and animation is None and (start, stop, step) == (0, None, 1)
+    if at_rest and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         return _convert_mesh(load_mesh(source), target)
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
     if frame is not None:
@@ -97,11 +98,9 @@ def write_clip(
     Raises:
         InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
     """
-    if path.suffix.lower() not in MOVIES:
+    if path.suffix.lower() not in MOVIES or blendshapes is not None:
         error = save_clip(clip, path, frames_as, progress, blendshapes)
         return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
-    if blendshapes is not None:
-        raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
     from .frame import Frame
     from .view.movie import clip_frames, save_movie
 

@@ -26,13 +26,19 @@ def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 
 
 def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
     """Unit normals of triangles; those without area get +y."""
-    return _unit(face_vectors(vertices, faces))
+    return _unit_or_up(face_vectors(vertices, faces))
 
 
 def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
     """Area-weighted unit normals; vertices without a face, or with cancelling faces, get +y."""
     vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
-    return _unit(_sum_by(faces.ravel(), vectors, len(vertices)))
+    return _unit_or_up(_sum_by(faces.ravel(), vectors, len(vertices)))
+
+
+def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Vectors at length one; zero vectors stay zero."""
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return vectors / np.where(length > 0, length, 1.0)
 
 
 def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> csr_array:
@@ -113,11 +119,6 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], 
     return merged, index.reshape(-1)
 
 
-def fan_triangles(polygon: list[int]) -> list[tuple[int, int, int]]:
-    """Triangulate a polygon of vertex indices as a fan around its first corner."""
-    return [(polygon[0], polygon[i], polygon[i + 1]) for i in range(1, len(polygon) - 1)]
-
-
 def turn_normals(
     corner_normals: Float[np.ndarray, "F 3 3"],
     faces: Int[np.ndarray, "F 3"],
@@ -148,9 +149,9 @@ def normal_turner(
     )
 
     def fan_frames(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "S 3 3"]:
-        normal = _unit(np.asarray(gather @ face_vectors(vertices, faces)).reshape(-1, 3))
+        normal = _unit_or_up(np.asarray(gather @ face_vectors(vertices, faces)).reshape(-1, 3))
         edge = vertices[end] - vertices[start]
-        tangent = _unit(edge - normal * (edge * normal).sum(-1, keepdims=True))
+        tangent = _unit_or_up(edge - normal * (edge * normal).sum(-1, keepdims=True))
         return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
 
     rest, old = corner_normals.reshape(-1, 3), fan_frames(before)
@@ -205,9 +206,8 @@ def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size
     return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1).astype(float)
 
 
-def _unit(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.where(length > 0, vectors / np.where(length > 0, length, 1.0), [0.0, 1.0, 0.0])
+def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 
 def sample_surface(

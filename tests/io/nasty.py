@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimesh.geometry import fan_triangles
-
 # Quads, an n-gon, triangles, two materials, groups, objects, a UV seam, hard edges, negative indices, vertex colours,
 # a w, lines, points, smoothing, a continued line, tabs, indents, comments of every kind, and words no reader knows.
 # The normals are those of their (flat) faces.
@@ -115,6 +113,11 @@ def naive_obj(data: bytes) -> tuple[list, list, dict]:
                 polygons[-1].append(v)
     given = {key: normals[n] / np.linalg.norm(normals[n]) for key, n in index_of.items() if n >= 0}
     return vertices, polygons, given
+
+
+def fan_triangles(polygon: list[int]) -> list[tuple[int, int, int]]:
+    """Triangulate a polygon of vertex indices as a fan around its first corner."""
+    return [(polygon[0], polygon[i], polygon[i + 1]) for i in range(1, len(polygon) - 1)]
 
 
 def triangles_of(polygons: list) -> tuple[list, list]:

@@ -116,6 +116,14 @@ def test_a_clip_reads_back_with_all_it_carries(tmp_path):
     assert [part.material for part in back.mesh.parts] == [part.material for part in clip.mesh.parts]
 
 
+def test_looks_of_one_name_stay_apart(tmp_path):
+    red, green = (Material("skin", color) for color in ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
+    parts = (Part("a", 0, 2, red), Part("b", 2, 6, green), Part("skin", 6, 10), Part("c", 10, 12, red))
+    save_mesh(dataclasses.replace(zoo.cube(), parts=parts), tmp_path / "a.abc")
+    back = load_mesh(tmp_path / "a.abc")
+    assert [(part.name, part.stop - part.start) for part in back.parts] == [("skin", 4), ("skin_2", 4), ("skin_3", 4)]
+
+
 def test_normals_turn_with_the_surface(tmp_path):
     clip = dressed()
     turn = np.stack([clip.mesh.vertices, clip.mesh.vertices @ rotation().T])

@@ -8,7 +8,7 @@ import pytest
 import zoo
 from scipy.spatial.transform import Rotation, Slerp
 
-from mimesh.io import load_clip, load_mesh
+from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
 from mimesh.io.gltf_animation import Channel, frame_rate
 from mimesh.mesh import Clip, InputError
@@ -97,6 +97,19 @@ def test_the_rate_is_the_one_that_keys_lie_on():
     assert frame_rate(keys(np.arange(9) / 24)) == 24
     assert frame_rate(keys(np.arange(9) / 30)) == 30
     assert frame_rate(keys([0, 0.0171, 0.0533, 0.2019])) is None
+    assert frame_rate(keys(np.arange(3) / 2)) == 24, "a curve of three keys"
+    assert frame_rate(keys([0.0, 1 / 24, 3 / 24])) == 24, "a frame without a key"
+
+
+@pytest.mark.parametrize("fps", [10.0, 12.0, 15.0, 23.976, 29.97, 72.0])
+@pytest.mark.parametrize("frames", [2, 13])
+def test_the_frames_of_a_clip_come_back_at_their_own_rate(fps, frames, tmp_path):
+    mesh = zoo.cube()
+    clip = Clip(mesh, np.stack([mesh.vertices + [np.sin(k), k * k, 0] for k in range(frames)]), fps)
+    save_clip(clip, tmp_path / "a.glb")
+    back = load_clip(tmp_path / "a.glb")
+    assert back.fps == pytest.approx(fps, rel=1e-4)
+    np.testing.assert_allclose(back.vertices, clip.vertices, atol=1e-4)
 
 
 def named(tmp_path):

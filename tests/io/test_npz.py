@@ -64,6 +64,14 @@ def test_moving_keeps_every_other_array_the_shape_and_the_type(tmp_path):
         assert back["notes"][0] == {"a": 1}
 
 
+def test_moved_points_of_whole_numbers_keep_their_fractions(tmp_path):
+    mesh = zoo.cube()
+    np.savez(tmp_path / "a.npz", vertices=(10 * mesh.vertices).astype(np.int16), faces=mesh.faces)
+    moved = bent(load_mesh(tmp_path / "a.npz").vertices)
+    save_mesh(load_mesh(tmp_path / "a.npz").with_vertices(moved), tmp_path / "b.npz")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "b.npz").vertices, moved)
+
+
 def test_a_pickle_is_never_opened(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.array([[0, 0, None]], dtype=object))
     with pytest.raises(InputError, match="expected a NumPy archive of plain arrays"):

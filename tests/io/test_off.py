@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import bent, rotation, triangle_soup
+from nasty import bent, fan_triangles, rotation, triangle_soup
 
-from mimesh.geometry import fan_triangles
 from mimesh.io import load_mesh, save_mesh
 
 PLAIN = b"""OFF

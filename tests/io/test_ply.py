@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import bent, rotation, triangle_soup
+from nasty import bent, fan_triangles, rotation, triangle_soup
 from PIL import Image
 
-from mimesh.geometry import fan_triangles, vertex_normals
+from mimesh.geometry import vertex_normals
 from mimesh.io import load_mesh, save_mesh
 
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")

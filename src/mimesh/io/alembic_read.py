@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_vectors
 from ..mesh import Clip, InputError, Material, Mesh, Part
 from ..paging import Progress, stored
-from . import DEFAULT_FPS
 from .alembic_archive import open_archive, reading
 from .alembic_scene import Shape, find_shapes
 from .alembic_surface import Surface, keeps_topology, read_surface
 from .alembic_write import AlembicSource
-from .polygons import fan_corners, unit_rows
-from .timing import frame_count, sample_rate, usual_rate
+from .polygons import fan_corners, joined_corners, with_face_normals
+from .timing import DEFAULT_FPS, frame_count, sample_rate, usual_rate
 
 
 def read_alembic(path: Path) -> Mesh:
@@ -126,38 +124,19 @@ def _join(shapes: list[Shape], start: float, others: dict[str, int], path: Path)
     triangles, polygon = fan_corners(sizes)
     triangles = sorted_corners[triangles]
     vertices, faces = next(_frames(shapes, counts, np.array([start]), path)), corners[triangles]
-    uv = _all_corners([surface.uv for surface in surfaces], surfaces)
-    normals = _all_corners([surface.normals for surface in surfaces], surfaces)
+    corner_counts = [len(surface.corners) for surface in surfaces]
+    uv = joined_corners([surface.uv for surface in surfaces], corner_counts)
+    normals = joined_corners([surface.normals for surface in surfaces], corner_counts)
     name = shapes[0].name if len(shapes) == 1 else path.stem
     return Mesh(
         vertices,
         faces,
         name=path.stem,
         corner_uv=uv[triangles] if uv is not None else None,
-        corner_normals=_without_zeros(normals[triangles], vertices, faces) if normals is not None else None,
+        corner_normals=with_face_normals(normals[triangles], vertices, faces) if normals is not None else None,
         parts=_parts(looks, label[by_label][polygon]) if len(shapes) > 1 or surfaces[0].face_sets else (),
         source=AlembicSource(sizes, _notes(shapes, surfaces, others), name),
     )
-
-
-def _all_corners(given: list[np.ndarray | None], surfaces: list[Surface]) -> Float[np.ndarray, "C K"] | None:
-    """Values of all corners, zeros where a mesh has none; None where no mesh has any."""
-    width = next((values.shape[1] for values in given if values is not None), None)
-    if width is None:
-        return None
-    return np.concatenate(
-        [
-            np.zeros((len(surface.corners), width)) if values is None else values
-            for values, surface in zip(given, surfaces, strict=True)
-        ]
-    )
-
-
-def _without_zeros(normals: Float[np.ndarray, "F 3 3"], vertices, faces) -> Float[np.ndarray, "F 3 3"]:
-    """Those of the triangles where a mesh gave none."""
-    flat = unit_rows(face_vectors(vertices, faces))
-    flat = np.where(flat.any(axis=1, keepdims=True), flat, [0.0, 1.0, 0.0])[:, None]
-    return np.where(normals.any(axis=2, keepdims=True), normals, flat)
 
 
 def _labels(

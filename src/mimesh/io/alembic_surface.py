@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import unit_vectors
 from ..mesh import InputError
 from .alembic_scene import Shape, at_time, whole_numbers
-from .polygons import backwards, unit_rows
+from .polygons import backwards
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +58,7 @@ def read_surface(shape: Shape, count: int, T_world_local: Float[np.ndarray, "4 4
         values.append(rows[order] if rows is not None else None)
     normals = values[1]
     if normals is not None:
-        normals = unit_rows(normals @ _cofactors(T_world_local[:3, :3]).T) * (-1.0 if determinant < 0 else 1.0)
+        normals = unit_vectors(normals @ _cofactors(T_world_local[:3, :3]).T) * (-1.0 if determinant < 0 else 1.0)
     face_set, names = _face_sets(shape, len(sizes), path)
     return Surface(sizes, corners[order], values[0], normals, face_set, names, tuple(notes))
 

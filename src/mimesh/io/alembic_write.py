@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..geometry import normal_turner
-from ..mesh import Clip, Mesh
+from ..mesh import Clip, Material, Mesh
 from ..paging import Progress, each_frame
 from .alembic_archive import library
 from .atomic import whole_file
@@ -109,15 +109,25 @@ def _add_face_sets(schema: Any, mesh: Mesh, path: Path) -> None:
     _, geometry, _, imath = library(path, "write")
     triangles = polygon_sizes(mesh) - 2
     first = np.cumsum(triangles) - triangles
-    members: dict[str, list[Int[np.ndarray, " N"]]] = {}
+    members: dict[Material | str, list[Int[np.ndarray, " N"]]] = {}
     for part in mesh.parts:
-        name = part.material.name if part.material else part.name
         start, stop = np.searchsorted(first, [part.start, part.stop]).tolist()
-        if name and start < stop:
-            members.setdefault(_object_name(name), []).append(np.arange(start, stop))
-    for name, polygons in members.items():
+        if (part.material.name if part.material else part.name) and start < stop:
+            members.setdefault(part.material or part.name, []).append(np.arange(start, stop))
+    taken: set[str] = set()
+    for look, polygons in members.items():
+        name = _free_name(_object_name(look.name if isinstance(look, Material) else look), taken)
+        taken.add(name)
         faces = imath.IntArrayFromBuffer(np.concatenate(polygons).astype(np.int32))
         schema.createFaceSet(name).getSchema().set(geometry.OFaceSetSchemaSample(faces))
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """The name, or with the next free number."""
+    wanted, number = name, 2
+    while name in taken:
+        name, number = f"{wanted}_{number}", number + 1
+    return name
 
 
 def _object_name(name: str) -> str:

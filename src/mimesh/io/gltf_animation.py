@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from ..mesh import InputError
 from .gltf_document import Document, read_floats
 from .gltf_scene import dots, quaternions_of_unit
-from .timing import usual_rate
+from .timing import RATES, lie_on, sample_rate, usual_rate
 
 PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """What moves, and how many numbers that is; as many as there are targets for weights."""
@@ -143,8 +143,15 @@ def played_channels(document: Document, wanted: str | None) -> list[Channel]:
 
 
 def frame_rate(channels: list[Channel]) -> float | None:
-    """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate."""
-    return usual_rate(np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)])))
+    """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate.
+
+    Keys as close and even as frames are the frames. Sparser ones are a curve, of which frames lie in between.
+    """
+    times = np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)]))
+    rate = sample_rate(times)
+    if rate is not None and rate >= min(RATES) and lie_on(times, rate):
+        return rate
+    return usual_rate(times)
 
 
 def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> Channel:

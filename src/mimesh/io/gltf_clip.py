@@ -17,13 +17,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Float32
 
-from ..geometry import normal_turner
+from ..geometry import normal_turner, unit_vectors
 from ..mesh import Clip, Mesh
 from ..paging import Progress, each_frame
 from .blend_shapes import Blend
 from .gltf_draft import VERTEX_DATA, Draft, Spool
 from .gltf_primitives import Placed
-from .gltf_scene import unit
 
 
 def add_frames(
@@ -119,7 +118,7 @@ def _local(
     linear, origin = one.T_world_local[:3, :3], one.T_world_local[:3, 3]
     local = {"POSITION": (vertices[one.vertex_of] - origin) @ np.linalg.inv(linear).T}
     if one.has_normals and normals is not None:
-        local["NORMAL"] = np.where(one.corner_of[:, None] >= 0, unit(normals[one.corner_of] @ linear), 0.0)
+        local["NORMAL"] = np.where(one.corner_of[:, None] >= 0, unit_vectors(normals[one.corner_of] @ linear), 0.0)
     return local
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_vectors, weld
+from ..geometry import face_vectors, unit_vectors, weld
 from .gltf_document import Document
-from .gltf_scene import morph_delta, morphed, normal_matrices, turn, unit
+from .gltf_scene import morph_delta, morphed, normal_matrices, turn
 
 Arrays = dict[str, Float[np.ndarray, "V C"]]
 
@@ -48,7 +48,7 @@ def local_attributes(
     scale = {"POSITION": np.ones((1, 1))}
     rest_normals = morphed(document, primitive, "NORMAL", weights)
     if rest_normals is not None and wanted.normals is not None:
-        base["NORMAL"] = unit(wanted.normals @ linear)
+        base["NORMAL"] = unit_vectors(wanted.normals @ linear)
         scale["NORMAL"] = _inverse_length(turn(carry_normal, rest_normals))
     tangents = morphed(document, primitive, "TANGENT", weights)
     if tangents is not None:
@@ -120,8 +120,8 @@ def _perpendicular(
     along: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"] | None
 ) -> Float[np.ndarray, "V 3"]:
     if normals is None:
-        return unit(along)
-    return unit(along - normals * (along * normals).sum(-1, keepdims=True))
+        return unit_vectors(along)
+    return unit_vectors(along - normals * (along * normals).sum(-1, keepdims=True))
 
 
 def _inverse_length(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 1"]:

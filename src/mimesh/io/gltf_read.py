@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_vectors
+from ..geometry import unit_vectors
 from ..mesh import InputError, Material, Mesh, Part
 from .colors import with_alpha
 from .gltf_document import Document, image_type
@@ -22,10 +22,10 @@ from .gltf_scene import (
     shown_nodes,
     transform,
     turn,
-    unit,
     vertex_matrices,
     world_matrices,
 )
+from .polygons import joined_corners, with_face_normals
 
 POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
 Shown = tuple[int, int]
@@ -80,7 +80,7 @@ def read_rest(document: Document) -> tuple[Mesh, Rest]:
         faces,
         name=document.path.stem,
         corner_uv=_corner_uv(document, shown, rows),
-        corner_normals=_corner_normals(document, shown, rows, T_world_node, face_vectors(vertices, faces)),
+        corner_normals=_corner_normals(document, shown, rows, T_world_node, vertices, faces),
         vertex_colors=_vertex_colors(document, runs, len(vertices)),
         parts=_parts(document, rest),
     )
@@ -106,7 +106,7 @@ def rest_normals(
     if normals is None:
         return None
     linear = vertex_matrices(document, node, entry, T_world_node)[:, :, :3]
-    return unit(turn(normal_matrices(linear), normals))
+    return unit_vectors(turn(normal_matrices(linear), normals))
 
 
 def primitive_of(document: Document, shown: Shown) -> dict[str, Any]:
@@ -179,19 +179,14 @@ def _corner_normals(
     shown: list[Shown],
     rows: list[np.ndarray],
     T_world_node: Float[np.ndarray, "N 4 4"],
-    vectors: Float[np.ndarray, "F 3"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
 ) -> Float[np.ndarray, "F 3 3"] | None:
     """Normals of all corners, or None where no primitive has any; flat ones where one lacks them, as glTF asks."""
     given = [rest_normals(document, node, primitive, T_world_node) for node, primitive in shown]
-    if all(normals is None for normals in given):
-        return None
-    corners = [
-        np.zeros((len(row), 3, 3)) if normals is None else normals[row]
-        for row, normals in zip(rows, given, strict=True)
-    ]
-    normals = np.concatenate(corners)
-    flat = np.where(vectors.any(axis=1, keepdims=True), unit(vectors), [0.0, 1.0, 0.0])[:, None]
-    return np.where(normals.any(axis=2, keepdims=True), normals, flat)
+    corners = [None if normals is None else normals[row] for normals, row in zip(given, rows, strict=True)]
+    normals = joined_corners(corners, list(map(len, rows)))
+    return None if normals is None else with_face_normals(normals, vertices, faces)
 
 
 def _vertex_colors(document: Document, runs: tuple[Run, ...], count: int) -> Float[np.ndarray, "V 4"] | None:
@@ -215,10 +210,8 @@ def _vertex_colors(document: Document, runs: tuple[Run, ...], count: int) -> Flo
 def _corner_uv(document: Document, shown: list[Shown], rows: list[np.ndarray]) -> Float[np.ndarray, "F 3 2"] | None:
     """Texture coordinates of all corners as the base colour uses them, v up; zeros where a primitive lacks them."""
     given = [_vertex_uv(document, primitive_of(document, key)) for key in shown]
-    if all(uv is None for uv in given):
-        return None
-    return np.concatenate(
-        [np.zeros((len(row), 3, 2)) if uv is None else uv[row] for row, uv in zip(rows, given, strict=True)]
+    return joined_corners(
+        [None if uv is None else uv[row] for uv, row in zip(given, rows, strict=True)], list(map(len, rows))
     )
 
 

@@ -206,12 +206,6 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
 
 
-def unit(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """Vectors of length 1; those of length 0 stay."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
-
-
 def dots(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
     """The inner product of each pair of rows."""
     return (a[..., None, :] @ b[..., :, None])[..., 0]

@@ -34,15 +34,18 @@ class NpzSource:
     data: bytes
     key: str
     points: np.ndarray
-    """The points as stored: shape and type are kept."""
+    """The points as stored: their shape is kept, and their type unless it is one of whole numbers."""
     suffix = ".npz"
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the archive with the points replaced; every other entry is copied unopened."""
         if len(mesh.vertices) != self.points.shape[-2]:
             raise ValueError(f"the file has {self.points.shape[-2]} vertices, the mesh {len(mesh.vertices)}")
+        dtype = (
+            self.points.dtype if self.points.dtype.kind == "f" else np.dtype(np.float64)
+        )  # moved points are not whole
         points = io.BytesIO()
-        np.save(points, mesh.vertices.reshape(self.points.shape).astype(self.points.dtype), allow_pickle=False)
+        np.save(points, mesh.vertices.reshape(self.points.shape).astype(dtype), allow_pickle=False)
         with zipfile.ZipFile(io.BytesIO(self.data)) as old, zipfile.ZipFile(path, "w") as new:
             for entry in old.infolist():
                 is_points = entry.filename == f"{self.key}.npy"

@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import unit_vectors, vertex_normals
 from ..mesh import InputError, Material, Mesh, Part
 from . import mtl
 from .atomic import whole_file
 from .colors import linear_rgba, srgb_rgba
 from .obj_source import ObjSource
-from .polygons import fan_corners, polygon_sizes, polygons_of, unit_rows
+from .polygons import fan_corners, polygon_sizes, polygons_of
 from .text import decoded, line_number, read_numbers, without_comments
 
 _KEYWORDS = (b"v", b"vt", b"vn", b"f", b"o", b"g", b"usemtl", b"mtllib")
@@ -112,7 +113,7 @@ def _read_source(path: Path) -> ObjSource:
         face_lines=np.array(found[b"f"], int),
         state_lines=sorted(found[b"o"] + found[b"g"] + found[b"usemtl"]),
         vertices=read_numbers(lines, found[b"v"], 1, 3, path),
-        normals=unit_rows(read_numbers(lines, found[b"vn"], 1, 3, path)),
+        normals=unit_vectors(read_numbers(lines, found[b"vn"], 1, 3, path)),
         sizes=sizes,
         corners=np.stack(corners, axis=1),
         relative_normals=raw[:, 2] < 0,
@@ -210,8 +211,6 @@ def _corner_normals(source: ObjSource, faces, index: Int[np.ndarray, "F 3"]) -> 
         return None
     if (index >= 0).all():
         return source.normals[index]
-    from ..geometry import vertex_normals
-
     return np.where(index[..., None] >= 0, source.normals[index], vertex_normals(source.vertices, faces)[faces])
 
 

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import unit_vectors
 from ..mesh import InputError, Mesh
 from .atomic import whole_file
-from .polygons import fan_corners, polygons_of, scatter_corners, unit_rows
+from .polygons import fan_corners, polygons_of, scatter_corners
 from .text import line_number, read_numbers, replace_rows, without_comments
 
 # The counts may follow the keyword on its line, even without a space (ModelNet); the keyword may be missing.
@@ -66,7 +67,7 @@ def read_off(path: Path) -> Mesh:
     vertex_lines, face_lines = rows[:vertex_count], rows[vertex_count:]
     vertices = read_numbers(lines, vertex_lines, 0, 3, path)
     faces, sizes = _read_faces(plain, face_lines, vertex_count, path)
-    normals = unit_rows(read_numbers(lines, vertex_lines, 3, 3, path)) if has_normals else None
+    normals = unit_vectors(read_numbers(lines, vertex_lines, 3, 3, path)) if has_normals else None
     corner_normals = normals[faces] if normals is not None and len(faces) else None
     source = OffSource(lines, np.array(vertex_lines, int), vertices, faces, sizes, normals)
     return Mesh(vertices, faces, name=path.stem, corner_normals=corner_normals, source=source)

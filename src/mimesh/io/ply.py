@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import unit_vectors
 from ..mesh import InputError, Material, Mesh, Part
 from .atomic import whole_file
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image
 from .ply_layout import Column, Header, gather, locate, read_header, read_units, scatter
-from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners, unit_rows
+from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners
 
 _COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
@@ -113,7 +114,7 @@ def read_ply(path: Path) -> Mesh:
             "the file is damaged, export it again"
         )
     normals = _read_points(columns, units, ("nx", "ny", "nz"))
-    normals = unit_rows(normals) if normals is not None else None
+    normals = unit_vectors(normals) if normals is not None else None
     parts, companions = _read_texture(header, path, len(faces))
     return Mesh(
         vertices,

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..geometry import face_normals
 from ..mesh import Mesh
 
 
@@ -60,10 +63,23 @@ def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
     return [flat[stop - size : stop] for size, stop in zip(sizes.tolist(), stops, strict=True)]
 
 
-def unit_rows(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Vectors at length one; zero vectors stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
+def joined_corners(given: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
+    """Values at the corners of several meshes as those of one mesh: zeros where a mesh has none, None where all lack.
+
+    `counts` are the rows of each mesh.
+    """
+    width = next((values.shape[1:] for values in given if values is not None), None)
+    if width is None:
+        return None
+    filled = [np.zeros((n, *width)) if values is None else values for values, n in zip(given, counts, strict=True)]
+    return np.concatenate(filled)
+
+
+def with_face_normals(
+    normals: Float[np.ndarray, "F 3 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
+) -> Float[np.ndarray, "F 3 3"]:
+    """Corner normals, and those of the faces where they are zero."""
+    return np.where(normals.any(axis=2, keepdims=True), normals, face_normals(vertices, faces)[:, None])
 
 
 def scatter_corners(

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_vectors, weld
+from ..geometry import face_vectors, unit_vectors, weld
 from ..mesh import InputError, Mesh, Part
 from .atomic import whole_file
-from .polygons import unit_rows
 from .text import decoded, read_numbers, replace_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -36,7 +35,7 @@ class StlSource:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
         moved = np.flatnonzero((mesh.vertices != self.vertices).any(axis=1)[self.faces].any(axis=1))
         corners = mesh.vertices[self.faces[moved]].astype(np.float64)
-        normals = unit_rows(face_vectors(mesh.vertices, self.faces[moved]))
+        normals = unit_vectors(face_vectors(mesh.vertices, self.faces[moved]))
         path.write_bytes(self._text(moved, corners, normals) if self.is_text else self._binary(moved, corners, normals))
 
     def _binary(self, moved, corners, normals) -> bytes:
@@ -110,7 +109,7 @@ def write_stl(mesh: Mesh, path: Path) -> None:
     if not len(mesh.faces):
         raise InputError(f"{path}: expected a mesh with faces for STL, found a point cloud; write .ply or .obj")
     records = np.zeros(len(mesh.faces), _RECORD)
-    records["normal"] = unit_rows(face_vectors(mesh.vertices, mesh.faces))
+    records["normal"] = unit_vectors(face_vectors(mesh.vertices, mesh.faces))
     records["corners"] = mesh.vertices[mesh.faces]
     with whole_file(path) as temporary:
         temporary.write_bytes(bytes(80) + len(records).to_bytes(4, "little") + records.tobytes())

@@ -18,9 +18,14 @@ LONGEST = 3600.0
 def usual_rate(times: Float[np.ndarray, " K"]) -> float | None:
     """The frames a second whose frames all times (seconds) lie on, counted from zero; None if no usual rate's."""
     for rate in RATES:
-        if len(times) > 2 and np.abs(times * rate - np.round(times * rate)).max() < ON_GRID:
+        if len(times) > 2 and lie_on(times, rate):
             return rate
     return None
+
+
+def lie_on(times: Float[np.ndarray, " K"], rate: float) -> bool:
+    """Whether all times (seconds) are those of frames of this rate, counted from zero."""
+    return bool(np.abs(times * rate - np.round(times * rate)).max(initial=0.0) < ON_GRID)
 
 
 def sample_rate(times: Float[np.ndarray, " K"]) -> float | None:

@@ -12,10 +12,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from pxr import Sdf, Usd, UsdGeom
 
-from ..geometry import face_vectors, turn_normals
+from ..geometry import turn_normals, unit_vectors
 from ..mesh import Clip, InputError, Material, Mesh, Part
 from ..paging import Progress, stored
-from .polygons import fan_corners, unit_rows
+from .polygons import fan_corners, joined_corners, with_face_normals
 from .timing import LONGEST, frame_count
 from .usd_looks import (
     at_corners,
@@ -146,6 +146,8 @@ def _joined(stage: Usd.Stage, bodies: list[Body], path: Path) -> Mesh:
         Run(str(body.prim.GetPath()), ends[k], ends[k + 1], face_ends[k], piece.corner_of, piece.mirrored)
         for k, (body, piece) in enumerate(zip(bodies, pieces, strict=True))
     )
+    counts = [len(piece.mesh.faces) for piece in pieces]
+    normals = joined_corners([piece.mesh.corner_normals for piece in pieces], counts)
     source = UsdSource(
         path=path.resolve(),
         suffix=path.suffix.lower(),
@@ -162,8 +164,8 @@ def _joined(stage: Usd.Stage, bodies: list[Body], path: Path) -> Mesh:
         vertices,
         faces,
         name=path.stem,
-        corner_uv=_joined_uv(pieces),
-        corner_normals=_joined_normals(pieces, face_vectors(vertices, faces)),
+        corner_uv=joined_corners([piece.mesh.corner_uv for piece in pieces], counts),
+        corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
         parts=tuple(
             dataclasses.replace(part, start=part.start + start, stop=part.stop + start)
             for piece, start in zip(pieces, face_ends, strict=False)
@@ -171,27 +173,6 @@ def _joined(stage: Usd.Stage, bodies: list[Body], path: Path) -> Mesh:
         ),
     )
     return dataclasses.replace(mesh, source=source)
-
-
-def _joined_uv(pieces: list[Piece]) -> Float[np.ndarray, "F 3 2"] | None:
-    """Zeros where a prim lacks them; None where all do."""
-    given = [piece.mesh.corner_uv for piece in pieces]
-    if all(uv is None for uv in given):
-        return None
-    return np.concatenate(
-        [np.zeros((*p.mesh.faces.shape, 2)) if uv is None else uv for uv, p in zip(given, pieces, strict=True)]
-    )
-
-
-def _joined_normals(pieces: list[Piece], vectors: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3 3"] | None:
-    """Those of the faces where a prim lacks them; None where all do."""
-    given = [piece.mesh.corner_normals for piece in pieces]
-    if all(normals is None for normals in given):
-        return None
-    corners = [np.zeros((*p.mesh.faces.shape, 3)) if n is None else n for n, p in zip(given, pieces, strict=True)]
-    normals = np.concatenate(corners)
-    flat = np.where(vectors.any(axis=1, keepdims=True), unit_rows(vectors), [0.0, 1.0, 0.0])[:, None]
-    return np.where(normals.any(axis=2, keepdims=True), normals, flat)
 
 
 def _piece(body: Body, frames: UsdGeom.XformCache, known: Known, path: Path) -> Piece:
@@ -268,7 +249,7 @@ def _normals(body: Body, frames, vertices, faces, corners, polygon_of, corner_of
         return None
     local = at_corners(*given, corners, polygon_of, f"{path}: normals of {prim.GetPath()}")[corner_of]
     T_world_bind = body.T_world_bind(frames)
-    normals = unit_rows(local @ np.linalg.pinv(T_world_bind[:3, :3]))
+    normals = unit_vectors(local @ np.linalg.pinv(T_world_bind[:3, :3]))
     if body.skin is None:
         return normals
     bind = moved_by(T_world_bind, np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(frames.GetTime()), np.float64))

@@ -16,8 +16,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 
+from ..geometry import unit_vectors
 from ..mesh import InputError, Mesh
-from .polygons import unit_rows
 from .usd_looks import at_corners, authored_normals
 from .usd_package import pack, unpack
 from .usd_skin import Body
@@ -129,7 +129,7 @@ class UsdSource:
             linear, origin = T_world_prim[:3, :3], T_world_prim[:3, 3]
             if mesh.corner_normals is not None:
                 faces = slice(run.first_face, run.first_face + len(run.corner_of))
-                _set_normals(prim, frames.GetTime(), run, unit_rows(mesh.corner_normals[faces] @ linear))
+                _set_normals(prim, frames.GetTime(), run, unit_vectors(mesh.corner_normals[faces] @ linear))
             _set_points(prim, (points - origin) @ np.linalg.inv(linear).T)
             _drop_skin(prim)
         stage.GetRootLayer().Save()

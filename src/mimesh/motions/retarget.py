@@ -14,6 +14,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.joint_names import named_joints, require_joints
+from ..geometry import unit_vectors
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
 from .unposed import axes_from_motion, measured, turn_between
@@ -66,10 +67,10 @@ def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> boo
     alone.
     """
     hips, feet, arms = (_pair(rest, index, part).mean(axis=0) for part in ("UpLeg", "Foot", "Arm"))
-    up = _unit(hips - feet)
-    upright = up @ _unit(arms - hips) > STANDING
+    up = unit_vectors(hips - feet)
+    upright = up @ unit_vectors(arms - hips) > STANDING
     across = [np.subtract(*_pair(rest, index, part)) for part in ("UpLeg", "Arm")]
-    return bool(upright and all(abs(up @ _unit(way)) < STANDING for way in across) and across[0] @ across[1] > 0)
+    return bool(upright and all(abs(up @ unit_vectors(way)) < STANDING for way in across) and across[0] @ across[1] > 0)
 
 
 def axes_from_rest(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
@@ -122,11 +123,6 @@ def _grounded(path, target, body):
 def _pair(rest, index, part):
     """Left and right joint of a part, (2, 3)."""
     return rest[[index[f"Left{part}"], index[f"Right{part}"]]]
-
-
-def _unit(vector):
-    length = np.linalg.norm(vector)
-    return vector / length if length > 0 else vector
 
 
 def _axis(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:

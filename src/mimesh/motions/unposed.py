@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..geometry import nearest_rotation, rotate_between
+from ..geometry import nearest_rotation, rotate_between, unit_vectors
 
 MEASURED = 400
 """Frames that are looked at, at most."""
@@ -81,12 +81,6 @@ def turns_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -
     olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
     turned = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
     return np.swapaxes(turned.reshape(-1, 3, 3), -1, -2)
-
-
-def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Vectors at length one; zero vectors stay zero."""
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1.0)
 
 
 def _middle(place, index, part):
