@@ -29,6 +29,8 @@ WORLD = -1
 """Holds the joints of a file with several roots; counted as a node, it is the last one and never moves."""
 FLAT = 1e-6
 """Of the largest: bind matrices that shrink more than this say nothing."""
+UPRIGHT = 0.7
+"""Cosine of the angle (45 degrees) up to which two ways up are one."""
 
 
 def is_motion(document: Document) -> bool:
@@ -83,9 +85,8 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
 def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     """World transforms of all nodes where the largest skin was bound; as the nodes stand if none says how.
 
-    Bind matrices lead to the space in which the mesh was made. To the world it stands as it does for the joints on
-    average, up to the nearest axis rotation: by how much a character is turned or leant beyond that is its pose.
-    Nodes that the skin does not list keep their place on the nearest one above that it does list.
+    Bind matrices lead to the space in which the mesh was made; `_stood` says how that stands in the world. Nodes that
+    the skin does not list keep their place on the nearest one above that it does list.
     """
     T_world_node, skins = world_matrices(document, node_matrices(document)), document.gltf.get("skins", [])
     telling = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
@@ -102,16 +103,36 @@ def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     sound = np.flatnonzero(size > FLAT * size.max(initial=0.0)).tolist()
     if not sound:
         return T_world_node
-    turns = nearest_rotation(T_world_bind[sound, :3, :3])
-    T_stood_bind = np.eye(4)
-    T_stood_bind[:3, :3] = ROTATIONS[np.einsum("rkl,jkl->r", ROTATIONS, turns).argmax()] * np.median(size[sound])
     own = {skins[largest]["joints"][joint]: joint for joint in sound}
     parent, held = parents_of(document), {WORLD: sound[0]}
+    order = parents_first(document, parent)
+    above = parent[next(node for node in order if node in own)]
+    T_stood_bind = np.eye(4)
+    T_stood_bind[:3, :3] = _stood(T_world_bind[sound], _with_world(T_world_node)[above]) * np.median(size[sound])
     T_stood_node = np.empty_like(T_world_node)
-    for node in parents_first(document, parent):
+    for node in order:
         held[node] = own.get(node, held[parent[node]])
         T_stood_node[node] = T_stood_bind @ np.linalg.inv(T_world_bind[held[node]]) @ T_world_node[node]
     return T_stood_node
+
+
+def _stood(
+    T_world_bind: Float[np.ndarray, "J 4 4"], T_world_above: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "3 3"]:
+    """The axis rotation by which the space of a skin stands in the world, from where each joint's node puts that space.
+
+    It is that of the node above the joints, or none, as exporters have it, unless the nodes of the joints have another
+    way up. By how much they are turned or leant beyond that is their pose.
+    """
+    mean = nearest_rotation(nearest_rotation(T_world_bind[:, :3, :3]).sum(axis=0))
+    for way in (_nearest_axes(nearest_rotation(T_world_above[:3, :3])), np.eye(3)):
+        if (mean @ way.T)[1, 1] > UPRIGHT:
+            return way
+    return _nearest_axes(mean)
+
+
+def _nearest_axes(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    return ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, rotation).argmax()]
 
 
 def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
