@@ -242,6 +242,15 @@ def test_what_is_no_motion_of_a_person_is_refused(rigged, tmp_path):
         load_clip(tmp_path)
 
 
+def test_limbs_without_a_length_are_refused(rigged, tmp_path):
+    def change(gltf):
+        for node in gltf["nodes"]:
+            node["translation"] = [0, 0, 0]
+
+    with pytest.raises(InputError, match=r"a\.glb: expected limbs with a length at rest, found none for LeftUpLeg, "):
+        load_clip(stripped(rigged, tmp_path / "a.glb", change))
+
+
 def test_numbers_that_are_none_are_refused(rigged, motion, tmp_path):
     def change(gltf):
         values = np.zeros((len(motion), 3))
