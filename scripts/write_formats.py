@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "formats.md"
 ROWS = {
     ".glb .gltf": (
-        "mesh, clip (nodes, skins, morph targets)",
+        "mesh, clip (nodes, skins, morph targets), motion (joints alone)",
         "mesh, clip (morph targets, or joints with `--skinned`)",
     ),
     ".vrm": ("as .glb", "as .glb, by `transfer`"),

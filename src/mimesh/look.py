@@ -105,7 +105,10 @@ def look(path: str | Path) -> Facts:
 
     clip = load_clip(path)
     facts = facts_of(clip.mesh, clip, path)
-    return dataclasses.replace(facts, details=facts.details + _motion(Path(path)))
+    if clip.mesh.source is not None:
+        return facts
+    animations, details = _motion(Path(path))
+    return dataclasses.replace(facts, animations=animations, details=facts.details + details)
 
 
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> Facts:
@@ -226,13 +229,22 @@ def _polygons(mesh: Mesh) -> int | None:
     return len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None
 
 
-def _motion(path: Path) -> tuple[tuple[str, str], ...]:
+def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Animations and details of a file without a mesh."""
+    from .io.formats import ANIMATED
+    from .io.gltf_animation import animation_names, document_details
+    from .io.gltf_document import open_document
+    from .io.gltf_motion import gltf_joints
     from .motions.on_body import is_motion_file, motion_joints
 
-    if not is_motion_file(path):
-        return ()
-    joints = _plural(motion_joints(path), "joint")
-    return (("motion", f"{joints}, played on the shipped body, which is what is told here"),)
+    if path.suffix.lower() in ANIMATED:
+        document = open_document(path)
+        return animation_names(document), (_played(gltf_joints(document)), *document_details(document))
+    return (), ((_played(motion_joints(path)),) if is_motion_file(path) else ())
+
+
+def _played(joints: int) -> tuple[str, str]:
+    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which is what is told here"
 
 
 def _stands(mesh: Mesh) -> str:

@@ -129,5 +129,7 @@ def test_a_skin_without_influences_is_none(tmp_path):
 
 def test_another_format_is_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
-    with pytest.raises(InputError, match=r"a\.obj: expected a rigged \.glb, \.gltf or \.vrm, found \.obj; "):
+    with pytest.raises(
+        InputError, match=r"a\.obj: expected a rigged mesh in a \.glb, \.gltf or \.vrm, found none in this \.obj; "
+    ):
         read_skin(tmp_path / "a.obj")

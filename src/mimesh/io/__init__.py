@@ -40,7 +40,7 @@ Function = TypeVar("Function")
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read one mesh from a file and check it; of a motion (.bvh) the shipped body in its first frame.
+    """Read one mesh from a file and check it; of a motion (joints alone) the shipped body in its first frame.
 
     Raises:
         InputError: no such file, a format that is not read, a damaged file, or a mesh that cannot be worked with.
@@ -84,7 +84,7 @@ def load_clip(
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
-            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS, load_mesh, progress)
+            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS, _load_frame, progress)
         # The clip is called as its folder is, not as its first frame.
         return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
     if path.suffix.lower() in CLIP_READERS:
@@ -204,6 +204,13 @@ def mesh_suffixes() -> tuple[str, ...]:
 def clip_suffixes() -> tuple[str, ...]:
     """Suffixes that `save_clip` writes as one file, with their dot."""
     return tuple(CLIP_WRITERS)
+
+
+def _load_frame(path: Path) -> Mesh:
+    mesh = load_mesh(path)
+    if path.suffix.lower() in ANIMATED and mesh.source is None:
+        raise InputError(f"{path}: expected a mesh as a frame of a clip, found joints that move; give that file alone")
+    return mesh
 
 
 def _only_frame(clip: Clip, path: Path) -> Mesh:

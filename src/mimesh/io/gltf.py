@@ -3,6 +3,7 @@
 gltf_check -> gltf_document -> gltf_scene -> gltf_read          a file becomes a Mesh
 gltf_draft -> gltf_move -> gltf_primitives -> gltf_edit         its source, written back
 gltf_animation -> gltf_bake                                     its animations as points
+              gltf_motion                                       joints without a mesh, on the shipped body
               gltf_build, gltf_clip                             a Mesh from elsewhere, frames as morph targets
 """
 
@@ -23,6 +24,7 @@ from .gltf_check import is_understood
 from .gltf_clip import add_frames
 from .gltf_document import Document, open_document
 from .gltf_edit import GltfSource, edit_document, with_normals
+from .gltf_motion import is_motion, read_motion_clip, read_motion_mesh
 from .gltf_read import Rest, read_rest
 from .timing import DEFAULT_FPS
 
@@ -32,12 +34,18 @@ def read_gltf(path: Path) -> Mesh:
 
     Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
     the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
-    default are not read; they stay in `Mesh.source`, whose `notes` say what writing the file again leaves out.
+    default are not read; they stay in `Mesh.source`, whose `notes` say what writing the file again leaves out. Of a
+    file with animations and no mesh it is the shipped body in the first frame (see `gltf_motion`), without a source.
 
     Raises:
-        InputError: the file is damaged, compressed, not glTF 2.0, or shows no triangles.
+        InputError: the file is damaged, compressed, not glTF 2.0, or shows no triangles and no person's joints move.
     """
     document = open_document(path)
+    return read_motion_mesh(document) if is_motion(document) else _read_mesh(document)
+
+
+def _read_mesh(document: Document) -> Mesh:
+    path = document.path
     mesh, rest = read_rest(document)
     check_mesh(mesh, path)
     source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _notes(document, rest))
@@ -49,6 +57,8 @@ def read_gltf_clip(
 ) -> Clip:
     """An animation of a .glb, .vrm or .gltf file, baked to points; one frame where it has none and none is wanted.
 
+    Joints without a mesh are played by the shipped body (see `gltf_motion`).
+
     Args:
         fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
         animation: its name, the name behind its last "|", or its number; None: the first, and with it those that move
@@ -57,9 +67,11 @@ def read_gltf_clip(
     Raises:
         InputError: as `read_gltf`, no such animation, or a damaged one.
     """
-    mesh = read_gltf(path)
+    document = open_document(path)
+    if is_motion(document):
+        return read_motion_clip(document, fps, animation, progress)
+    mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
-    document = mesh.source.document
     if animation is None and not mesh.source.animations:
         return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
     channels = played_channels(document, animation)

@@ -21,6 +21,8 @@ from .timing import LONGEST, frame_count
 
 BLOCK = 64
 """Frames whose node transforms are found at once."""
+Moved = dict[tuple[int, str], Float[np.ndarray, "T C"]]
+"""Values of what moves in some frames, by node and name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +43,27 @@ def baked_frames(
     document: Document, rest: Rest, channels: list[Channel], fps: float
 ) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
     """How many frames an animation has, and the vertices of the Mesh in each: frame k is at k / fps seconds."""
+    times = frame_times(document, channels, fps)
+    return len(times), _frames(document, rest, channels, times)
+
+
+def frame_times(document: Document, channels: list[Channel], fps: float) -> Float[np.ndarray, " T"]:
+    """Seconds of the frames of an animation, from zero to its last key."""
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
-    count = frame_count(last, fps)
-    return count, _frames(document, rest, channels, np.arange(count) / fps)
+    return np.arange(frame_count(last, fps)) / fps
+
+
+def node_blocks(
+    document: Document, channels: list[Channel], times: Float[np.ndarray, " T"]
+) -> Iterator[tuple[Moved, Float[np.ndarray, "B N 4 4"]]]:
+    """What moves and the world transforms of all nodes, for some frames at a time."""
+    for start in range(0, len(times), BLOCK):
+        some = times[start : start + BLOCK]
+        values = {(channel.node, channel.path): channel.at(some) for channel in channels}
+        yield values, world_matrices(document, moved_matrices(document, values, len(some)))
+        document.let_go()
 
 
 def _frames(
@@ -53,15 +71,11 @@ def _frames(
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     morphing = {channel.node for channel in channels if channel.path == "weights"}
     runs = [_hold(document, run, run.node in morphing) for run in rest.runs]
-    for start in range(0, len(times), BLOCK):
-        some = times[start : start + BLOCK]
-        values = {(channel.node, channel.path): channel.at(some) for channel in channels}
+    for values, T_world_node in node_blocks(document, channels, times):
         weights = {node: value for (node, path), value in values.items() if path == "weights"}
-        T_world_node = world_matrices(document, moved_matrices(document, values, len(some)))
-        for t in range(len(some)):
+        for t in range(len(T_world_node)):
             now = {node: value[t].tolist() for node, value in weights.items()}
             yield np.concatenate([_posed(document, held, T_world_node[t], now) for held in runs])
-        document.let_go()
 
 
 def _hold(document: Document, run: Run, morphs: bool) -> Held:

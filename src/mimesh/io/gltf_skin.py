@@ -70,7 +70,8 @@ def read_skin(path: str | Path) -> Skin:
     source = mesh.source
     if not isinstance(source, GltfSource):
         raise InputError(
-            f"{path}: expected a rigged .glb, .gltf or .vrm, found {Path(path).suffix}; export the armature as glTF"
+            f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
+            "export the mesh and its armature together as glTF"
         )
     tree = _find_joints(source.document, source.rest)
     if not tree.nodes:

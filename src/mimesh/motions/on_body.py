@@ -11,7 +11,7 @@ from ..bodies import load_body
 from ..mesh import Clip, Mesh
 from ..paging import Progress
 from .amass import archive_names, is_amass, load_amass
-from .bvh import bvh_joints, load_bvh
+from .bvh import Bvh, bvh_joints, load_bvh
 from .motion import Motion, motion_clip, resample
 from .retarget import retarget
 
@@ -29,35 +29,54 @@ def motion_joints(path: str | Path) -> int:
     return bvh_joints(path) if Path(path).suffix.lower() == BVH else len(load_amass(path).joint_names)
 
 
+def on_body(source: Bvh, path: str | Path) -> Motion:
+    """A skeleton's motion on the joints of the shipped body, at its frame rate; see `retarget`.
+
+    Raises:
+        InputError: the hips and limbs are not found by name.
+    """
+    return dataclasses.replace(retarget(source, load_body(), str(path)), name=source.name)
+
+
 def motion_of_file(path: str | Path) -> Motion:
     """A motion file's motion on the joints of the shipped body, at the file's frame rate; see `retarget`.
 
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
     """
-    source = load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
-    return dataclasses.replace(retarget(source, load_body(), str(path)), name=Path(path).stem)
+    return on_body(load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path), path)
 
 
 def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """A motion file played by the shipped body of mean shape, in metres, y up, standing on the floor at y = 0.
+    """A motion file played by the shipped body (see `played`).
 
-    The frame rate is the file's; another `fps` samples the motion at it (frame k is at k / fps seconds). The mesh is
-    that of the first frame. Frames come one by one and lie on disk when they are many; positions are single precision.
+    The frame rate is the file's; another `fps` samples the motion at it (frame k is at k / fps seconds).
 
     Raises:
         InputError: as `motion_of_file`, or a frame rate that is not positive.
     """
     motion = motion_of_file(path)
-    motion = motion if fps is None else resample(motion, fps)
+    return played(motion if fps is None else resample(motion, fps), progress)
+
+
+def motion_file_mesh(path: str | Path) -> Mesh:
+    """The shipped body in the first frame of a motion file; see `motion_file_clip`."""
+    return first_frame(motion_of_file(path))
+
+
+def played(motion: Motion, progress: Progress | None = None) -> Clip:
+    """A motion played by the shipped body of mean shape, in metres, y up, standing on the floor at y = 0.
+
+    The mesh is that of the first frame. Frames come one by one and lie on disk when they are many; positions are single
+    precision.
+    """
     clip = motion_clip(load_body(), None, motion, progress, np.float32)
     first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64))
     return dataclasses.replace(clip, mesh=first)
 
 
-def motion_file_mesh(path: str | Path) -> Mesh:
-    """The shipped body in the first frame of a motion file; see `motion_file_clip`."""
-    motion = motion_of_file(path)
+def first_frame(motion: Motion) -> Mesh:
+    """The shipped body in the first frame of a motion."""
     first = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
     clip = motion_clip(load_body(), None, first)
     return dataclasses.replace(clip.mesh, vertices=clip.vertices[0])

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.joint_names import named_joints, require_joints
 from ..geometry import unit_vectors
+from ..mesh import InputError
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
 from .unposed import axes_from_motion, measured, turn_between
@@ -37,11 +38,17 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
     with one or two markers is mostly noise. Contacts are not enforced.
 
     Raises:
-        InputError: the source lacks the hips or a limb joint by name.
+        InputError: the source lacks the hips or a limb joint by name, or a limb bone has no length at rest.
     """
     index = named_joints(source.joint_names, source.parents)
     require_joints(index, NEEDED, source.joint_names, name or source.name)
     rest, (rotation, place) = source.rest(), source.world()
+    flat = [joint for joint, tail in BONES.items() if not (rest[index[tail]] - rest[index[joint]]).any()]
+    if flat:
+        raise InputError(
+            f"{name or source.name}: expected limbs with a length at rest, found none for {', '.join(flat)}; "
+            "export the skeleton with its bones"
+        )
     if rests_standing(rest, index):
         axes = axes_from_rest(rest, index)
         aligned = alignments(rest @ axes.T, index, body)
