@@ -16,7 +16,7 @@ import numpy as np
 
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from ..paging import Progress
-from .atomic import whole_file
+from .atomic import whole_file, writing
 from .formats import (
     ANIMATED,
     CACHES,
@@ -111,13 +111,13 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """
     path = Path(path)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
-        with _writing(path):
+        with writing(path):
             with whole_file(path) as temporary:
                 mesh.source.write(mesh, temporary)
             _copy_companions(mesh, path.parent)
     else:
         writer = _by_suffix(MESH_WRITERS, path)
-        with _writing(path):
+        with writing(path):
             writer(mesh, path)
 
 
@@ -147,7 +147,7 @@ def save_clip(
         return _save_blended(clip, path, progress, blendshapes)
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
         beside = _mesh_to_write_beside(clip, path) if path.suffix.lower() in CACHES else None
-        with _writing(path):
+        with writing(path):
             CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if beside is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
@@ -165,7 +165,7 @@ def save_clip(
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    with _writing(path):
+    with writing(path):
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if own == suffix:
             _copy_companions(clip.mesh, path)
@@ -177,7 +177,7 @@ def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes
 
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
-    with _writing(path), whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
@@ -192,7 +192,7 @@ def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
-    with _writing(path), whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         write_gltf_skinned(skeleton, fps, temporary)
 
 
@@ -257,15 +257,4 @@ def _reading(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(
             f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
-        ) from error
-
-
-@contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Say in one line why a file cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"
         ) from error
