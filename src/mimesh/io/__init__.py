@@ -10,7 +10,7 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,12 +31,10 @@ from .mtl import copy_companions
 from .obj_source import ObjSource
 from .ply import PlySource
 from .sequence import read_sequence, write_sequence
-from .timing import DEFAULT_FPS
+from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
-
-Function = TypeVar("Function")
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -51,7 +49,12 @@ def load_mesh(path: str | Path) -> Mesh:
     _must_exist(path)
     if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
         return _only_frame(load_clip(path), path)
-    reader = _by_suffix(MESH_READERS, path)
+    if path.suffix.lower() not in MESH_READERS:
+        raise InputError(
+            f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {_found(path)}; "
+            "save it as one of these first, with Blender for example"
+        )
+    reader = MESH_READERS[path.suffix.lower()]
     with _reading(path):
         mesh = reader(path)
     return check_mesh(mesh, path)
@@ -81,6 +84,10 @@ def load_clip(
         )
     if fps is not None and not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    if fps is not None and fps > HIGHEST_FPS:
+        raise InputError(
+            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
+        )
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
@@ -116,7 +123,11 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
                 mesh.source.write(mesh, temporary)
             _copy_companions(mesh, path.parent)
     else:
-        writer = _by_suffix(MESH_WRITERS, path)
+        if path.suffix.lower() not in MESH_WRITERS:
+            raise InputError(
+                f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {_found(path)}; name another"
+            )
+        writer = MESH_WRITERS[path.suffix.lower()]
         with writing(path):
             writer(mesh, path)
 
@@ -234,12 +245,8 @@ def _must_exist(path: Path) -> None:
         raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
 
 
-def _by_suffix(table: dict[str, Function], path: Path) -> Function:
-    suffix = path.suffix.lower()
-    if suffix in table:
-        return table[suffix]
-    found = f"'{suffix}'" if suffix else "no suffix"
-    raise InputError(f"{path}: expected one of {' '.join(table)}, found {found}; convert it to one of these first")
+def _found(path: Path) -> str:
+    return f"found '{path.suffix}'" if path.suffix else "found no suffix"
 
 
 def _copy_companions(mesh: Mesh, folder: Path) -> None:
