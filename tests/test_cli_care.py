@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import subprocess
+import sys
+import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zoo
 
 from mimesh.cli import run
-from mimesh.io import save_mesh
-from mimesh.mesh import Material, Part
+from mimesh.io import save_clip, save_mesh
+from mimesh.mesh import Clip, Material, Part
 
 
 @pytest.fixture
@@ -76,3 +80,30 @@ def test_a_range_outside_the_clip_names_the_clip(files, capsys):
 def test_a_negative_seed_is_refused(files, capsys):
     assert transfer(files, "--seed", "-1") == 2
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_look_tells_of_the_good_files_beside_a_bad_one(files, capsys):
+    (files / "bad.obj").write_text("")
+    assert run(["look", str(files / "bad.obj"), str(files / "pose.obj")]) == 2
+    told = capsys.readouterr()
+    assert "pose.obj" in told.out
+    assert "bad.obj: expected a mesh, found an empty file" in told.err
+
+
+def test_the_next_step_after_a_movie_is_not_to_look_at_it_as_a_mesh(files, capsys):
+    assert run(["convert", str(files / "pose.obj"), str(files / "pose.gif")]) == 0
+    assert "next:" not in capsys.readouterr().out
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
+def test_a_run_that_is_told_to_end_leaves_no_half_file(files, tmp_path):
+    save_clip(Clip(zoo.cube(), np.repeat(zoo.cube().vertices[None], 2000, axis=0)), files / "long.npz")
+    out = tmp_path / "out"
+    command = [sys.executable, "-m", "mimesh", "convert", str(files / "long.npz"), str(out / "frames"), "-q"]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE)
+    while process.poll() is None and not (out.is_dir() and list(out.iterdir())):
+        time.sleep(0.001)
+    process.terminate()
+    _, said = process.communicate(timeout=60)
+    assert (process.returncode, said.decode().strip()) == (130, "mimesh: stopped")
+    assert not list(out.iterdir())

@@ -119,3 +119,51 @@ def test_progress_reaches_the_end_once(suffix, tmp_path):
     told = []
     convert(tmp_path / "a.mdd", tmp_path / f"b{suffix}", progress=lambda *done: told.append(done))
     assert told == [(k, 8) for k in range(1, 9)]
+
+
+def test_options_that_would_change_nothing_are_refused(tmp_path):
+    save_clip(clip(), tmp_path / "a.glb")
+    save_mesh(zoo.cube(), tmp_path / "a.ply")
+    mesh, frames = tmp_path / "b.obj", tmp_path / "b.npz"
+    for options in ({"fps": 12.0}, {"animation": "Run"}, {"start": 1}, {"stop": 2}, {"step": 2}, {"blendshapes": 2}):
+        with pytest.raises(InputError, match=f"expected no --{next(iter(options))} "):
+            convert(tmp_path / "a.glb", mesh, **options)
+    with pytest.raises(InputError, match="expected no --start"):
+        convert(tmp_path / "a.glb", mesh, frame=1, start=1)
+    with pytest.raises(InputError, match="expected a folder with --frames-as"):
+        convert(tmp_path / "a.glb", frames, frames_as=".obj")
+    assert not mesh.exists()
+    assert not frames.exists()
+
+
+@pytest.mark.parametrize("name", ["b.pc2", "b.npy", "b"])
+def test_a_lost_frame_rate_is_said(name, tmp_path):
+    save_clip(clip(), tmp_path / "a.glb")
+    done = convert(tmp_path / "a.glb", tmp_path / name, fps=24.0)
+    assert f"read {name} with --fps 24" in " ".join(done.notes)
+    assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
+    assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, fps=30.0).notes)
+
+
+def test_the_rest_of_what_moves_is_said(tmp_path):
+    save_clip(clip(), tmp_path / "a.glb")
+    assert convert(tmp_path / "a.glb", tmp_path / "b.obj").notes == (
+        "b.obj is the mesh at rest; --frame takes a pose of its animation",
+    )
+    assert convert(tmp_path / "a.glb", tmp_path / "c.obj", frame=2).notes == ()
+
+
+def test_suffixes_that_are_not_written_are_told_as_outputs(tmp_path):
+    save_mesh(zoo.cube(), tmp_path / "a.obj")
+    with pytest.raises(InputError, match=r"expected an output in one of .*\.glb.*, found '.fbx'; name another"):
+        convert(tmp_path / "a.obj", tmp_path / "b.fbx")
+    (tmp_path / "c.fbx").write_bytes(b"FBX")
+    with pytest.raises(InputError, match=r"expected one of .*\.pc2.*, found '.fbx'; save it .* Blender"):
+        convert(tmp_path / "c.fbx", tmp_path / "d.obj")
+
+
+@pytest.mark.parametrize("fps", [float("inf"), 1e9])
+def test_frame_rates_of_a_slip_are_refused(fps, tmp_path):
+    save_clip(clip(), tmp_path / "a.glb")
+    with pytest.raises(InputError, match="expected a frame rate of 10,000 or less"):
+        load_clip(tmp_path / "a.glb", fps=fps)

@@ -7,6 +7,7 @@ imports NumPy or anything heavier before a command runs, so that `mimesh --help`
 from __future__ import annotations
 
 import os
+import signal
 import sys
 from typing import Annotated
 
@@ -68,6 +69,7 @@ def _options(
 
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and leave with its exit code."""
+    signal.signal(signal.SIGTERM, _end)
     code = run(sys.argv[1:] if arguments is None else arguments)
     try:
         sys.stdout.flush()
@@ -89,6 +91,11 @@ def run(arguments: list[str]) -> int:
         return 0
     except Exception as error:
         return _failed(error)
+
+
+def _end(*_: object) -> None:
+    """Leave by the way of Ctrl-C when told to end, so that temporary files are taken away."""
+    raise KeyboardInterrupt
 
 
 def _failed(error: Exception) -> int:

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 
 from .io import clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
-from .io.formats import FRAMES_ONLY, MESH_WRITERS
+from .io.formats import FRAMES_ONLY, MESH_WRITERS, MOTIONS
+from .io.timing import DEFAULT_FPS
 from .mesh import Clip, InputError, Mesh, cut_clip
 from .paging import Progress
 
 MOVIES = (".gif", ".mp4", ".webp")
 """Written as pictures, to be looked at."""
+RATELESS = (".npy", ".pc2")
+"""Formats whose files, as folders of frames, do not say how fast they are."""
 MOVIE_SIZE = (640, 720)
 POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
@@ -63,10 +66,19 @@ def convert(
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
-    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir() or blendshapes is not None
-    at_rest = frame is None and animation is None and (start, stop, step) == (0, None, 1)
-    if at_rest and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
-        return _convert_mesh(load_mesh(source), target)
+    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    if frames_as is not None and suffix and not target.is_dir():
+        raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
+    cut = {"--start": start != 0, "--stop": stop is not None, "--step": step != 1}
+    if frame is not None:
+        _leave_out(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
+    elif not moving:
+        _leave_out(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
+    if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+        timed = {"--fps": fps is not None, "--animation": animation is not None}
+        _leave_out(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
+        mesh = load_mesh(source)
+        return _convert_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
     if frame is not None:
         if not -len(clip) <= frame < len(clip):
@@ -76,7 +88,9 @@ def convert(
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not moving:
         return _convert_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
-    notes = not_kept(clip.mesh, target) + blend_note(deviation)
+    notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
+    if frame is None and animation is None:
+        notes += animations_note(clip.mesh, source)
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
 
@@ -133,14 +147,48 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
 
 
+def rate_note(fps: float, path: Path) -> tuple[str, ...]:
+    """What to say when a clip is read again from a format that knows no frame rate."""
+    suffix = path.suffix.lower()
+    if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
+        return ()
+    return (f"{suffix or 'folders of'} files know no frame rate: read {path.name} with --fps {fps:g}",)
+
+
+def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+    """Which animation of several is taken where none is named."""
+    names = getattr(mesh.source, "animations", ())  # glTF alone has several
+    if len(names) < 2:
+        return ()
+    return (
+        f"{path.name} has {len(names)} animations: {names[0]} is taken, with those that move other nodes; "
+        "--animation takes another",
+    )
+
+
 def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
     """The progress of one of several parts of equal weight, as progress of the whole."""
     return progress and (lambda done, total: progress(number * total + done, parts * total))
 
 
-def _convert_mesh(mesh: Mesh, target: Path, frames: int = 1) -> Converted:
+def _leave_out(target: Path, given: dict[str, bool], why: str, instead: str = "") -> None:
+    """Refuse options that would change nothing."""
+    found = [name for name, present in given.items() if present]
+    if found:
+        raise InputError(f"{target}: expected no {found[0]} ({why}), found it; leave it out{instead}")
+
+
+def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
+    if source.suffix.lower() in MOTIONS:
+        return (f"{target.name} is the first frame; --frame takes another",)
+    if getattr(mesh.source, "animations", ()):
+        return (f"{target.name} is the mesh at rest; --frame takes a pose of its animation",)
+    return ()
+
+
+def _convert_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     save_mesh(mesh, target)
-    notes = not_kept(mesh, target)
+    notes += not_kept(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():

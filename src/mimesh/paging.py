@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import mmap
+import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 
@@ -20,12 +21,32 @@ Progress = Callable[[int, int], None]
 
 
 def new_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
-    """An array for so many frames, in memory or, for a long clip, in a file that is gone when the array is."""
+    """An array for so many frames, in memory or, for a long clip, in a file that is gone when the array is.
+
+    Raises:
+        InputError: the temporary folder has no room for them.
+    """
     shape = (count, vertices, 3)
     if count * vertices * 3 * np.dtype(dtype).itemsize < LARGE:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile() as file:
+        _reserve(file.fileno(), count * vertices * 3 * np.dtype(dtype).itemsize)
         return np.memmap(file, dtype, "w+", shape=shape)
+
+
+def _reserve(descriptor: int, size: int) -> None:
+    """Take the room now: a page that finds none later kills the process."""
+    from .mesh import InputError
+
+    if not hasattr(os, "posix_fallocate"):
+        return
+    try:
+        os.posix_fallocate(descriptor, 0, size)
+    except OSError as error:
+        raise InputError(
+            f"{tempfile.gettempdir()}: expected room for {size / 2**20:,.0f} MiB of frames, found '{error.strerror}'; "
+            "free some, take fewer frames, or set TMPDIR to another folder"
+        ) from error
 
 
 def let_go(frames: Float[np.ndarray, "T V 3"]) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .io.atomic import whole_file
+from .io.atomic import whole_file, writing
 from .mesh import Clip, Mesh
 from .view.movie import clip_frames, save_movie
 from .view.sheet import DRIVING_TINT, page, stack, strip
@@ -49,7 +49,7 @@ def clip_pictures(driving: Clip, result: ClipResult, output: Path) -> list[Path]
 
 def save_picture(image: Image.Image, path: Path) -> Path:
     """Write a PNG or JPEG, whole or not at all."""
-    with whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         image.save(temporary)
     return path
 

@@ -164,6 +164,14 @@ def test_old_frames_that_would_be_mistaken_for_new_ones_are_an_error(tmp_path):
     assert len(load_clip(tmp_path / "out")) == 6
 
 
+def test_frames_of_another_format_beside_new_ones_are_an_error(tmp_path):
+    clip = Clip(zoo.cube(), np.stack([zoo.cube().vertices] * 2))
+    save_clip(clip, tmp_path / "walk", ".obj")
+    with pytest.raises(InputError, match=r"without frames in another format, found 0000.obj"):
+        save_clip(clip, tmp_path / "walk", ".ply")
+    assert len(load_clip(tmp_path / "walk")) == 2
+
+
 def test_a_bad_frame_is_named_by_its_file(tmp_path):
     write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3))
     (tmp_path / "1.obj").write_bytes(b"")

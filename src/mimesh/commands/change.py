@@ -28,6 +28,7 @@ def convert(
 
     What moves stays moving where OUT can; .gif, .webp and .mp4 are pictures of it. Formats: see docs/formats.md.
     """
+    from ..convert import MOVIES
     from ..convert import convert as run
 
     refuse_inputs(target, source)
@@ -52,4 +53,5 @@ def convert(
         length = "" if done.fps is None else f", {done.frames} frames at {done.fps:g} per second"
         print(f"{target}: {done.vertices} vertices{length}")
         print("".join(f"note: {note}\n" for note in done.notes), end="")
-        print_next("look", target)
+        if target.suffix.lower() not in MOVIES:
+            print_next("look", target)

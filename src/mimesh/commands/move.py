@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..mesh import Mesh
     from ..result import ClipResult, Result
 
-Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, OBJ, PLY, OFF, STL or NPZ.")]
+Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
 Refine = Annotated[
@@ -101,7 +101,7 @@ def transfer(
 
 def animate(
     identity: Identity,
-    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A folder of numbered meshes, a GLB, an NPZ.")],
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A clip (GLB, USD, PC2 ...), a folder, a BVH.")],
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
@@ -133,7 +133,7 @@ def animate(
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
-    from ..convert import MOVIES
+    from ..convert import MOVIES, animations_note
     from ..io import clip_suffixes, load_clip, load_mesh
     from ..mesh import InputError
     from ..pipeline import animate as run
@@ -171,7 +171,17 @@ def animate(
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
     pictures = _pictures(result, clip, slice(start, stop, step), output) if preview else []
-    _finish(result, output, pictures, json, quiet, vertices=len(mesh.vertices), frames=len(result.clip), fps=result.fps)
+    _finish(
+        result,
+        output,
+        pictures,
+        json,
+        quiet,
+        vertices=len(mesh.vertices),
+        frames=len(result.clip),
+        fps=result.fps,
+        further=animations_note(clip.mesh, driving) if animation is None else (),
+    )
 
 
 def _finish(
@@ -184,11 +194,13 @@ def _finish(
     vertices: int,
     frames: int,
     fps: float | None,
+    further: tuple[str, ...] = (),
 ) -> None:
-    from ..convert import blend_note, not_kept
+    from ..convert import blend_note, not_kept, rate_note
 
+    rate = () if fps is None else rate_note(fps, output)
     blended = blend_note(result.report.get("blendshapes_deviation"))
-    notes = [*result.notes, *not_kept(_mesh(result), output), *blended]
+    notes = [*result.notes, *not_kept(_mesh(result), output), *rate, *blended, *further]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,
@@ -211,6 +223,8 @@ def _mesh(result: Result | ClipResult) -> Mesh:
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
+    from ..convert import MOVIES
+
     length = "" if facts["fps"] is None else f", {facts['frames']} frames at {facts['fps']:g} per second"
     seconds = sum(facts["seconds"].values())
     print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
@@ -218,6 +232,8 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print(f"note: {note}")
     for picture in facts["report"]["pictures"]:
         print(f"picture: {picture}")
+    if Path(facts["output"]).suffix.lower() in MOVIES:
+        return
     if facts["report"]["pictures"] or facts["fps"] is not None:
         print_next("look", facts["output"])
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,12 +19,25 @@ Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, cl
 def look(files: Files, json: Json = False) -> None:
     """Tell what mesh files hold and what may spoil a transfer."""
     from ..look import look as examine
+    from ..mesh import InputError
 
-    facts = [examine(path) for path in files]
+    facts, errors = {}, []
+    for path in files:
+        try:
+            facts[path] = examine(path)
+        except InputError as error:
+            errors.append(error)
     if json:
-        print_json({"files": [fact.as_dict() for fact in facts]})
+        if errors:
+            raise errors[0]
+        print_json({"files": [fact.as_dict() for fact in facts.values()]})
         return
-    print("\n\n".join(fact.text() for fact in facts))
+    for fact in facts.values():
+        print(fact.text(), end="\n\n" if len(files) > 1 else "\n")
+    for error in errors[:-1]:
+        print(f"mimesh: {error}", file=sys.stderr)
+    if errors:
+        raise errors[-1]
     print_next("render", *files, "-o", "sheet.png")
 
 

@@ -10,13 +10,13 @@ import contextlib
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from ..paging import Progress
-from .atomic import whole_file
+from .atomic import whole_file, writing
 from .formats import (
     ANIMATED,
     CACHES,
@@ -31,12 +31,10 @@ from .mtl import copy_companions
 from .obj_source import ObjSource
 from .ply import PlySource
 from .sequence import read_sequence, write_sequence
-from .timing import DEFAULT_FPS
+from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
     from ..rig import Skeleton
-
-Function = TypeVar("Function")
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -51,7 +49,12 @@ def load_mesh(path: str | Path) -> Mesh:
     _must_exist(path)
     if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
         return _only_frame(load_clip(path), path)
-    reader = _by_suffix(MESH_READERS, path)
+    if path.suffix.lower() not in MESH_READERS:
+        raise InputError(
+            f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {_found(path)}; "
+            "save it as one of these first, with Blender for example"
+        )
+    reader = MESH_READERS[path.suffix.lower()]
     with _reading(path):
         mesh = reader(path)
     return check_mesh(mesh, path)
@@ -81,6 +84,10 @@ def load_clip(
         )
     if fps is not None and not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    if fps is not None and fps > HIGHEST_FPS:
+        raise InputError(
+            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
+        )
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
@@ -111,13 +118,17 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """
     path = Path(path)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
-        with _writing(path):
+        with writing(path):
             with whole_file(path) as temporary:
                 mesh.source.write(mesh, temporary)
             _copy_companions(mesh, path.parent)
     else:
-        writer = _by_suffix(MESH_WRITERS, path)
-        with _writing(path):
+        if path.suffix.lower() not in MESH_WRITERS:
+            raise InputError(
+                f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {_found(path)}; name another"
+            )
+        writer = MESH_WRITERS[path.suffix.lower()]
+        with writing(path):
             writer(mesh, path)
 
 
@@ -147,7 +158,7 @@ def save_clip(
         return _save_blended(clip, path, progress, blendshapes)
     if not is_folder and path.suffix.lower() in CLIP_WRITERS:
         beside = _mesh_to_write_beside(clip, path) if path.suffix.lower() in CACHES else None
-        with _writing(path):
+        with writing(path):
             CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if beside is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
@@ -165,7 +176,7 @@ def save_clip(
         )
     if path.is_file():
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
-    with _writing(path):
+    with writing(path):
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
         if own == suffix:
             _copy_companions(clip.mesh, path)
@@ -177,7 +188,7 @@ def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes
 
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for --blendshapes, found '{path.suffix}'; leave it out")
-    with _writing(path), whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
@@ -192,7 +203,7 @@ def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
-    with _writing(path), whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         write_gltf_skinned(skeleton, fps, temporary)
 
 
@@ -241,12 +252,8 @@ def _must_exist(path: Path) -> None:
         raise InputError(f"{path}: expected a file or folder, found nothing of that name; check the path")
 
 
-def _by_suffix(table: dict[str, Function], path: Path) -> Function:
-    suffix = path.suffix.lower()
-    if suffix in table:
-        return table[suffix]
-    found = f"'{suffix}'" if suffix else "no suffix"
-    raise InputError(f"{path}: expected one of {' '.join(table)}, found {found}; convert it to one of these first")
+def _found(path: Path) -> str:
+    return f"found '{path.suffix}'" if path.suffix else "found no suffix"
 
 
 def _copy_companions(mesh: Mesh, folder: Path) -> None:
@@ -264,15 +271,4 @@ def _reading(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(
             f"{path}: expected a readable file, found '{error.strerror}'; check its permissions"
-        ) from error
-
-
-@contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
-    """Say in one line why a file cannot be written."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(
-            f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"
         ) from error

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +19,9 @@ from ..paging import Progress, each_frame
 from .alembic_archive import library
 from .atomic import whole_file
 from .polygons import backwards, polygon_corners, polygon_sizes
+
+ROOM = 2**20
+"""Bytes that must be free on the disk before a sample, besides what the sample may take."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +69,21 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
         schema = shape.getSchema()
         sample_of = _sampler(mesh, path)
         for vertices in each_frame(clip.vertices, progress):
+            _need_room(path, ROOM + 8 * mesh.faces.nbytes)
             schema.set(sample_of(vertices))
         _add_face_sets(schema, mesh, path)
         # The library finishes the file when the last of these is gone.
         del schema, shape, transform, archive
+
+
+def _need_room(path: Path, size: int) -> None:
+    """Stop while the library can still finish its file: on a full disk it ends the process.
+
+    Raises:
+        OSError: fewer bytes are free.
+    """
+    if shutil.disk_usage(path.parent).free < size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _sampler(mesh: Mesh, path: Path) -> Callable[[Float[np.ndarray, "V 3"]], Any]:

@@ -9,6 +9,8 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from ..mesh import InputError
+
 SHOWN = 40
 """Letters of a name that its temporary one begins with: file systems limit names to 255 bytes."""
 
@@ -42,6 +44,17 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
             os.replace(file, path / file.name)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Say in one line why a file cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path}: expected a place to write to, found '{error.strerror}'; choose another output"
+        ) from error
 
 
 def _umask() -> int:

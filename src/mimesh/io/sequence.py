@@ -20,6 +20,8 @@ from .obj_source import ObjSource
 from .ply import PlySource, read_ply_points
 from .stl import StlSource, read_stl_points
 
+OTHER_FRAMES = {".glb", ".obj", ".off", ".ply", ".stl"}
+"""Numbered meshes of these would be a second series beside the one that is written."""
 _NUMBER = re.compile(r"\d+")
 
 
@@ -93,6 +95,13 @@ def write_sequence(
     if stale:
         raise InputError(
             f"{folder}: expected a folder without other numbered {suffix} files, found {min(stale)}; "
+            "choose a new folder or delete the old frames"
+        )
+    stems = {Path(name).stem for name in names}
+    twins = [path.name for path in folder.glob("*") if path.suffix in OTHER_FRAMES - {suffix} and path.stem in stems]
+    if twins:
+        raise InputError(
+            f"{folder}: expected a folder without frames in another format, found {min(twins)}; "
             "choose a new folder or delete the old frames"
         )
     with whole_folder(folder) as temporary:

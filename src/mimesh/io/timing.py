@@ -11,6 +11,8 @@ ON_GRID = 0.02
 """Of a frame: keys this near to whole frames lie on them."""
 DEFAULT_FPS = 30.0
 """Of what does not say."""
+HIGHEST_FPS = 10_000.0
+"""More frames than this, of a second, are asked for by mistake."""
 LONGEST = 3600.0
 """Seconds; an animation that lasts longer has broken times."""
 

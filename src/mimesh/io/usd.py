@@ -50,7 +50,7 @@ def write_usd(mesh: Mesh, path: Path) -> None:
     from .usd_source import UsdSource
     from .usd_write import write_new
 
-    with whole_file(path) as temporary:
+    with whole_file(path) as temporary, _writing(path):
         if isinstance(mesh.source, UsdSource):
             mesh.source.write(mesh, temporary)
         else:
@@ -62,7 +62,7 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
     _need_library(path, "write")
     from .usd_write import write_new
 
-    with whole_file(path) as temporary:
+    with whole_file(path) as temporary, _writing(path):
         write_new(clip, temporary, path, progress)
 
 
@@ -86,3 +86,16 @@ def _reading(path: Path) -> Iterator[None]:
         lines = [line.strip() for line in str(error).splitlines() if line.strip()]
         found = lines[0].rpartition(" : ")[2] if lines else "nothing"
         raise InputError(f"{path}: expected a USD stage, found {found}; export it again") from error
+
+
+@contextlib.contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Say in one line that the library could not save; it does not say why."""
+    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
+
+    try:
+        yield
+    except Tf.ErrorException as error:
+        raise InputError(
+            f"{path}: expected a place with room for the file, found that it could not be saved; choose another output"
+        ) from error

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..io.atomic import whole_file
+from ..io.atomic import whole_file, writing
 from ..mesh import Clip, InputError, Mesh
 from .camera import Camera, fit, follow, orbit
 from .raster import render, render_mesh
@@ -41,12 +41,12 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with --fps")
     pictures = (_as_image(frame) for frame in frames)
     if suffix == ".mp4":
-        with whole_file(path) as temporary:
+        with writing(path), whole_file(path) as temporary:
             return _write_mp4(pictures, temporary, fps)
     images = list(pictures)
     if not images:
         raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
-    with whole_file(path) as temporary:
+    with writing(path), whole_file(path) as temporary:
         writers[suffix](images, temporary, fps)
     return len(images)
 

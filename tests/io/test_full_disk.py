@@ -1,0 +1,69 @@
+"""A disk without room: one line says so, and nothing half-written is left."""
+
+import errno
+import os
+import resource
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from zoo import grid
+
+from mimesh import paging
+from mimesh.convert import write_clip
+from mimesh.io import save_clip
+from mimesh.mesh import Clip, InputError
+from mimesh.view.movie import save_movie
+
+ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
+
+
+@pytest.fixture
+def clip():
+    mesh = grid(20)
+    noise = np.random.default_rng(0).normal(0.0, 0.01, (40, *mesh.vertices.shape))
+    return Clip(mesh, mesh.vertices + noise, 24.0)
+
+
+@pytest.fixture
+def little_room():
+    """Files of this process may have 8 KiB."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2**13, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+# The temporary file of a glTF file's numbers has no room either, and complains once more when it is closed.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("suffix", ONE_FILE)
+def test_a_clip_that_does_not_fit_is_refused_whole(clip, suffix, tmp_path, little_room):
+    with pytest.raises(InputError, match="expected a place"):
+        save_clip(clip, tmp_path / f"a{suffix}")
+    assert not [path for path in tmp_path.iterdir() if path.suffix not in (".obj", ".mtl")]
+
+
+def test_a_movie_that_does_not_fit_is_refused_whole(tmp_path, little_room):
+    pictures = np.random.default_rng(0).integers(0, 255, (4, 64, 64, 3), dtype=np.uint8)
+    with pytest.raises(InputError, match="expected a place"):
+        save_movie(list(pictures), tmp_path / "a.gif", 10.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_alembic_stops_before_the_disk_is_full(clip, tmp_path, monkeypatch):
+    pytest.importorskip("alembic3d")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=1000))
+    with pytest.raises(InputError, match="No space left"):
+        write_clip(clip, tmp_path / "a.abc")
+    assert not list(tmp_path.iterdir())
+
+
+def test_frames_that_find_no_room_in_the_temporary_folder_are_refused(monkeypatch):
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(paging, "LARGE", 1)
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(InputError, match="set TMPDIR"):
+        paging.new_frames(10, 1000, np.float64)
