@@ -9,7 +9,7 @@ import mimesh
 
 ROOT = Path(mimesh.__file__).parent
 CLI = {"cli", "commands", "__main__"}
-BASE = {"mesh", "geometry", "frame", "paging", "rig", "track"}
+BASE = {"archive", "mesh", "geometry", "frame", "paging", "rig", "track"}
 ALLOWED = {name: BASE for name in BASE} | {"bodies": BASE | {"bodies"}, "motions": BASE | {"motions", "bodies"}}
 ALLOWED |= {"io": BASE | {"io", "motions", "bodies"}}
 FILES = sorted(ROOT.rglob("*.py"))

@@ -135,6 +135,12 @@ def test_looks_parts_and_materials_are_listed():
     assert "3: head, body, rest" in facts.text()
 
 
+def test_materials_of_one_name_count_each():
+    parts = (Part("a", 0, 4, Material("skin", texture=b"one")), Part("b", 4, 12, Material("skin", texture=b"two")))
+    facts = facts_of(dataclasses.replace(zoo.cube(), parts=parts))
+    assert (facts.materials, facts.textures) == (("skin", "skin"), 2)
+
+
 def test_long_lists_of_names_are_cut():
     parts = tuple(Part(f"p{k}", k, k + 1) for k in range(12))
     assert "12: p0, p1, p2, p3, p4, p5 and 6 more" in facts_of(dataclasses.replace(zoo.cube(), parts=parts)).text()

@@ -119,7 +119,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     solid = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
     counts, balance = _edge_use(solid)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    materials = {part.material.name: part.material for part in mesh.parts if part.material}
+    materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material))
     consistent = not (balance != 0)[counts == 2].any()
     moving = clip is not None and len(clip) > 1
     return Facts(
@@ -145,8 +145,8 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         has_normals=mesh.corner_normals is not None,
         has_colors=mesh.vertex_colors is not None,
         parts=tuple(part.name for part in mesh.parts),
-        materials=tuple(materials),
-        textures=len({m.texture for m in materials.values() if m.texture}),
+        materials=tuple(material.name for material in materials),
+        textures=len({material.texture for material in materials if material.texture}),
         frames=len(clip) if clip is not None else 1,
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import io
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,18 +11,16 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..archive import POINTS, open_archive, read_array
 from ..mesh import Clip, InputError, Mesh
 from ..paging import Progress, each_frame, stored
 from .atomic import whole_file
 from .polygons import fan_corners
 from .timing import DEFAULT_FPS
 
-_VERTICES = ("vertices", "v", "verts", "points")
 _FACES = ("faces", "f", "triangles")
 _QUICK = 1
 """Level of compression: higher ones take five times as long and save next to nothing on floating-point numbers."""
-# What opening a damaged, encrypted or pickled archive raises, as NumPy and zipfile have it.
-_DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,11 +57,11 @@ def read_npz(path: Path) -> Mesh:
         InputError: no such arrays, wrong shapes or types, several frames, or a damaged archive.
     """
     data = path.read_bytes()
-    with _opened(io.BytesIO(data), path) as (archive, names):
+    with open_archive(io.BytesIO(data), path) as (archive, names):
         if broken := archive.testzip():  # what is copied unopened must be whole too
             raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
-        key, faces = _find(_VERTICES, names, path), _read_faces(archive, names, path)
-        points = _read_array(archive, key)
+        key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
+        points = read_array(archive, key)
     _check_points(key, points.dtype, points.shape, path)
     if points.ndim == 3 and len(points) != 1:
         raise InputError(
@@ -84,15 +80,15 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
     Raises:
         InputError: as `read_npz`.
     """
-    with path.open("rb") as file, _opened(file, path) as (archive, names):
-        key, faces = _find(_VERTICES, names, path), _read_faces(archive, names, path)
-        own_fps = float(_read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
+    with path.open("rb") as file, open_archive(file, path) as (archive, names):
+        key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
+        own_fps = float(read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
         with archive.open(f"{key}.npy") as member:
             shape, fortran, dtype = _read_header(member)
             _check_points(key, dtype, shape, path)
             count, vertices = int(np.prod(shape[:-2])), shape[-2]
             if fortran:
-                frames = each_frame(_read_array(archive, key).reshape(count, vertices, 3))
+                frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
                 frames = _read_frames(member.read, count, vertices, dtype)
             kept = stored(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
@@ -120,25 +116,6 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
                 member.write(points.astype(clip.vertices.dtype).tobytes())
 
 
-@contextlib.contextmanager
-def _opened(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.ZipFile, list[str]]]:
-    """An archive and the names of its arrays; what goes wrong with it is said in one line."""
-    try:
-        with zipfile.ZipFile(file) as archive:
-            yield archive, [name.removesuffix(".npy") for name in archive.namelist()]
-    except InputError:
-        raise
-    except _DAMAGE as error:
-        raise InputError(
-            f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
-        ) from error
-
-
-def _read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    with archive.open(f"{name}.npy") as member:
-        return np.lib.format.read_array(member, allow_pickle=False)
-
-
 def _read_header(member) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Shape, whether columns come first, and type; leaves the member at the first number."""
     version = np.lib.format.read_magic(member)
@@ -159,7 +136,7 @@ def _read_frames(
 
 def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[np.ndarray, "F 3"]:
     key = next((name for name in _FACES if name in names), None)
-    return np.zeros((0, 3), np.int64) if key is None else _triangles(_read_array(archive, key), path)
+    return np.zeros((0, 3), np.int64) if key is None else _triangles(read_array(archive, key), path)
 
 
 def _check_points(key: str, dtype: np.dtype, shape: tuple[int, ...], path: Path) -> None:

@@ -9,14 +9,13 @@ degrees off those of the body they were recorded for.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from ..archive import POINTS, open_archive, read_array
 from ..bodies.sampling import rotvec_to_rotmat
 from ..mesh import InputError
 from .bvh import Bvh
@@ -52,9 +51,6 @@ JOINTS = {
 Limbs have the usual shares of a person's height (Drillis and Contini, 1966); the rest is a plain figure.
 """
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
-POINTS = ("vertices", "v", "verts", "points")
-"""Arrays of an archive that holds a mesh or a clip, whatever else is in it."""
-_DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 def is_amass(names: Collection[str]) -> bool:
@@ -65,9 +61,9 @@ def is_amass(names: Collection[str]) -> bool:
 def archive_names(path: Path) -> tuple[str, ...]:
     """Names of the arrays in an archive; none of a damaged one, about which its reader says more."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return tuple(name.removesuffix(".npy") for name in archive.namelist())
-    except _DAMAGE:
+        with path.open("rb") as file, open_archive(file, path) as (_, names):
+            return tuple(names)
+    except (InputError, OSError):
         return ()
 
 
@@ -106,13 +102,8 @@ _BODY = ("pose_body", 3 * (len(JOINTS) - 1))
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays that are used, as they are stored. Never unpickles."""
     wanted = ("poses", "root_orient", "pose_body", "trans", *RATES)
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return {name: data[name] for name in wanted if name in data.files}
-    except _DAMAGE as error:
-        raise InputError(
-            f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
-        ) from error
+    with path.open("rb") as file, open_archive(file, path) as (archive, names):
+        return {name: read_array(archive, name) for name in wanted if name in names}
 
 
 def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
