@@ -94,17 +94,6 @@ def test_what_is_lost_is_said(tmp_path):
     assert "no vertex is farther than" in notes[-1]
 
 
-def test_chosen_frames_are_not_exchanged_for_the_mesh_at_rest(tmp_path):
-    rest = zoo.cube()
-    save_clip(Clip(rest, clip().vertices + 1.0, 30.0), tmp_path / "a.glb")
-    done = convert(tmp_path / "a.glb", tmp_path / "b.off", start=2)
-    assert "first of 2 frames" in done.notes[-1]
-    for name, chosen, frame in (("b", {"start": 2}, 2), ("c", {"animation": "0"}, 0)):
-        convert(tmp_path / "a.glb", tmp_path / f"{name}.off", **chosen)
-        wanted = load_clip(tmp_path / "a.glb").vertices[frame]
-        np.testing.assert_allclose(load_mesh(tmp_path / f"{name}.off").vertices, wanted, atol=1e-6)
-
-
 @pytest.mark.parametrize("suffix", MESHES)
 def test_colours_of_vertices_stay_or_are_said_to_be_lost(suffix, tmp_path):
     colored = dataclasses.replace(zoo.cube(), vertex_colors=np.full((8, 4), [0.2, 0.4, 0.6, 1.0]))

@@ -52,8 +52,8 @@ def convert(
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of another name.
 
-    What moves is written moving where the format can; a format of one mesh gets it at rest or, where an animation or
-    frames are chosen, the first of these. The file's own format keeps all it holds, but for the points of a `frame`.
+    What moves is written moving where the format can; a format of one mesh gets it at rest, or the `frame` that is
+    chosen. The file's own format keeps all it holds, but for the points of a `frame`.
 
     Args:
         fps: as `load_clip`: files with times are sampled at it, others are played at it.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import shutil
+import tempfile
 
 import numpy as np
 import pytest
@@ -170,6 +171,16 @@ def test_frames_of_another_format_beside_new_ones_are_an_error(tmp_path):
     with pytest.raises(InputError, match=r"without frames in another format, found 0000.obj"):
         save_clip(clip, tmp_path / "walk", ".ply")
     assert len(load_clip(tmp_path / "walk")) == 2
+
+
+def test_a_folder_that_is_there_needs_nothing_of_the_one_above(tmp_path, monkeypatch):
+    (tmp_path / "disk").mkdir()
+    beside = []
+    make = tempfile.mkdtemp
+    monkeypatch.setattr(tempfile, "mkdtemp", lambda **options: beside.append(options["dir"]) or make(**options))
+    save_clip(Clip.still(zoo.cube()), tmp_path / "disk")
+    assert beside == [tmp_path / "disk"]
+    assert [path.name for path in (tmp_path / "disk").iterdir()] == ["0000.obj"]
 
 
 def test_a_bad_frame_is_named_by_its_file(tmp_path):

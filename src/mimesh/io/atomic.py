@@ -33,10 +33,13 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def whole_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`; its files move into `path` only if the block succeeds."""
+    """Yield a temporary folder; its files move into `path` only if the block succeeds.
+
+    It lies in `path` where that is there, since what is above may be another disk, else beside it.
+    """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:SHOWN]}-", dir=path.parent))
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:SHOWN]}-", dir=path if path.is_dir() else path.parent))
     try:
         yield temporary
         path.mkdir(exist_ok=True)
