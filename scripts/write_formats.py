@@ -109,15 +109,15 @@ def formats_table(figures: dict[str, Any]) -> str:
 def memory_table(report: dict[str, Any]) -> str:
     """Peak memory of converting a tenth of a clip, and all of it."""
     few, many = report["frames"] // 10, report["frames"]
-    columns = [f"write {few:,}", f"{many:,}", "own", f"read {few:,}", f"{many:,}", "own", "write, s", "read, s", "MiB"]
+    columns = [f"write {few:,}", f"{many:,}", "own", f"read {few:,}", f"{many:,}", "own", "size"]
     head = f"| format | {' | '.join(columns)} |"
-    rows = [head, "|---|---|---|---|---|---|---|---|---|---|"]
+    rows = [head, "|---" * 8 + "|"]
     rows += [_memory_row(name, figures, few, many) for name, figures in report["formats"].items()]
     parts = [
         "## Memory of long clips",
         f"`mimesh convert` between .npz and each format, a clip of {report['vertices']:,} vertices, {few:,} and "
-        f"{many:,} frames: peak of memory in MiB, of the long one also what no file stands behind (*own*), seconds and "
-        f"size of the long one. Commit {report['commit']}, {report['machine']}.",
+        f"{many:,} frames: peak of memory in MiB, of the long one also what no file stands behind (*own*), and "
+        f"its size. Commit {report['commit']}, {report['machine']}.",
         "\n".join(rows),
     ]
     return "\n\n".join(parts)
@@ -126,7 +126,7 @@ def memory_table(report: dict[str, Any]) -> str:
 def _memory_row(name: str, figures: dict[str, Any], few: int, many: int) -> str:
     short, long = figures[str(few)], figures[str(many)]
     cells = [short["write_mib"], long["write_mib"], long["write_own_mib"], short["read_mib"], long["read_mib"]]
-    cells += [long["read_own_mib"], long["write_s"], long["read_s"], long["size_mib"]]
+    cells += [long["read_own_mib"], long["size_mib"]]
     return f"| {name} | " + " | ".join(f"{cell:,.0f}" for cell in cells) + " |"
 
 

@@ -94,6 +94,8 @@ class Clip:
     """Topology, looks and source; its vertices are those of frame 0 unless the file had a rest shape."""
     vertices: Float[np.ndarray, "T V 3"]
     fps: float = 30.0
+    headings: Float[np.ndarray, "T 3"] | None = None
+    """Which way a person faces in every frame, y up, where joints say so; None leaves it to the shape."""
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
@@ -177,7 +179,8 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
             f"{'the end' if stop is None else stop}, which leaves none; change them"
         )
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
-    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step)
+    headings = None if clip.headings is None else clip.headings[start:stop:step]
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings)
 
 
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:

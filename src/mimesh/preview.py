@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .io.atomic import whole_file, writing
-from .mesh import Clip, Mesh
+from .mesh import Clip, Mesh, cut_clip
 from .view.movie import clip_frames, save_movie
 from .view.sheet import DRIVING_TINT, page, stack, strip
 
@@ -65,4 +64,4 @@ def _axes(report: dict[str, Any], which: str) -> dict[str, Any]:
 
 def _thinned(clip: Clip) -> Clip:
     step = -(-len(clip) // MOST_FRAMES)
-    return dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step)
+    return cut_clip(clip, 0, None, step)

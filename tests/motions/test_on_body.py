@@ -1,19 +1,23 @@
 """Motion files are clips of the shipped body: whatever the names, rest pose, axes and units, the motion comes back."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from foreign_names import SCHEMES, renamed
 from motion_files import X_FRONT, Z_UP, rest_pose, write_bvh
+from scipy.spatial.transform import Rotation
 
 from mimesh import paging
 from mimesh.bodies import load_body
 from mimesh.io import load_clip, load_mesh
 from mimesh.look import look
-from mimesh.mesh import InputError
+from mimesh.mesh import InputError, cut_clip
 from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
+from mimesh.pipeline import _driving_axes
 
 STANDS = ("t", "a", "hanging")
 
@@ -155,3 +159,16 @@ def test_a_skeleton_of_no_person_is_refused_by_file_and_joints(body, motion, tmp
     path = write_bvh(tmp_path / "fox.bvh", body, motion, name=lambda joint: joint.replace("Left", "Port"))
     with pytest.raises(InputError, match=r"fox\.bvh: expected hips .* found none for LeftUpLeg, .* among Hips, "):
         load_clip(path)
+
+
+def test_a_clip_knows_which_way_its_person_faces(body, motion, tmp_path):
+    turned = Rotation.from_euler("y", 100, degrees=True).as_matrix()
+    rotmat = motion.rotmat.copy()
+    rotmat[:, 0] = turned @ rotmat[:, 0]
+    write_bvh(tmp_path / "a.bvh", body, dataclasses.replace(motion, rotmat=rotmat))
+    clip = load_clip(tmp_path / "a.bvh")
+    np.testing.assert_allclose(clip.headings, rotmat[:, 0, :, 2], atol=1e-4)
+    assert _driving_axes(cut_clip(clip, 3, None, 2), None, None) == ("+y", "+x")
+    assert _driving_axes(clip, None, "-z") == (None, "-z")
+    lying = dataclasses.replace(clip, headings=np.tile([0.1, -0.9, 0.2], (len(clip), 1)))
+    assert _driving_axes(lying, None, None) == ("+y", None)

@@ -23,7 +23,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..mesh import Mesh
+    from ..mesh import Clip, Mesh
     from ..result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
@@ -135,7 +135,7 @@ def animate(
     """
     from ..convert import MOVIES, animations_note
     from ..io import clip_suffixes, load_clip, load_mesh
-    from ..mesh import InputError
+    from ..mesh import InputError, cut_clip
     from ..pipeline import animate as run
 
     output = output or output_beside(identity, driving, ".glb")
@@ -170,7 +170,7 @@ def animate(
     result.seconds["load"] += seconds
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
-    pictures = _pictures(result, clip, slice(start, stop, step), output) if preview else []
+    pictures = _pictures(result, cut_clip(clip, start, stop, step), output) if preview else []
     _finish(
         result,
         output,
@@ -246,12 +246,9 @@ def _picture(result: Result, identity: Mesh, driving: Mesh, output: Path) -> lis
     return [save_picture(transfer_picture(identity, driving, result), output.with_suffix(".preview.png"))]
 
 
-def _pictures(result: ClipResult, driving, frames: slice, output: Path) -> list[Path]:
-    import dataclasses
-
+def _pictures(result: ClipResult, played: Clip, output: Path) -> list[Path]:
     from ..preview import clip_pictures
 
-    played = dataclasses.replace(driving, vertices=driving.vertices[frames], fps=result.fps)
     return clip_pictures(played, result, output)
 
 

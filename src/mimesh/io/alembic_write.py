@@ -19,6 +19,7 @@ from ..paging import Progress, each_frame
 from .alembic_archive import library
 from .atomic import whole_file
 from .polygons import backwards, polygon_corners, polygon_sizes
+from .usd import stage_axes
 
 ROOM = 2**20
 """Bytes that must be free on the disk before a sample, besides what the sample may take."""
@@ -58,13 +59,14 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
     Raises:
         InputError: alembic3d is not installed.
     """
-    abc, geometry, core, _ = library(path, "write")
+    abc, geometry, core, imath = library(path, "write")
     mesh = clip.mesh
     name = _object_name(mesh.source.name if isinstance(mesh.source, AlembicSource) else mesh.name)
     with whole_file(path) as temporary:
         archive = abc.CreateArchiveWithInfo(str(temporary), clip.fps, "mimesh", "")
         sampling = abc.Argument(archive.addTimeSampling(core.TimeSampling(1.0 / clip.fps, 0.0)))
         transform = geometry.OXform(archive.getTop(), name)
+        transform.getSchema().set(_stands(mesh, geometry, imath))
         shape = geometry.OPolyMesh(transform, f"{name}Shape", sampling)
         schema = shape.getSchema()
         sample_of = _sampler(mesh, path)
@@ -84,6 +86,17 @@ def _need_room(path: Path, size: int) -> None:
     """
     if shutil.disk_usage(path.parent).free < size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+def _stands(mesh: Mesh, geometry, imath):
+    """What stands a mesh up as Alembic's clients want it, y up in metres; vertices stay as they are below it."""
+    z_up, unit = stage_axes(mesh)
+    sample = geometry.XformSample()
+    if z_up:
+        sample.setXRotation(-90.0)
+    if unit != 1:
+        sample.setScale(imath.V3d(unit, unit, unit))
+    return sample
 
 
 def _sampler(mesh: Mesh, path: Path) -> Callable[[Float[np.ndarray, "V 3"]], Any]:

@@ -12,6 +12,7 @@ from .gltf_document import image_type
 from .gltf_draft import VERTEX_DATA, Draft
 from .gltf_primitives import Placed
 from .gltf_read import POINTS
+from .usd import stage_axes
 
 GREY = Material("default")
 """For parts without a material: glTF's own default is a bare metal, which looks black in most viewers."""
@@ -38,10 +39,20 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
             primitive["material"] = materials.setdefault(part.material or bare, len(materials))
         primitives.append(primitive)
         placed.append(Placed(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"]))
-    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0}]
+    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **standing(mesh)}]
     draft.gltf["meshes"] = [{"name": mesh.name, "primitives": primitives}]
     _add_materials(draft, list(materials), textured=mesh.corner_uv is not None)
     return draft, placed
+
+
+def standing(mesh: Mesh) -> dict[str, list[float]]:
+    """The turn and scale of a node that stands a mesh up as glTF wants it: y up, in metres.
+
+    Only files that say other axes and units (USD) need one. Vertices stay as they are, below the node.
+    """
+    z_up, unit = stage_axes(mesh)
+    found = {"rotation": [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]} if z_up else {}
+    return found | ({"scale": [unit] * 3} if unit != 1 else {})
 
 
 def _split_parts(mesh: Mesh) -> list[tuple[Part, Int[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " I"]]]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..rig import Skeleton
-from .gltf_build import build_document
+from .gltf_build import build_document, standing
 from .gltf_draft import VERTEX_DATA, Draft
 from .gltf_edit import GltfSource, edit_document, with_normals
 from .gltf_primitives import Placed
@@ -49,7 +49,10 @@ def _add_joints(draft: Draft, skeleton: Skeleton) -> list[int]:
         node: dict[str, Any] = {"name": name, "rotation": turns[j].tolist(), "translation": moves[j].tolist()}
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
-    _scene(draft)["nodes"].append(start)
+    stands = standing(skeleton.mesh)
+    if stands:  # a skin is shown where its joints are, whatever node it hangs on
+        nodes.append({"name": "axes", **stands, "children": [start]})
+    _scene(draft)["nodes"].append(len(nodes) - 1 if stands else start)
     return list(range(start, start + len(skeleton.names)))
 
 

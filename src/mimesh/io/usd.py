@@ -66,6 +66,11 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
         write_new(clip, temporary, path, progress)
 
 
+def stage_axes(mesh: Mesh) -> tuple[bool, float]:
+    """Whether z is up where a mesh comes from, and its unit in metres, if that was a stage; else y is, and a metre."""
+    return getattr(mesh.source, "up_axis", "Y") == "Z", getattr(mesh.source, "meters_per_unit", 1.0)
+
+
 def _need_library(path: Path, verb: str) -> None:
     # Else the library maps files, and what has been read of a long clip stays in memory.
     os.environ.setdefault("USDC_USE_PREAD", "1")

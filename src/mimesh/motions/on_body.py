@@ -72,7 +72,8 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
     """
     clip = motion_clip(load_body(), None, motion, progress, np.float32)
     first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64))
-    return dataclasses.replace(clip, mesh=first)
+    hips = motion.rotmat[:, motion.joint_names.index("Hips")]
+    return dataclasses.replace(clip, mesh=first, headings=hips[..., 2])
 
 
 def first_frame(motion: Motion) -> Mesh:
