@@ -20,7 +20,8 @@ RATELESS = (".npy", ".pc2")
 MOVIE_SIZE = (640, 720)
 POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
-LACKS |= {".ply": ("materials", "texture coordinates", "normals"), ".abc": ("textures", "vertex colours")}
+LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
+LACKS |= {".abc": ("colours of materials", "textures", "vertex colours")}
 LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
 """Suffix -> what a new file of it does not hold, of what a Mesh has; caches of points have a mesh beside them."""
 
@@ -138,6 +139,7 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
         return ()
     has = {
         "materials": any(one.material for one in mesh.parts),
+        "colours of materials": any(one.material for one in mesh.parts),
         "textures": any(one.material and one.material.texture for one in mesh.parts),
         "texture coordinates": mesh.corner_uv is not None,
         "normals": mesh.corner_normals is not None,
