@@ -16,10 +16,7 @@ class MIMESH_PT_main(_Sidebar, Panel):
     bl_label = "mimesh"
 
     def draw(self, context: Context) -> None:
-        settings: MimeshSettings = context.scene.mimesh
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = _form(self.layout, context)
         layout.prop(settings, "identity")
         layout.prop(settings, "driving")
         layout.prop(settings, "model")
@@ -36,10 +33,7 @@ class MIMESH_PT_travel(_Sidebar, Panel):
     bl_options = frozenset({"DEFAULT_CLOSED"})
 
     def draw(self, context: Context) -> None:
-        settings: MimeshSettings = context.scene.mimesh
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = _form(self.layout, context)
         layout.enabled = settings.model == "mime"
         layout.prop(settings, "root")
         layout.prop(settings, "ground")
@@ -52,14 +46,18 @@ class MIMESH_PT_axes(_Sidebar, Panel):
     bl_options = frozenset({"DEFAULT_CLOSED"})
 
     def draw(self, context: Context) -> None:
-        settings: MimeshSettings = context.scene.mimesh
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        layout, settings = _form(self.layout, context)
         for which in ("identity", "driving"):
             column = layout.column(align=True, heading=which.capitalize())
             column.prop(settings, f"{which}_up")
             column.prop(settings, f"{which}_front")
+
+
+def _form(layout: UILayout, context: Context) -> tuple[UILayout, MimeshSettings]:
+    """A layout with names on the left and no dots for keyframes, and what it shows."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    return layout, context.scene.mimesh
 
 
 def _draw_range(layout: UILayout, settings: MimeshSettings) -> None:
