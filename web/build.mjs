@@ -30,6 +30,7 @@ function fingerprint() {
   return hash.digest("hex").slice(0, 32);
 }
 
+const notice = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
 const mark = `/* mimesh-web ${fingerprint()} */`;
 await build({
   absWorkingDir: here,
@@ -45,5 +46,6 @@ await build({
   charset: "utf8",
   legalComments: "inline",
   banner: { js: mark, css: mark },
+  footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
   logLevel: "info",
 });
