@@ -81,7 +81,7 @@ def cost(vertices: Float[np.ndarray, "T V 3"], box: Box) -> int:
     if count == 1:
         return size * 4 // 3
     each = []
-    for t in np.unique(np.linspace(1, count - 1, SAMPLES).round().astype(int)):
+    for t in np.unique(np.linspace(1, count - 1, SAMPLES).round().astype(int)).tolist():
         before, after = (box.quantised(k, vertices[k]).T.ravel() for k in (t - 1, t))
         each.append(len(zlib.compress(_coded(after, before), LEVEL)))
     return round(4 / 3 * (size + sum(each) / len(each) * (count - 1)))
@@ -101,4 +101,4 @@ def _coded(values: np.ndarray, before: np.ndarray | None) -> bytes:
 
 def _planes(values: np.ndarray) -> bytes:
     """All lowest bytes, then all second ones, and so on: alike stands by alike."""
-    return np.ascontiguousarray(values.view(np.uint8).reshape(len(values), -1).T).tobytes()
+    return np.ascontiguousarray(values.view(np.uint8).reshape(len(values), values.itemsize).T).tobytes()
