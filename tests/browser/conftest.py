@@ -3,6 +3,7 @@
 MIMESH_CHROMIUM names the browser; else one on PATH is taken, and where there is none the tests are skipped.
 """
 
+import contextlib
 import io
 import os
 import shutil
@@ -61,13 +62,13 @@ class Watched:
         return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
 
 
-@pytest.fixture
-def watch(chromium):
-    """A function that opens an address and gives the page, watched; afterwards nothing may have gone wrong."""
+@contextlib.contextmanager
+def watching(chromium):
+    """Yield a function that opens an address and gives the page, watched; afterwards nothing may have gone wrong."""
     opened = []
 
     def open_address(address: str, allowed: tuple[str, ...] = LOCAL, **options) -> Watched:
-        context = chromium.new_context(**{"viewport": {"width": 900, "height": 520}, **options})
+        context = chromium.new_context(**{"viewport": {"width": 720, "height": 420}, **options})
         watched = Watched(context.new_page())
         opened.append((watched, context, allowed))
         watched.page.goto(address)
@@ -80,3 +81,17 @@ def watch(chromium):
         context.close()
         assert strangers == []
         assert watched.complaints == []
+
+
+@pytest.fixture
+def watch(chromium):
+    """A function that opens an address for one test; see `watching`."""
+    with watching(chromium) as open_address:
+        yield open_address
+
+
+@pytest.fixture(scope="module")
+def watch_all(chromium):
+    """The same for all tests of a file: opening a page takes seconds where there is no graphics card."""
+    with watching(chromium) as open_address:
+        yield open_address
