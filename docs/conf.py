@@ -26,6 +26,8 @@ myst_heading_anchors = 4
 # RESULTS.md repeats the headings of its tables' notes; LOG.md is a diary.
 suppress_warnings = ["myst.header"]
 
+# They would make one dash of the two of an option.
+smartquotes = False
 default_role = "code"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import io
-import os
 import shlex
 import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from trouble_cases import BODY, chair, handstand, hero, shield, step
+from trouble_cases import BODY, hero, shield, step
 
-from mimesh import Clip, animate, save_clip, save_mesh
+from mimesh import animate, save_clip, save_mesh
 from mimesh.cli import run
 from mimesh.demo import played
 
@@ -27,35 +25,24 @@ class Said(NamedTuple):
 
 
 SCRIPTS = {
-    "first": ("mimesh look hero.obj pose.obj", "mimesh transfer hero.obj pose.obj"),
+    "first": ("mimesh look hero.obj", "mimesh transfer hero.obj pose.obj"),
     "clip": ("mimesh animate hero.obj walk/ --fps 15",),
     "skinned": ("mimesh animate hero.obj walk/ --fps 15 --skinned -o hero-skinned.glb --no-preview",),
-    "render": ("mimesh render hero.obj hero-pose.obj -o both.png",),
-    "facing": ("mimesh transfer hero.obj handstand.obj --no-preview",),
-    "faced": ("mimesh transfer hero.obj handstand.obj --no-preview --driving-up y --driving-front z",),
     "stl": ("mimesh transfer hero.stl pose.obj --no-preview",),
-    "chair": ("mimesh transfer chair.obj pose.obj --no-preview",),
     "scan": ("mimesh animate hero.obj scans/",),
     "one-frame": ("mimesh animate hero.obj pose.obj --no-preview",),
     "rigged": ("mimesh look rigged.glb", "mimesh transfer rigged.glb pose.obj --no-preview"),
     "rate": ("mimesh animate hero.obj walk/ --fps 15 --stop 4 -o hero-walk.pc2 --no-preview",),
-    "npt": ("mimesh transfer hero.obj pose.obj -m npt --no-refine --no-preview -o rough.obj",),
     "markers": ("mimesh transfer hero.obj pose.obj -m deformation-transfer",),
-    "models": ("mimesh models",),
-    "doctor": ("mimesh doctor",),
 }
-"""Name -> commands, run one after the other."""
+"""Name -> commands, run one after the other in one folder."""
 
 
 def transcripts() -> dict[str, list[Said]]:
     """What all of SCRIPTS answer."""
-    before = Path.cwd()
-    with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         _inputs()
-        told = {name: [_said(command) for command in commands] for name, commands in SCRIPTS.items()}
-        os.chdir(before)
-    return told
+        return {name: [_said(command) for command in commands] for name, commands in SCRIPTS.items()}
 
 
 def _said(command: str) -> Said:
@@ -70,14 +57,10 @@ def _inputs() -> None:
     moving = played(BODY)
     for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):
         save_mesh(mesh, name)
-    save_mesh(handstand().driving, "handstand.obj")
-    save_mesh(chair().identity, "chair.obj")
     save_clip(moving, "walk")
     animate(hero(), moving, stop=4).save_skinned("rigged.glb")
     scans = Path("scans")
     scans.mkdir()
     for t in range(3):
-        vertices = moving.vertices[t].astype(np.float64)
-        mesh = dataclasses.replace(moving.mesh, vertices=vertices, faces=moving.mesh.faces)
-        save_mesh(mesh if t < 2 else shield().identity, scans / f"scan_{t:03}.obj")
-    assert isinstance(moving, Clip)
+        scan = moving.mesh.with_vertices(moving.vertices[t].astype(np.float64)) if t < 2 else shield().identity
+        save_mesh(scan, scans / f"scan_{t:03}.obj")

@@ -15,22 +15,22 @@ from pathlib import Path
 
 import doc_transcripts
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 from trouble_cases import BODY, CASES, OWN, THEIRS, Case, hero, step
 
 from mimesh import Clip, Mesh, Result, animate, transfer
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.io.atomic import whole_file
 from mimesh.methods.samples import Samples
-from mimesh.preview import still
 from mimesh.view.camera import Camera, fit
+from mimesh.view.movie import clip_frames
 from mimesh.view.raster import render, render_mesh
-from mimesh.view.sheet import DRIVING_TINT, captioned, heat_colors, page
+from mimesh.view.sheet import DRIVING_TINT, INK, heat_colors, page
 
 DOCS = Path(__file__).parents[1] / "docs"
 IMAGES, NOTES = DOCS / "images", DOCS / "trouble.json"
-SIZE, TILE = (360, 440), (300, 380)
-"""Of a picture as drawn, without its caption, and as shown."""
+SIZE, TILE, LETTER = (420, 480), (300, 343), 20
+"""Of a picture as drawn, and as shown without its caption; of a caption's letters, to be read at half the size."""
 POINTS = 320
 """That the network of mime reads at once."""
 BONE = (58, 84, 122)
@@ -48,7 +48,7 @@ def main() -> None:
     for make in CASES:
         if not wanted or make.__name__ in wanted:
             notes[make.__name__] = draw_case(make(), make.__name__)
-    for draw in (models, inside):
+    for draw in (first, models, inside):
         if not wanted or draw.__name__ in wanted:
             save(draw(), draw.__name__)
     write(NOTES, {make.__name__: notes[make.__name__] for make in CASES})
@@ -74,8 +74,27 @@ def _inputs(case: Case, result: Result) -> list[Image.Image]:
     return [_tile(case.identity, "identity", own), _tile(case.driving, "driving", theirs, DRIVING_TINT)]
 
 
-def _tile(mesh: Mesh, label: str, axes: dict, tint=None) -> Image.Image:
-    return still(mesh, label, tint=tint, up=axes["up"], front=axes["front"]).resize(TILE, Image.Resampling.LANCZOS)
+def _tile(mesh: Mesh, label: str, axes: dict | None = None, tint=None) -> Image.Image:
+    axes = {} if axes is None else {"up": axes["up"], "front": axes["front"]}
+    picture = next(clip_frames([("", Clip.still(mesh))], SIZE, tints=[tint], **axes))
+    return shown(picture.crop((0, 0, *SIZE)), label)
+
+
+def shown(picture: Image.Image, label: str) -> Image.Image:
+    """A picture with its caption, as it stands on a page."""
+    paper = picture.getpixel((0, 0))
+    tile = Image.new("RGB", (TILE[0], TILE[1] + 2 * LETTER), paper)
+    tile.paste(picture.resize(TILE, Image.Resampling.LANCZOS))
+    middle = (TILE[0] / 2, TILE[1] + LETTER / 4)
+    ImageDraw.Draw(tile).text(middle, label, INK, ImageFont.load_default(LETTER), anchor="ma")
+    return tile
+
+
+def first() -> Image.Image:
+    """A pair and its result."""
+    identity, driving = hero(), step()
+    tiles = [_tile(identity, "identity"), _tile(driving, "driving", tint=DRIVING_TINT)]
+    return page([*tiles, _tile(transfer(identity, driving).mesh, "result")], 3)
 
 
 def models() -> Image.Image:
@@ -83,16 +102,16 @@ def models() -> Image.Image:
     identity, rotmat = hero(), rotvec_to_rotmat(sample_pose(BODY, 4, 2))
     driving = step().with_vertices(BODY.posed(THEIRS, rotmat))
     truth = BODY.posed(OWN, rotmat)
-    tiles = [still(identity, "identity"), still(driving, "driving", tint=DRIVING_TINT)]
+    tiles = [_tile(identity, "identity"), _tile(driving, "driving", tint=DRIVING_TINT)]
     camera = fit(truth, SIZE)
-    tiles += [captioned(render(truth, BODY.faces, camera, SIZE), "truth")]
+    tiles += [shown(Image.fromarray(render(truth, BODY.faces, camera, SIZE)), "truth")]
     for model in MODELS:
         vertices = transfer(identity, driving, model).vertices
         vertices = vertices + truth.mean(axis=0) - vertices.mean(axis=0)
         off = np.linalg.norm(vertices - truth, axis=1)
         picture = render(vertices, BODY.faces, camera, SIZE, heat_colors(off / WORST))
-        tiles.append(captioned(picture, f"{model}: {1000 * off.mean():.0f} mm"))
-    return page([tile.resize(TILE, Image.Resampling.LANCZOS) for tile in tiles], 3)
+        tiles.append(shown(Image.fromarray(picture), f"{model}: {1000 * off.mean():.0f} mm"))
+    return page(tiles, 3)
 
 
 def inside() -> Image.Image:
@@ -107,12 +126,16 @@ def inside() -> Image.Image:
     bones = Image.fromarray(render_mesh(identity, SIZE, camera))
     _draw_bones(bones, camera, rig.joints, parents)
     pictures = [
-        (render(points, np.zeros((0, 3), int), camera, SIZE), f"{POINTS} points of the surface"),
-        (np.asarray(bones), "joints of the person fitted to it"),
-        (render(identity.vertices, identity.faces, camera, SIZE, colors), "skinning weights"),
-        (render(moved, identity.faces, fit(moved, SIZE), SIZE, colors), "skinned to the driving's turns"),
+        (_drawn(points, np.zeros((0, 3), int), camera), f"{POINTS} points of it"),
+        (bones, "joints of a person fitted"),
+        (_drawn(identity.vertices, identity.faces, camera, colors), "skinning weights"),
+        (_drawn(moved, identity.faces, fit(moved, SIZE), colors), "skinned to other turns"),
     ]
-    return page([captioned(*one).resize(TILE, Image.Resampling.LANCZOS) for one in pictures], len(pictures))
+    return page([shown(*one) for one in pictures], len(pictures))
+
+
+def _drawn(vertices: np.ndarray, faces: np.ndarray, camera: Camera, colors=None) -> Image.Image:
+    return Image.fromarray(render(vertices, faces, camera, SIZE, colors))
 
 
 def _hues(count: int) -> np.ndarray:

@@ -65,13 +65,13 @@ def models() -> str:
     """A line for each model that -m takes."""
     shipped = {card["name"]: card for card in cards()}
     rows = [[f"[`{name}`](#{name})", WHAT[name], *_facts(shipped.get(name))] for name in MODELS]
-    return grid(["`-m`", "what it is", "size", "licence", "PMD ×1e-4, seen / unseen"], rows)
+    return grid(["`-m`", "what it is", "weights", "PMD ×1e-4, seen / unseen"], rows)
 
 
 def _facts(card: dict | None) -> list[str]:
     if card is None:
-        return ["none", "Apache-2.0", "-"]
-    return [f"{card['bytes'] / 2**20:.1f} MiB", card["license"], _measured(card)]
+        return ["none", "-"]
+    return [f"{card['bytes'] / 2**20:.1f}\N{NO-BREAK SPACE}MiB", _measured(card)]
 
 
 def _measured(card: dict) -> str:
@@ -88,12 +88,13 @@ def card(name: str) -> str:
     pairs = sum(run["pairs"] for run in (*before, found))
     test = found["metrics"]["test"]
     rows = [
+        ["licence", found["license"]],
         ["trained on", found["data"]],
         ["how long", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs"],
         ["of commit", f"`{found['commit']}`, seed {found['seed']}"],
         ["PMD ×1e-4 on new people, seen / unseen", _measured(found)],
         ["`copy` on the same", f"{_figure(test['copy_seen_pmd_e4'])} / {_figure(test['copy_unseen_pmd_e4'])}"],
-        ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB, {found['license']}"],
+        ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
     ]
     return grid(["card", ""], rows)
 

@@ -1,18 +1,24 @@
-"""Signatures in the reference as they stand in the source: `Float[np.ndarray, "V 3"]`, not what Python makes of it."""
+"""Signatures in the reference as they stand in the source, so that shapes read well: `Float[ndarray, 'V 3']`."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
+from functools import partial
+
+from docutils import nodes
 
 EMPTY = inspect.Parameter.empty
 
 
 def setup(app):
     """Ask autodoc for a say in signatures and docstrings."""
+    said: dict[str, list[str]] = {}
     app.connect("autodoc-process-signature", _signature)
-    # Before napoleon, which has 500.
-    app.connect("autodoc-process-docstring", _whole_sentence, priority=400)
+    # Napoleon has 500; it takes what stands before a colon for the type of an attribute, which here it never is.
+    app.connect("autodoc-process-docstring", partial(_keep, said), priority=400)
+    app.connect("autodoc-process-docstring", partial(_put_back, said), priority=600)
+    app.connect("doctree-resolved", _with_dashes)
     return {"parallel_read_safe": True}
 
 
@@ -27,10 +33,23 @@ def _signature(app, what, name, obj, options, signature, returns):
     text = str(found.replace(parameters=parameters, return_annotation=EMPTY))
     for parameter in parameters:
         text = text.replace(repr(parameter.annotation), str(parameter.annotation), 1)
-    return text, None if found.return_annotation is EMPTY else str(found.return_annotation)
+    returned = "" if found.return_annotation is EMPTY else str(found.return_annotation)
+    # As autodoc has it in fields.
+    return text.replace("np.ndarray", "ndarray"), returned.replace("np.ndarray", "ndarray") or None
 
 
-def _whole_sentence(app, what, name, obj, options, lines):
-    """Napoleon takes what stands before a colon in the first line of an attribute for its type; here it never is."""
-    if what == "attribute" and lines:
-        lines.insert(0, "")
+def _keep(said, app, what, name, obj, options, lines):
+    if what in ("attribute", "property"):
+        said[name] = lines[:]
+
+
+def _put_back(said, app, what, name, obj, options, lines):
+    if name in said:
+        lines[:] = said.pop(name)
+
+
+def _with_dashes(app, tree, page):
+    """Between a parameter and its words."""
+    for text in list(tree.findall(nodes.Text)):
+        if text.astext() == " -- ":
+            text.parent.replace(text, nodes.Text(" \N{EN DASH} "))

@@ -88,5 +88,13 @@ def test_commands_of_a_page_exist(page):
     assert used <= {command.__name__ for command in COMMANDS} | {"studio"}
 
 
+def test_every_picture_note_and_transcript_is_used():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert all(f"transcript {name} -->" in text for name in json.loads((DOCS / "transcripts.json").read_text()))
+    drawn = {name.replace("_", "-") for name in json.loads((DOCS / "trouble.json").read_text())}
+    assert {path.stem.removeprefix("trouble-") for path in (DOCS / "images").glob("trouble-*")} == drawn
+    assert all(f"(images/trouble-{name}.webp)" in text for name in drawn)
+
+
 def test_pictures_are_small():
     assert sum(path.stat().st_size for path in (DOCS / "images").glob("trouble-*")) < 300_000
