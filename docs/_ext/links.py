@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 from html.parser import HTMLParser
+from os.path import normpath
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
@@ -36,6 +37,7 @@ class Page(HTMLParser):
 
 def check(site: Path) -> tuple[list[str], list[str]]:
     """What is wrong, and the addresses outside the site, both in order."""
+    site = site.resolve()
     pages = {path: Page(path.read_text(encoding="utf-8")) for path in sorted(site.rglob("*.html"))}
     wrong, outside = [], set()
     for path, page in pages.items():
@@ -46,16 +48,15 @@ def check(site: Path) -> tuple[list[str], list[str]]:
                 if (tag, attribute) in FETCHED:
                     wrong.append(f"{path.name}: expected to fetch nothing, found {address}")
             elif parts.scheme == "" and not parts.netloc:
-                target = (path.parent / unquote(parts.path)).resolve() if parts.path else path.resolve()
-                wrong += _missing(path, address, target, unquote(parts.fragment), pages, site)
+                target = Path(normpath(path.parent / unquote(parts.path))) if parts.path else path
+                wrong += _missing(path, address, target, unquote(parts.fragment), pages)
     return wrong, sorted(outside)
 
 
-def _missing(path: Path, address: str, target: Path, anchor: str, pages: dict[Path, Page], site: Path) -> list[str]:
-    if not target.exists():
+def _missing(path: Path, address: str, target: Path, anchor: str, pages: dict[Path, Page]) -> list[str]:
+    if target not in pages and not target.exists():
         return [f"{path.name}: expected {address}, found no such file"]
-    known = {page.resolve(): content.anchors for page, content in pages.items()}.get(target)
-    if anchor and known is not None and anchor not in known:
+    if anchor and target in pages and anchor not in pages[target].anchors:
         return [f"{path.name}: expected {address}, found no such anchor"]
     return []
 
