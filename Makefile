@@ -8,10 +8,10 @@ TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
-CODE := src tests scripts benchmarks blender
+CODE := src tests scripts benchmarks blender docs
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup blender web clients clean
+.PHONY: demo test check smoke bench setup blender web clients docs clean
 
 # The development install can run the demo too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -48,6 +48,11 @@ clients: $(VENV)/.dev
 	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs -m client tests/clients
 	$(BIN)/python scripts/write_formats.py
 
+# The site, in docs/_build; then the links that lead out of it, which nothing here follows.
+docs: $(VENV)/.dev
+	PYTHONPATH=src $(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
+	$(BIN)/python docs/_ext/links.py docs/_build
+
 $(VENV)/bin/python:
 	$(PYTHON) -m venv $(VENV)
 
@@ -61,4 +66,4 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	touch $@
 
 clean:
-	rm -rf $(VENV) mimesh-demo build dist
+	rm -rf $(VENV) mimesh-demo build dist docs/_build

@@ -1,0 +1,163 @@
+"""What pages take from the code, from measured figures and from transcripts while the site is built.
+
+`<!-- insert: WHAT [NAME] -->` in a page becomes Markdown before it is read, so nothing of it is typed and nothing can
+go stale. In the repository it shows as nothing, beside a link or a sentence that says where to look.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+from commands import command_reference
+
+from mimesh.commands.about import WHAT
+from mimesh.evaluate.tables import grid, paper_table
+from mimesh.methods import MODELS, SHIPPED_NETWORKS
+from mimesh.zoo import cards
+
+DOCS = Path(__file__).parents[1]
+MARK = re.compile(r"<!-- insert: ([a-z]+)(?: ([\w-]+))? -->")
+DRAWN = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
+OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
+"""Links that work in the repository and lead out of the site."""
+OPTIONAL = ("gallery", "examples")
+HERO = ("moving.webp", "demo.png")
+"""Pictures for the first page; the first that is there is taken."""
+
+
+def setup(app):
+    """Fill the marks of every page."""
+    app.connect("source-read", lambda app, page, source: source.__setitem__(0, filled(source[0])))
+    return {"parallel_read_safe": True}
+
+
+def filled(text: str) -> str:
+    """A page with its marks replaced, without links that lead out of the site, and with its SVG put into it.
+
+    A drawing inside the page has the theme's colours.
+
+    Raises:
+        KeyError: nothing goes by the name of a mark.
+    """
+    text = OUTSIDE.sub(r"\1", text)
+    text = DRAWN.sub(lambda mark: _drawing(mark[2]), text)
+    return MARK.sub(lambda mark: INSERTS[mark[1]](*filter(None, [mark[2]])), text)
+
+
+def _drawing(name: str) -> str:
+    return f'<div class="drawn">\n{(DOCS / "images" / f"{name}.svg").read_text()}</div>\n'
+
+
+def hero() -> str:
+    """The picture of the first page."""
+    found = next(name for name in HERO if (DOCS / "images" / name).is_file())
+    return f"![An identity, what it imitates, and the result](images/{found})"
+
+
+def further() -> str:
+    """Names of pages that are there once their pictures are."""
+    return "\n".join(name for name in OPTIONAL if (DOCS / f"{name}.md").is_file())
+
+
+def models() -> str:
+    """A line for each model that -m takes."""
+    shipped = {card["name"]: card for card in cards()}
+    rows = [[f"[`{name}`](#{name})", WHAT[name], *_facts(shipped.get(name))] for name in MODELS]
+    return grid(["`-m`", "what it is", "weights", "PMD ×1e-4, seen / unseen"], rows)
+
+
+def _facts(card: dict | None) -> list[str]:
+    if card is None:
+        return ["none", "-"]
+    return [f"{card['bytes'] / 2**20:.1f}\N{NO-BREAK SPACE}MiB", _measured(card)]
+
+
+def _measured(card: dict) -> str:
+    test = card["metrics"]["test"]
+    return f"{_figure(test['seen_pmd_e4'])} / {_figure(test['unseen_pmd_e4'])}"
+
+
+def card(name: str) -> str:
+    """The card of shipped weights in words."""
+    assert name in SHIPPED_NETWORKS
+    found = next(card for card in cards() if card["name"] == name)
+    before = found.get("before", [])
+    minutes = sum(run["seconds_trained"] for run in (*before, found)) / 60
+    pairs = sum(run["pairs"] for run in (*before, found))
+    test = found["metrics"]["test"]
+    rows = [
+        ["licence", found["license"]],
+        ["trained on", found["data"]],
+        ["how long", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs"],
+        ["of commit", f"`{found['commit']}`, seed {found['seed']}"],
+        ["PMD ×1e-4 on new people, seen / unseen", _measured(found)],
+        ["`copy` on the same", f"{_figure(test['copy_seen_pmd_e4'])} / {_figure(test['copy_unseen_pmd_e4'])}"],
+        ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
+    ]
+    return grid(["card", ""], rows)
+
+
+def table(name: str) -> str:
+    """A table of a paper, its figures beside ours, from the reports in docs/results."""
+    reports = [json.loads(path.read_text()) for path in sorted((DOCS / "results").glob("*.json"))]
+    return paper_table(name, *reports)
+
+
+def speed() -> str:
+    """What a frame costs, from benchmarks/mime.json."""
+    found = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
+    counts = [key for key in found if key.isdigit()]
+    lines = {
+        "prepare, for a pose": "prepare_pose_ms",
+        "prepare, for a clip": "prepare_clip_ms",
+        "a frame of `mime`": "frame_ms",
+        "plain skinning, for comparison": "plain_skinning_ms",
+        "a frame of `npt`": "npt_ms_a_frame",
+        "a frame of `npt-maxpool`": "npt-maxpool_ms_a_frame",
+        "a frame of `aniformer`": "aniformer_ms_a_frame",
+    }
+    rows = [[label, *(_ms(found[count].get(key)) for count in counts)] for label, key in lines.items()]
+    head = ["", *(f"{int(count):,} vertices" for count in counts)]
+    return f"{grid(head, rows)}\n\nMeasured at commit {found['commit']}, {found['machine']}."
+
+
+def _ms(value: float | None) -> str:
+    return "-" if value is None else f"{_figure(value)} ms"
+
+
+def _figure(value: float) -> str:
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def transcript(name: str) -> str:
+    """Commands and what they answered."""
+    said = json.loads((DOCS / "transcripts.json").read_text())[name]
+    lines = "\n\n".join(f"$ {command}\n{output}" for command, output in said)
+    return f"```console\n{lines}\n```"
+
+
+def notes(name: str, which: str = "notes") -> str:
+    """What mimesh said of a picture of the page of troubleshooting."""
+    found = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
+    return "\n".join(f"> note: {note}" for note in found) or "> mimesh prints no note here."
+
+
+def helped(name: str) -> str:
+    """What it says with the remedy."""
+    return notes(name, "helped")
+
+
+INSERTS = {
+    "hero": hero,
+    "further": further,
+    "models": models,
+    "card": card,
+    "table": table,
+    "speed": speed,
+    "transcript": transcript,
+    "notes": notes,
+    "helped": helped,
+    "commands": command_reference,
+}

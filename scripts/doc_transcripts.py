@@ -1,0 +1,66 @@
+"""Commands with what they answer, for the pages of the documentation: run in a folder of their own, nothing typed."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import shlex
+import tempfile
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from trouble_cases import BODY, hero, shield, step
+
+from mimesh import animate, save_clip, save_mesh
+from mimesh.cli import run
+from mimesh.demo import played
+
+
+class Said(NamedTuple):
+    """A command and its output."""
+
+    command: str
+    output: str
+
+
+SCRIPTS = {
+    "first": ("mimesh look hero.obj", "mimesh transfer hero.obj pose.obj"),
+    "clip": ("mimesh animate hero.obj walk/ --fps 15",),
+    "skinned": ("mimesh animate hero.obj walk/ --fps 15 --skinned -o hero-skinned.glb --no-preview",),
+    "stl": ("mimesh transfer hero.stl pose.obj --no-preview",),
+    "scan": ("mimesh animate hero.obj scans/",),
+    "one-frame": ("mimesh animate hero.obj pose.obj --no-preview",),
+    "rigged": ("mimesh look rigged.glb", "mimesh transfer rigged.glb pose.obj --no-preview"),
+    "rate": ("mimesh animate hero.obj walk/ --fps 15 --stop 4 -o hero-walk.pc2 --no-preview",),
+    "markers": ("mimesh transfer hero.obj pose.obj -m deformation-transfer",),
+}
+"""Name -> commands, run one after the other in one folder."""
+
+
+def transcripts() -> dict[str, list[Said]]:
+    """What all of SCRIPTS answer."""
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        _inputs()
+        return {name: [_said(command) for command in commands] for name, commands in SCRIPTS.items()}
+
+
+def _said(command: str) -> Said:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
+        run(shlex.split(command)[1:])
+    return Said(command, out.getvalue().rstrip())
+
+
+def _inputs() -> None:
+    """The files that the commands name."""
+    moving = played(BODY)
+    for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):
+        save_mesh(mesh, name)
+    save_clip(moving, "walk")
+    animate(hero(), moving, stop=4).save_skinned("rigged.glb")
+    scans = Path("scans")
+    scans.mkdir()
+    for t in range(3):
+        scan = moving.mesh.with_vertices(moving.vertices[t].astype(np.float64)) if t < 2 else shield().identity
+        save_mesh(scan, scans / f"scan_{t:03}.obj")

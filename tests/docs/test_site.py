@@ -1,0 +1,100 @@
+"""The documentation is built without a warning, its links are sound, and nothing of it is stale."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from mimesh.cli import COMMANDS
+from mimesh.evaluate.tables import TABLES, paper_table
+from mimesh.methods import MODELS
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = sorted(DOCS.glob("*.md"))
+pytestmark = pytest.mark.skipif(not (DOCS / "conf.py").exists(), reason="a package without its docs")
+
+
+@pytest.fixture(scope="module")
+def inserts():
+    sys.path.insert(0, str(DOCS / "_ext"))
+    import inserts
+
+    yield inserts
+    sys.path.remove(str(DOCS / "_ext"))
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    out = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", str(DOCS), str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return out
+
+
+def test_every_link_inside_is_sound_and_nothing_is_fetched(site, inserts):
+    import links
+
+    wrong, _ = links.check(site)
+    assert wrong == []
+
+
+def test_links_that_are_not_sound_are_found(tmp_path, inserts):
+    import links
+
+    (tmp_path / "a.html").write_text(
+        '<p id="here"><a href="b.html">b</a> <a href="#here">h</a> <a href="#there">t</a>'
+        '<script src="https://example.com/x.js"></script> <a href="https://example.com">out</a>'
+    )
+    wrong, outside = links.check(tmp_path)
+    assert [line.split("expected ")[1].split(",")[0] for line in wrong] == ["b.html", "#there", "to fetch nothing"]
+    assert outside == ["https://example.com", "https://example.com/x.js"]
+
+
+def test_the_reference_has_every_command_and_option(inserts):
+    text = inserts.command_reference()
+    for command in COMMANDS:
+        assert f"## mimesh {command.__name__}\n" in text
+    assert "`--skinned`" in text
+    assert "`--driving-front` `AXIS`" in text
+
+
+def test_tables_are_of_the_measured_figures(inserts):
+    reports = [json.loads(path.read_text()) for path in sorted((DOCS / "results").glob("*.json"))]
+    used = set(re.findall(r"<!-- insert: table (\S+) -->", (DOCS / "two-papers.md").read_text()))
+    assert used == set(TABLES)
+    assert all(inserts.table(name) == paper_table(name, *reports) for name in used)
+
+
+def test_every_model_has_a_section(inserts):
+    page = (DOCS / "models.md").read_text()
+    assert all(f"\n## {name}\n" in page and f"(#{name})" in inserts.models() for name in MODELS)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_marks_of_a_page_are_known_and_pictures_are_there(page, inserts):
+    text = page.read_text(encoding="utf-8")
+    assert "<!-- insert: " not in inserts.filled(text).replace("<!-- insert: ... -->", "")
+    assert all((DOCS / name).is_file() for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
+def test_commands_of_a_page_exist(page):
+    used = set(re.findall(r"^\$ mimesh (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE))
+    assert used <= {command.__name__ for command in COMMANDS} | {"studio"}
+
+
+def test_every_picture_note_and_transcript_is_used():
+    text = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert all(f"transcript {name} -->" in text for name in json.loads((DOCS / "transcripts.json").read_text()))
+    drawn = {name.replace("_", "-") for name in json.loads((DOCS / "trouble.json").read_text())}
+    assert {path.stem.removeprefix("trouble-") for path in (DOCS / "images").glob("trouble-*")} == drawn
+    assert all(f"(images/trouble-{name}.webp)" in text for name in drawn)
+
+
+def test_pictures_are_small():
+    assert sum(path.stat().st_size for path in (DOCS / "images").glob("trouble-*")) < 300_000
