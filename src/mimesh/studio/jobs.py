@@ -102,6 +102,8 @@ class Worker:
     def _do(self, job: Job) -> None:
         try:
             given = job.work(lambda done, total: self._between(job))
+            if job.unwanted:
+                raise Dropped
         except (Dropped, InputError) as error:
             job.future.set_exception(error)
         except Exception as error:

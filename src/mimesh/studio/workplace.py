@@ -7,6 +7,7 @@ import shutil
 import tempfile
 import unicodedata
 import zipfile
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -85,6 +86,18 @@ class Workplace:
         upload.files.append(path)
         return path
 
+    def check(self, path: Path, size: int) -> None:
+        """Refuse a file by the size that is announced, before it is sent; `count` is what holds.
+
+        Raises:
+            TooLarge: see `count`.
+        """
+        if size > self.limit:
+            raise TooLarge(
+                f"{path.name}: expected {self.limit / 2**20:,.0f} MiB or less, found {size / 2**20:,.0f}; start mimesh "
+                "studio with a larger --limit, or give the file on its command line"
+            )
+
     def count(self, upload: Upload, path: Path, size: int, more: int) -> None:
         """Take `more` bytes of a file that has `size` of them so far.
 
@@ -126,8 +139,10 @@ class Workplace:
                 entries = [entry for entry in pack.infolist() if not entry.is_dir() and not _litter(entry.filename)]
                 for entry in entries:
                     self._unpack(upload, pack, entry)
-        except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zipfile.zlib.error) as error:
-            raise InputError(f"{archive.name}: expected a .zip without a password, found '{error}'; pack it again")
+        except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
+            raise InputError(
+                f"{archive.name}: expected a .zip without a password, found '{error}'; pack it again"
+            ) from error
         self.remove_file(upload, archive, archive.stat().st_size)
 
     def close(self) -> None:
@@ -153,7 +168,9 @@ def safe_name(name: str) -> str:
     Letters of all scripts stay; the suffix stays where the name has to be cut.
     """
     text = unicodedata.normalize("NFC", name)
-    text = "".join(letter for letter in text if not unicodedata.category(letter).startswith(("C", "Z")) or letter == " ")
+    text = "".join(
+        letter for letter in text if not unicodedata.category(letter).startswith(("C", "Z")) or letter == " "
+    )
     text = re.sub(r'[<>:"|?*/\\]', "_", text).strip(" ").lstrip(".").rstrip(". ")
     stem, dot, suffix = text.rpartition(".")
     if not dot:
