@@ -86,7 +86,7 @@ def fit(
     Raises:
         InputError: an unknown view or axis, or front along up.
     """
-    world = _axes(up, front)
+    world = axes(up, front)
     rotmat = _turn(*_angles(view)) @ world
     flat = np.asarray(points, np.float64).reshape(-1, 3)
     low, high = flat.min(axis=0), flat.max(axis=0)
@@ -135,7 +135,7 @@ def follow(
     front: str | None = None,
 ) -> list[Camera]:
     """One camera per frame at one distance and height, moved along the floor with the subject's middle."""
-    vertical = _axes(up, front)[1]
+    vertical = axes(up, front)[1]
     middle = points.mean(axis=1)
     travel = middle - middle[0]
     travel -= (travel @ vertical)[:, None] * vertical
@@ -207,7 +207,7 @@ def _turn(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
     return np.stack([right, np.cross(back, right), back])
 
 
-def _axes(up: str, front: str | None) -> Float[np.ndarray, "3 3"]:
+def axes(up: str, front: str | None) -> Float[np.ndarray, "3 3"]:
     """Rows right, up, front of the subject's own frame, in world coordinates."""
     front = front or ("-y" if up.strip("+") == "z" else "y" if up == "-z" else "z")
     vertical, forward = _axis("up", up), _axis("front", front)

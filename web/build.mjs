@@ -1,0 +1,49 @@
+// Bundles each page of this folder into src/mimesh/view/web, with the licence notices of what it holds.
+//   npm ci && node build.mjs
+// The first line of each bundle carries a fingerprint of all sources here and of the lock; a test compares it, so that
+// a bundle and its sources cannot part.
+import { createHash } from "node:crypto";
+import { readdirSync, readFileSync } from "node:fs";
+import { join, relative, sep } from "node:path";
+import { fileURLToPath } from "node:url";
+import { build } from "esbuild";
+
+const here = fileURLToPath(new URL(".", import.meta.url));
+const output = join(here, "../src/mimesh/view/web");
+
+/** All sources below a folder, as paths with forward slashes, sorted. */
+function sources(folder) {
+  return readdirSync(folder, { recursive: true, withFileTypes: true })
+    .filter((entry) => entry.isFile())
+    .map((entry) => relative(folder, join(entry.parentPath, entry.name)).split(sep).join("/"))
+    .filter((path) => !path.startsWith("node_modules/") && /\.(js|mjs|css|html|json)$/.test(path))
+    .sort();
+}
+
+/** SHA-256 over the name, the length in bytes and the content of every source. */
+function fingerprint() {
+  const hash = createHash("sha256");
+  for (const path of sources(here)) {
+    const content = readFileSync(join(here, path));
+    hash.update(`${path}\n${content.length}\n`).update(content);
+  }
+  return hash.digest("hex").slice(0, 32);
+}
+
+const mark = `/* mimesh-web ${fingerprint()} */`;
+await build({
+  absWorkingDir: here,
+  entryPoints: [
+    { in: "player/page.js", out: "player" },
+    { in: "style.css", out: "player" },
+  ],
+  outdir: output,
+  bundle: true,
+  minify: true,
+  format: "iife",
+  target: "es2022",
+  charset: "utf8",
+  legalComments: "inline",
+  banner: { js: mark, css: mark },
+  logLevel: "info",
+});

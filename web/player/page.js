@@ -1,0 +1,79 @@
+// The offline page: reads the scene that lies in it, starts the stage, and offers the result's file.
+import { Controls } from "./controls.js";
+import { make } from "./dom.js";
+import { ICONS } from "./icons.js";
+import { fromBase64, inflate } from "./scene.js";
+import { Stage } from "./stage.js";
+
+const REFUSALS = {
+  webgl: "This page draws with WebGL 2, and this browser has it switched off or has none. Open it in a current Chrome, Edge, Firefox or Safari, on a computer with a graphics driver.",
+  inflate: "This page needs a browser from 2023 or later (it lacks DecompressionStream). Open it in a current Chrome, Edge, Firefox or Safari.",
+};
+
+/** The frame of the page: a head, the stage, and two rows of buttons. */
+function frame(root, packed) {
+  const head = root.appendChild(make("header", "head"));
+  const names = head.appendChild(make("div", "names"));
+  names.append(make("h1", "", { textContent: packed.title }));
+  if (packed.model) names.append(make("span", "chip", { textContent: packed.model, title: "The model that moved it" }));
+  const top = head.appendChild(make("div", "top"));
+  const stage = root.appendChild(make("main", "stage"));
+  const bottom = root.appendChild(make("footer", "bottom"));
+  return { head, top, stage, bottom };
+}
+
+/** What is to be known about what is shown: the report's notes, and what was left out. */
+function addNotes(bottom, { notes, left_out: leftOut }) {
+  const lines = [...notes, ...leftOut];
+  if (!lines.length) return;
+  const box = bottom.appendChild(make("details", "notes", { open: lines.length < 3 }));
+  box.append(make("summary", "", { textContent: lines.length === 1 ? "1 note" : `${lines.length} notes` }));
+  const list = box.appendChild(make("ul", ""));
+  for (const line of lines) list.append(make("li", "", { textContent: line }));
+}
+
+/** A button that gives the file back from the page, or a link to the file beside it. */
+function addDownload(top, { download }) {
+  if (!download) return;
+  const label = `${ICONS.download}<span></span>`;
+  const link = make("a", "plain download", { innerHTML: label, href: download.href ?? "#", download: download.name });
+  link.lastChild.textContent = download.data ? `Download ${download.name}` : `${download.name}, beside this page`;
+  link.setAttribute("role", "button");
+  if (download.data) link.addEventListener("click", (event) => handOut(event, link, download));
+  top.prepend(link);
+}
+
+async function handOut(event, link, download) {
+  if (link.dataset.ready) return;
+  event.preventDefault();
+  const bytes = await inflate(fromBase64(download.data));
+  link.href = URL.createObjectURL(new Blob([bytes], { type: "model/gltf-binary" }));
+  link.dataset.ready = "yes";
+  link.click();
+}
+
+function refuse(root, words) {
+  root.append(make("p", "refusal", { textContent: words }));
+  document.documentElement.dataset.state = "refused";
+}
+
+async function start() {
+  const root = document.getElementById("mimesh");
+  if (typeof DecompressionStream === "undefined") return refuse(root, REFUSALS.inflate);
+  if (!document.createElement("canvas").getContext("webgl2")) return refuse(root, REFUSALS.webgl);
+  const packed = JSON.parse(document.getElementById("mimesh-scene").textContent);
+  const { top, stage: box, bottom } = frame(root, packed);
+  addDownload(top, packed);
+  const stage = new Stage(box);
+  const controls = new Controls(stage, { top, bottom });
+  addNotes(bottom, packed);
+  stage.addEventListener("drawn", () => (document.documentElement.dataset.state = "ready"), { once: true });
+  await stage.show(packed);
+  window.mimesh = { stage, controls };
+  if (!matchMedia("(prefers-reduced-motion: reduce)").matches) controls.play();
+}
+
+start().catch((error) => {
+  refuse(document.getElementById("mimesh"), `This page could not be shown: ${error.message}`);
+  throw error;
+});

@@ -1,0 +1,273 @@
+// The stage: panels side by side in one canvas, under one camera. No buttons here; `controls.js` has them.
+//
+//   const stage = new Stage(element)        element: a positioned box; panels lie in it
+//   await stage.show(packed, {keepView})    what pack_scene packed; replaces what was shown
+//   stage.setTime(seconds)                  any time in 0..stage.duration
+//   stage.set({colours, wireframe, overlay, follow, dark})   each optional; colours: material clay stretch error
+//   stage.look                              how they are set now
+//   stage.offers                            {moves, stretch, error, overlay, travels}: what this scene has
+//   stage.measure                           {what, low, high, unit, mean, most} of the colours shown, or null
+//   stage.resetView(), stage.render(), stage.dispose()
+//   stage.addEventListener("time" | "look" | "scene" | "drawn", ...)
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { ContactShadow, addLights } from "./ground.js";
+import { fitView } from "./fit.js";
+import { Meter } from "./meter.js";
+import { decodeScene } from "./scene.js";
+import { Subject } from "./surface.js";
+
+const LABELS = { identity: "Identity", driving: "Driving", result: "Result", truth: "Truth", mesh: "" };
+
+export class Stage extends EventTarget {
+  constructor(element) {
+    super();
+    this.element = element;
+    this.canvas = element.appendChild(Object.assign(document.createElement("canvas"), { className: "stage-canvas" }));
+    this.canvas.setAttribute("aria-hidden", "true");
+    this.grid = element.appendChild(Object.assign(document.createElement("div"), { className: "stage-panels" }));
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    this.renderer.setClearColor(0, 0);
+    this.renderer.toneMapping = THREE.NeutralToneMapping;
+    this.renderer.autoClear = false;
+    this.camera = new THREE.PerspectiveCamera(26, 1, 0.02, 60);
+    this.orbit = new OrbitControls(this.camera, this.grid);
+    Object.assign(this.orbit, { enableDamping: false, minDistance: 0.15, maxDistance: 30, zoomSpeed: 0.9 });
+    this.orbit.addEventListener("change", () => this.render());
+    this.grid.addEventListener("dblclick", () => this.resetView());
+    this.shadow = new ContactShadow();
+    this.views = [];
+    this.look = { colours: "material", wireframe: false, overlay: false, follow: false, dark: false };
+    this.offers = {};
+    this.time = 0;
+    this.duration = 0;
+    this.resizing = new ResizeObserver(() => this.resized());
+    this.resizing.observe(element);
+  }
+
+  async show(packed, { keepView = false } = {}) {
+    const scene = await decodeScene(packed);
+    const textures = await Promise.all(scene.images.map(readTexture));
+    this.clear();
+    this.scene = scene;
+    this.textures = textures;
+    this.duration = scene.duration;
+    this.views = scene.panels.map((panel) => this.addView(panel, scene.surfaces[panel.surface]));
+    this.grid.dataset.count = this.views.length;
+    this.meter = new Meter(this.views.map((view) => view.subject));
+    this.offers = this.findOffers();
+    this.addGhost();
+    const colours = this.offers[this.look.colours] === false ? "material" : this.look.colours;
+    this.time = Math.min(this.time, this.duration);
+    this.set({ ...this.look, colours, follow: this.look.follow || this.offers.travels });
+    this.dispatchEvent(new Event("scene"));
+    if (!keepView || !this.fitted) this.resetView();
+    this.resized();
+  }
+
+  addView(panel, surface) {
+    const box = document.createElement("figure");
+    box.className = `panel panel-${panel.role}`;
+    const caption = box.appendChild(document.createElement("figcaption"));
+    const role = LABELS[panel.role];
+    const strong = caption.appendChild(document.createElement("strong"));
+    strong.textContent = role || panel.name;
+    if (role) caption.append(` ${panel.name}`);
+    const counts = caption.appendChild(document.createElement("small"));
+    counts.textContent = panel.triangles
+      ? `${panel.vertices.toLocaleString("en")} vertices`
+      : `${panel.vertices.toLocaleString("en")} points`;
+    this.grid.append(box);
+    const scene = new THREE.Scene();
+    addLights(scene);
+    const subject = new Subject(panel, surface, this.textures);
+    scene.add(subject);
+    return { panel, subject, scene, box, away: [0, 0, 0] };
+  }
+
+  findOffers() {
+    const travel = Math.max(...this.scene.panels.map(travelled));
+    return {
+      moves: this.duration > 0,
+      material: true,
+      clay: true,
+      stretch: this.meter.hasStretch,
+      error: this.meter.hasError,
+      overlay: this.find("driving") !== undefined && this.find("result") !== undefined,
+      travels: travel > 0.35,
+    };
+  }
+
+  find(role) {
+    return this.views.find((view) => view.panel.role === role);
+  }
+
+  /** The driving once more, in the result's panel, to be looked through. */
+  addGhost() {
+    if (!this.offers.overlay) return;
+    const { panel, subject } = this.find("driving");
+    this.ghost = new Subject(panel, subject.surface, this.textures);
+    const { material } = this.ghost.body;
+    this.ghost.wears.ghost = Object.assign(material.clone(), { transparent: true, opacity: 0.38, depthWrite: false });
+    this.ghost.body.material = this.ghost.wears.ghost;
+    this.ghost.renderOrder = 2;
+    this.find("result").scene.add(this.ghost);
+  }
+
+  set(changes) {
+    Object.assign(this.look, changes);
+    const { colours, wireframe, overlay, dark } = this.look;
+    for (const { subject } of this.views) {
+      const measured = this.meter.measures(subject, colours);
+      subject.dress(measured ? "measured" : colours === "material" ? "material" : "clay");
+      subject.showEdges(wireframe, dark ? "#ffffff" : "#241f1b");
+    }
+    if (this.ghost) this.ghost.visible = overlay;
+    this.shadow.setTheme(dark);
+    this.setTime(this.time);
+    this.dispatchEvent(new Event("look"));
+  }
+
+  setTime(seconds) {
+    this.time = seconds;
+    for (const view of this.views) {
+      if (this.look.follow) level(view.panel.travel(seconds, view.away), view.panel.turn);
+      view.subject.pose(seconds, this.look.follow ? view.away : null);
+    }
+    if (this.ghost?.visible) this.ghost.pose(seconds, this.look.follow ? this.find("driving").away : null);
+    this.measure = this.meter?.paint(this.look.colours) ?? null;
+    this.dispatchEvent(new Event("time"));
+    this.render();
+  }
+
+  resetView() {
+    if (!this.views.length) return;
+    const aspect = Math.min(...this.views.map(({ box }) => box.clientWidth / Math.max(box.clientHeight, 1)));
+    fitView(this.camera, this.orbit, this.scene.panels, this.look.follow, aspect || 1);
+    this.fitted = true;
+    this.render();
+  }
+
+  resized() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (!width || !height) return;
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    this.renderer.setSize(width, height, false);
+    if (this.fitted && !this.touched) this.resetView();
+    this.render();
+  }
+
+  /** Draw once, with the next frame of the browser. */
+  render() {
+    this.pending ??= requestAnimationFrame(() => {
+      this.pending = undefined;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { renderer, camera } = this;
+    const whole = this.element.getBoundingClientRect();
+    renderer.setScissorTest(false);
+    renderer.setRenderTarget(null);
+    renderer.clear();
+    for (const view of this.views) {
+      const box = view.box.getBoundingClientRect();
+      view.scene.updateMatrixWorld();
+      this.castShadow(view);
+      renderer.setScissorTest(true);
+      const place = [box.left - whole.left, whole.bottom - box.bottom, box.width, box.height];
+      renderer.setViewport(...place);
+      renderer.setScissor(...place);
+      camera.aspect = box.width / box.height;
+      camera.updateProjectionMatrix();
+      renderer.render(view.scene, camera);
+    }
+    this.dispatchEvent(new Event("drawn"));
+  }
+
+  castShadow({ subject, scene, panel, away }) {
+    this.renderer.setScissorTest(false);
+    const middle = new THREE.Vector3(...panel.travel(this.time, [0, 0, 0]));
+    if (this.look.follow) middle.sub(new THREE.Vector3(...away));
+    middle.add(new THREE.Vector3(...panel.centre.slice(0, 3)).sub(new THREE.Vector3(...panel.anchor)));
+    middle.applyMatrix4(subject.place);
+    const ghostSeen = this.ghost?.visible;
+    if (this.ghost) this.ghost.visible = false;
+    if (subject.edges) subject.edges.visible = false;
+    this.shadow.cast(this.renderer, scene, subject.body, this.floorOf(panel), middle.x, middle.z);
+    if (this.ghost) this.ghost.visible = ghostSeen;
+    if (subject.edges) subject.edges.visible = this.look.wireframe;
+  }
+
+  /** Height of the floor on the stage: that of the lowest point of the clip. */
+  floorOf(panel) {
+    panel.floor ??= lowest(panel);
+    return panel.floor;
+  }
+
+  clear() {
+    for (const { subject, box } of this.views) {
+      subject.dispose();
+      box.remove();
+    }
+    for (const texture of this.textures ?? []) texture.dispose();
+    this.ghost?.dispose();
+    this.ghost = undefined;
+    this.views = [];
+  }
+
+  dispose() {
+    this.resizing.disconnect();
+    cancelAnimationFrame(this.pending);
+    this.clear();
+    this.orbit.dispose();
+    this.shadow.dispose();
+    this.renderer.dispose();
+    this.canvas.remove();
+    this.grid.remove();
+  }
+}
+
+/** A PNG or JPEG as a texture, v counted from the lower edge. */
+async function readTexture({ type, bytes }) {
+  const image = new Image();
+  const url = URL.createObjectURL(new Blob([bytes], { type }));
+  image.src = url;
+  await image.decode();
+  URL.revokeObjectURL(url);
+  const texture = new THREE.Texture(image);
+  Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping });
+  Object.assign(texture, { anisotropy: 4, needsUpdate: true });
+  return texture;
+}
+
+/** How far the middle of a panel's subject goes over the floor, in sizes of the subject. */
+function travelled(panel) {
+  const way = [0, 0, 0];
+  let most = 0;
+  for (let k = 0; k < panel.shown; k++) {
+    level(panel.travel(k / panel.rate, way), panel.turn);
+    most = Math.max(most, Math.hypot(...way) / panel.size);
+  }
+  return most;
+}
+
+/** Take the part along the panel's up axis off a vector, in place. */
+function level(vector, turn) {
+  const height = turn[3] * vector[0] + turn[4] * vector[1] + turn[5] * vector[2];
+  for (let k = 0; k < 3; k++) vector[k] -= height * turn[3 + k];
+  return vector;
+}
+
+function lowest(panel) {
+  const [, , , a, b, c] = panel.turn;
+  const points = new Float32Array(3 * panel.vertices);
+  const count = Math.min(panel.shown, 24);
+  let low = Infinity;
+  for (let k = 0; k < count; k++) {
+    panel.sample((k / Math.max(count - 1, 1)) * panel.duration, points);
+    for (let p = 0; p < points.length; p += 3) low = Math.min(low, a * points[p] + b * points[p + 1] + c * points[p + 2]);
+  }
+  return low / panel.size;
+}
