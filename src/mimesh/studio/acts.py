@@ -70,11 +70,11 @@ def demo_clip(motion: str) -> Clip:
 
 def stands(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:
     """How a mesh, or a clip in its first frame, is found to stand (see `report.facing`), and whether that is unsure."""
-    mesh = content
     if isinstance(content, Clip):
-        axes = driving_axes(content, *axes)
-        mesh = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
-    frame = Frame.fit(mesh, *axes)
+        first = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
+        frame = Frame.fit(first, *driving_axes(content, *axes))
+    else:
+        frame = Frame.fit(content, *axes)
     return {**facing(frame), "unsure": frame.unsure}
 
 

@@ -213,8 +213,8 @@ class Desk:
                 return
             item.error = "" if error is None else self.said(error)
             if error is None:
-                item.content, item.facing = future.result()
-                item.animations = acts.animations(item.content)
+                content, item.facing = future.result()
+                item.content, item.animations = content, acts.animations(content)
             self.refresh()
 
         def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from ..frame import AXES
@@ -54,12 +55,18 @@ def scene_key(desk: Desk) -> str:
 
 
 def scene(desk: Desk) -> dict[str, Any]:
-    """What the stage shows: the driving, and each mesh as it moves, or at rest until it does; `numbers` says which."""
-    key, items = scene_key(desk), _shown_items(desk)
-    if not items:
-        return {"key": key, "numbers": [], "scene": None}
-    packed = pack_scene([_shown(desk, item) for item in items], budget=SCENE_BUDGET)
-    return {"key": key, "numbers": [item.number for item in items], "scene": packed}
+    """What the stage shows, and the number of the mesh in each panel: one mesh beside what it imitates and its result.
+
+    Of several meshes only the results, which stand as their meshes do until they are there.
+    """
+    key, driving = scene_key(desk), desk.driving
+    meshes = [item for item in list(desk.identities.values()) if item.content is not None]
+    shown = [(item, _at_rest(item)) for item in meshes]
+    if driving is not None and driving.content is not None:
+        before = shown if len(shown) == 1 else []
+        shown = [*before, (driving, _driving(driving)), *((item, _result(item)) for item in meshes)]
+    packed = pack_scene([panel for _, panel in shown], budget=SCENE_BUDGET) if shown else None
+    return {"key": key, "numbers": [item.number for item, _ in shown], "scene": packed}
 
 
 def _shown_items(desk: Desk) -> list[Item]:
@@ -67,16 +74,23 @@ def _shown_items(desk: Desk) -> list[Item]:
     return [item for item in items if item is not None and item.content is not None]
 
 
-def _shown(desk: Desk, item: Item) -> Shown:
-    content, outcome = item.content, item.outcome
-    up, front = item.facing["up"], item.facing["front"]
-    if outcome is not None and outcome.result is not None:
-        used = outcome.result.report["identity"]
-        return Shown("result", outcome.result.clip, item.name, used["up"], used["front"])
-    if isinstance(content, Clip):
-        return Shown("driving", content, item.name, up, front)
-    assert isinstance(content, Mesh)
-    return Shown("identity", Clip.still(content), item.name, up, front)
+def _at_rest(item: Item) -> Shown:
+    assert isinstance(item.content, Mesh)
+    return Shown("identity", Clip.still(item.content), item.name, item.facing["up"], item.facing["front"])
+
+
+def _driving(item: Item) -> Shown:
+    assert isinstance(item.content, Clip)
+    return Shown("driving", item.content, item.name, item.facing["up"], item.facing["front"])
+
+
+def _result(item: Item) -> Shown:
+    """The result of now or, until it is there, of before; before the first the mesh itself stands for it."""
+    result = item.outcome.result if item.outcome else None
+    if result is None:
+        return dataclasses.replace(_at_rest(item), role="result")
+    used = result.report["identity"]
+    return Shown("result", result.clip, item.name, used["up"], used["front"])
 
 
 def _mesh(desk: Desk, item: Item) -> dict[str, Any]:
