@@ -1,7 +1,7 @@
 // Lights of the studio, and the soft shadow where a subject meets the floor.
 import * as THREE from "three";
 
-const SIDE = 192;
+const SIDE = 128;
 /** Width of the floor that the shadow map sees, in sizes of the subject. */
 const REACH = 2.2;
 /** Height above the floor at which a subject stops to darken it. */
@@ -34,9 +34,9 @@ const floorFragment = `varying vec2 at; uniform sampler2D map; uniform vec3 colo
   void main() { float edge = smoothstep(0.5, 0.36, distance(at, vec2(0.5)));
     gl_FragColor = vec4(color, strength * edge * texture2D(map, at).r); }`;
 
-/** Draws how near a subject is to the floor from below, blurs that, and lays it on the floor. One for all panels. */
+/** Draws how near a subject is to the floor from below, blurs that, and lays it on the floor. One a panel. */
 export class ContactShadow {
-  constructor() {
+  constructor(scene) {
     this.camera = new THREE.OrthographicCamera(-REACH / 2, REACH / 2, REACH / 2, -REACH / 2, 0, 4);
     this.targets = [0, 1].map(() => new THREE.WebGLRenderTarget(SIDE, SIDE, { depthBuffer: true }));
     this.height = new THREE.ShaderMaterial({
@@ -51,6 +51,7 @@ export class ContactShadow {
     sheet.frustumCulled = false;
     this.screen.add(sheet);
     this.floor = this.makeFloor();
+    scene.add(this.floor);
   }
 
   makeFloor() {
@@ -64,24 +65,22 @@ export class ContactShadow {
     return floor;
   }
 
-  /** Make the shadow of a subject at a height of the floor, about a middle (x, z), and add the floor to its scene. */
+  /** Make the shadow of a subject at a height of the floor, about a middle (x, z), and lay it there. */
   cast(renderer, scene, body, floorY, x, z) {
     this.camera.position.set(x, floorY - 0.02, z);
     this.camera.up.set(0, 0, -1);
     this.camera.lookAt(x, floorY + 1, z);
     this.height.uniforms.floorY.value = floorY;
-    this.floor.removeFromParent();
+    this.floor.visible = false;
     const worn = body.material;
     body.material = this.height;
     this.draw(renderer, scene, this.camera, this.targets[0]);
     body.material = worn;
     this.sweep(renderer, 0, 1, 1 / SIDE, 0);
     this.sweep(renderer, 1, 0, 0, 1 / SIDE);
-    this.sweep(renderer, 0, 1, 2.2 / SIDE, 0);
-    this.sweep(renderer, 1, 0, 0, 2.2 / SIDE);
     renderer.setRenderTarget(null);
     this.floor.position.set(x, floorY, z);
-    scene.add(this.floor);
+    this.floor.visible = true;
   }
 
   sweep(renderer, from, to, x, y) {
@@ -103,5 +102,6 @@ export class ContactShadow {
 
   dispose() {
     for (const target of this.targets) target.dispose();
+    for (const material of [this.height, this.blur, this.floor.material]) material.dispose();
   }
 }

@@ -26,7 +26,7 @@ export class Stage extends EventTarget {
     this.canvas = element.appendChild(Object.assign(document.createElement("canvas"), { className: "stage-canvas" }));
     this.canvas.setAttribute("aria-hidden", "true");
     this.grid = element.appendChild(Object.assign(document.createElement("div"), { className: "stage-panels" }));
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: true, alpha: true });
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: !drawsInSoftware(), alpha: true });
     this.renderer.setClearColor(0, 0);
     this.renderer.toneMapping = THREE.NeutralToneMapping;
     this.renderer.autoClear = false;
@@ -35,7 +35,6 @@ export class Stage extends EventTarget {
     Object.assign(this.orbit, { enableDamping: false, minDistance: 0.15, maxDistance: 30, zoomSpeed: 0.9 });
     this.orbit.addEventListener("change", () => this.render());
     this.grid.addEventListener("dblclick", () => this.resetView());
-    this.shadow = new ContactShadow();
     this.views = [];
     this.look = { colours: "material", wireframe: false, overlay: false, follow: false, dark: false };
     this.offers = {};
@@ -82,7 +81,7 @@ export class Stage extends EventTarget {
     addLights(scene);
     const subject = new Subject(panel, surface, this.textures);
     scene.add(subject);
-    return { panel, subject, scene, box, away: [0, 0, 0] };
+    return { panel, subject, scene, box, shadow: new ContactShadow(scene), away: [0, 0, 0], stale: true };
   }
 
   findOffers() {
@@ -117,13 +116,13 @@ export class Stage extends EventTarget {
   set(changes) {
     Object.assign(this.look, changes);
     const { colours, wireframe, overlay, dark } = this.look;
-    for (const { subject } of this.views) {
+    for (const { subject, shadow } of this.views) {
       const measured = this.meter.measures(subject, colours);
       subject.dress(measured ? "measured" : colours === "material" ? "material" : "clay");
       subject.showEdges(wireframe, dark ? "#ffffff" : "#241f1b");
+      shadow.setTheme(dark);
     }
     if (this.ghost) this.ghost.visible = overlay;
-    this.shadow.setTheme(dark);
     this.setTime(this.time);
     this.dispatchEvent(new Event("look"));
   }
@@ -133,6 +132,7 @@ export class Stage extends EventTarget {
     for (const view of this.views) {
       if (this.look.follow) level(view.panel.travel(seconds, view.away), view.panel.turn);
       view.subject.pose(seconds, this.look.follow ? view.away : null);
+      view.stale = true;
     }
     if (this.ghost?.visible) this.ghost.pose(seconds, this.look.follow ? this.find("driving").away : null);
     this.measure = this.meter?.paint(this.look.colours) ?? null;
@@ -174,7 +174,7 @@ export class Stage extends EventTarget {
     for (const view of this.views) {
       const box = view.box.getBoundingClientRect();
       view.scene.updateMatrixWorld();
-      this.castShadow(view);
+      if (view.stale) this.castShadow(view);
       renderer.setScissorTest(true);
       const place = [box.left - whole.left, whole.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...place);
@@ -186,18 +186,16 @@ export class Stage extends EventTarget {
     this.dispatchEvent(new Event("drawn"));
   }
 
-  castShadow({ subject, scene, panel, away }) {
+  /** The shadow of the subject as it stands, alone: without its edges and its ghost. */
+  castShadow(view) {
+    const { subject, scene, panel, shadow } = view;
     this.renderer.setScissorTest(false);
-    const middle = new THREE.Vector3(...panel.travel(this.time, [0, 0, 0]));
-    if (this.look.follow) middle.sub(new THREE.Vector3(...away));
-    middle.add(new THREE.Vector3(...panel.centre.slice(0, 3)).sub(new THREE.Vector3(...panel.anchor)));
-    middle.applyMatrix4(subject.place);
-    const ghostSeen = this.ghost?.visible;
-    if (this.ghost) this.ghost.visible = false;
-    if (subject.edges) subject.edges.visible = false;
-    this.shadow.cast(this.renderer, scene, subject.body, this.floorOf(panel), middle.x, middle.z);
-    if (this.ghost) this.ghost.visible = ghostSeen;
-    if (subject.edges) subject.edges.visible = this.look.wireframe;
+    const others = [subject.edges, this.ghost].filter((other) => other?.visible);
+    for (const other of others) other.visible = false;
+    const middle = subject.middle(this.time, this.look.follow ? view.away : null);
+    shadow.cast(this.renderer, scene, subject.body, this.floorOf(panel), middle.x, middle.z);
+    for (const other of others) other.visible = true;
+    view.stale = false;
   }
 
   /** Height of the floor on the stage: that of the lowest point of the clip. */
@@ -207,8 +205,9 @@ export class Stage extends EventTarget {
   }
 
   clear() {
-    for (const { subject, box } of this.views) {
+    for (const { subject, shadow, box } of this.views) {
       subject.dispose();
+      shadow.dispose();
       box.remove();
     }
     for (const texture of this.textures ?? []) texture.dispose();
@@ -222,11 +221,19 @@ export class Stage extends EventTarget {
     cancelAnimationFrame(this.pending);
     this.clear();
     this.orbit.dispose();
-    this.shadow.dispose();
     this.renderer.dispose();
     this.canvas.remove();
     this.grid.remove();
   }
+}
+
+/** Whether pictures are drawn without a graphics card: then smooth edges would cost two thirds of the time. */
+function drawsInSoftware() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  const known = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = known ? gl.getParameter(known.UNMASKED_RENDERER_WEBGL) : "";
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
 /** A PNG or JPEG as a texture, v counted from the lower edge. */

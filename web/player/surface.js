@@ -34,6 +34,14 @@ export class Subject extends THREE.Group {
     if (this.solid) writeNormals(this.points, this.solid, this.surface.smooth, this.geometry.attributes.normal);
   }
 
+  /** Where the middle of its points is on the stage. */
+  middle(seconds, away = null) {
+    const { panel, place } = this;
+    const way = panel.travel(seconds, [0, 0, 0]);
+    const at = way.map((x, k) => x + panel.centre[k] - panel.anchor[k] - (away ? away[k] : 0));
+    return new THREE.Vector3(...at).applyMatrix4(place);
+  }
+
   /** Wear the file's materials ("material"), plain "clay", or the colours that `paint` writes ("measured"). */
   dress(what) {
     if (this.body.isMesh) this.body.material = this.wears[what];
@@ -104,10 +112,9 @@ function expandColors({ origin, colors }) {
   return new THREE.BufferAttribute(values, 3);
 }
 
-function standard(options) {
-  return new THREE.MeshStandardMaterial({
-    roughness: 0.82, metalness: 0, side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1,
-    polygonOffsetUnits: 1, ...options,
+function matte(options) {
+  return new THREE.MeshLambertMaterial({
+    side: THREE.DoubleSide, polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1, ...options,
   });
 }
 
@@ -117,18 +124,18 @@ function lookMaterials(surface, textures) {
   return surface.groups.map(({ material }) => {
     const color = material ? new THREE.Color(...material.color.slice(0, 3)).multiplyScalar(WHITE) : plain;
     const map = material && material.image !== null ? textures[material.image] : null;
-    return standard({ color, map, vertexColors: Boolean(surface.colors) });
+    return matte({ color, map, vertexColors: Boolean(surface.colors) });
   });
 }
 
 function clay(panel) {
   const tint = panel.role === "driving" ? SLATE : CLAY;
-  return standard({ color: new THREE.Color().setRGB(...tint, THREE.SRGBColorSpace) });
+  return matte({ color: new THREE.Color().setRGB(...tint, THREE.SRGBColorSpace) });
 }
 
 /** Colours from the attribute `measure`, so that a file's own vertex colours stay where they are. */
 function measured() {
-  const material = standard({ roughness: 0.95 });
+  const material = matte({});
   material.onBeforeCompile = (shader) => {
     shader.vertexShader = shader.vertexShader
       .replace("#include <common>", "#include <common>\nattribute vec3 measure;\nvarying vec3 vMeasure;")
