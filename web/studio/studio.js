@@ -123,7 +123,7 @@ function start() {
     showRows();
     for (const form of forms) form.show(now);
     live?.see(now);
-    document.documentElement.dataset.version = now.version;
+    Object.assign(document.documentElement.dataset, { version: now.version, state: "ready" });
   };
   watch(seen, (words) => say(at("doing"), words));
 }

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .terminal import Model, Quiet, require
+from .terminal import Json, Model, Quiet, print_json, require
 
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
@@ -25,11 +25,12 @@ def studio(
     ),
     limit: Annotated[int, typer.Option(metavar="MIB", help="Size of a file that may be dropped.", min=1)] = 512,
     opened: Annotated[bool, typer.Option("--open/--no-open", help="Show the page in the browser.")] = True,
+    json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Move meshes on a page of this machine: drop files, choose a model, watch, export.
 
-    Ends with Ctrl-C and leaves nothing behind; FILEs are read and never changed.
+    Ends with Ctrl-C and leaves nothing behind; FILEs are read and never changed. The address it prints opens it.
     """
     require("viewer", "starlette", "uvicorn")
     from ..studio import serve
@@ -42,8 +43,10 @@ def studio(
         )
 
     def said(address: str) -> None:
-        print(f"studio: {address}", flush=True)
-        if not quiet:
-            print("Ctrl-C ends it", flush=True)
+        if json:
+            print_json({"address": address})
+        else:
+            print(f"studio: {address}" if quiet else f"studio: {address}\nCtrl-C ends it")
+        sys.stdout.flush()
 
     serve(files or [], host=host, port=port, limit=limit * 2**20, model=model, opened=opened, said=said)

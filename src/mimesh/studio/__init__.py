@@ -50,29 +50,34 @@ def serve(
     Raises:
         InputError: a file or model that cannot be used, or a port that cannot be had.
     """
-    listening = _listening(host, port)
-    port = listening.getsockname()[1]
-    desk = make_desk(files, limit, model)
-    token = new_token()
+    desk, token = make_desk(files, limit, model), new_token()
+    # Ctrl-C is how a studio ends; uvicorn raises it again after it has ended well.
+    with contextlib.closing(desk), _listening(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
+        port = listening.getsockname()[1]
+        address = f"http://{_shown_host(host)}:{port}/?token={token}"
+        said(address)
+        if opened:
+            webbrowser.open(address)
+        server = make_server(desk, token, host, port)
+        server.run(sockets=[listening])
+
+
+def make_server(desk: Desk, token: str, host: str, port: int) -> uvicorn.Server:
+    """What serves a desk to whoever has the token."""
+
+    def closing() -> bool:
+        return server.should_exit
+
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(make_app(desk, lambda: server.should_exit), token, host, port),
+            Guard(make_app(desk, closing), token, host, port),
             log_level="error",
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=PATIENCE,
         )
     )
-    address = f"http://{_shown_host(host)}:{port}/?token={token}"
-    said(address)
-    if opened:
-        webbrowser.open(address)
-    try:
-        # Ctrl-C is how a studio ends; uvicorn raises it again after it has ended well.
-        with contextlib.suppress(KeyboardInterrupt):
-            server.run(sockets=[listening])
-    finally:
-        desk.close()
+    return server
 
 
 def make_desk(files: list[Path], limit: int, model: str = "mime") -> Desk:
@@ -108,6 +113,7 @@ def _listening(host: str, port: int) -> socket.socket:
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((host, port))
+        listening.listen()
     except OSError as error:
         listening.close()
         raise InputError(
