@@ -11,7 +11,7 @@ BPY := .clients/bpy/bin/python
 CODE := src tests scripts benchmarks blender
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup blender clients clean
+.PHONY: demo test check smoke bench setup blender web clients clean
 
 # The development install can run the demo too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -36,6 +36,10 @@ setup: $(VENV)/.dev
 
 blender: | $(BIN)/python
 	$(BIN)/python scripts/build_blender.py
+
+# The pages that show meshes: three.js and web/ in one file each, which are committed; only changing them needs Node.
+web:
+	cd web && npm ci --no-audit --no-fund && node build.mjs
 
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev

@@ -85,10 +85,10 @@ def test_transfer_does_what_python_does(files):
     np.testing.assert_array_equal(load_mesh(output).vertices, expected.vertices)
 
 
-def test_animate_writes_a_glb_and_moving_pictures(files, capsys):
+def test_animate_writes_a_glb_a_picture_and_a_page(files, capsys):
     assert run(["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "--fps", "10"]) == 0
     assert (files / "hero-walk.glb").exists()
-    assert (files / "hero-walk.preview.webp").exists()
+    assert "mimesh-scene" in (files / "hero-walk.preview.html").read_text()
     assert (files / "hero-walk.preview.png").exists()
     text = capsys.readouterr()
     assert "3 frames at 10 per second" in text.out
@@ -182,11 +182,11 @@ def test_doctor_reports_what_is_broken(capsys, monkeypatch):
 
 def test_demo_writes_its_files(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("mimesh.demo.FRAMES", 2)
-    monkeypatch.setattr("mimesh.demo.TILE", (90, 110))
+    monkeypatch.setattr("mimesh.preview.TILE", (90, 110))
     assert run(["demo", "-o", str(tmp_path / "demo"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["frames"] == 2
-    names = {"identity.obj", "driving.obj", "driving.glb", "result.glb", "preview.png", "preview.webp"}
+    names = {"identity.obj", "driving.obj", "driving.glb", "result.glb", "preview.png", "player.html"}
     assert {path.name for path in (tmp_path / "demo").iterdir()} == names
     assert (
         load_mesh(tmp_path / "demo" / "result.glb").faces.shape

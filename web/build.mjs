@@ -30,6 +30,7 @@ function fingerprint() {
   return hash.digest("hex").slice(0, 32);
 }
 
+const notice = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
 const mark = `/* mimesh-web ${fingerprint()} */`;
 await build({
   absWorkingDir: here,
@@ -47,6 +48,7 @@ await build({
   charset: "utf8",
   legalComments: "inline",
   banner: { js: mark, css: mark },
+  footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
   logLevel: "info",
 });
 copyFileSync(join(here, "studio/studio.html"), join(output, "studio.html"));

@@ -14,8 +14,8 @@ from .mesh import Clip, Mesh
 from .motions import DEMO, load_motion, motion_clip
 from .paging import Progress
 from .pipeline import animate
-from .preview import TILE, save_picture, still
-from .view.movie import clip_frames, save_movie
+from .preview import save_picture, still
+from .view.player import download_of, write_result
 from .view.sheet import DRIVING_TINT, page, stack, strip
 
 MOTION = DEMO
@@ -28,7 +28,7 @@ DRIVING_SHAPE = (1.0, -1.0, -0.6, 0.7)
 
 
 def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Write the inputs, the result and its pictures into a folder, and return what `--json` prints."""
+    """Write the inputs, the result, its picture and its page into a folder, and return what `--json` prints."""
     body = load_body()
     identity, driving = person(body, IDENTITY_SHAPE), played(body)
     result = animate(identity, driving, progress=progress)
@@ -37,7 +37,8 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     save_mesh(_frame(driving, len(driving) // 2), files["driving.obj"])
     save_clip(driving, files["driving.glb"])
     result.save(files["result.glb"])
-    pictures = draw(identity, driving, result.clip, folder)
+    picture = draw(identity, driving, result.clip, folder / "preview.png")
+    page = write_result(result, folder / "player.html", download_of(result, files["result.glb"]), title="mimesh demo")
     return {
         "output": str(files["result.glb"]),
         "motion": MOTION,
@@ -47,7 +48,8 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
         "fps": result.fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": result.report,
-        "files": [str(path) for path in (*files.values(), *pictures)],
+        "files": [str(path) for path in (*files.values(), picture, page)],
+        "player": str(page),
     }
 
 
@@ -65,23 +67,16 @@ def played(body: RiggedBody, name: str = MOTION) -> Clip:
     return motion_clip(body, np.array(DRIVING_SHAPE), taken)
 
 
-def draw(identity: Mesh, driving: Clip, result: Clip, folder: Path) -> list[Path]:
-    """preview.png: identity + driving = result, and both clips as strips; preview.webp: both clips moving."""
+def draw(identity: Mesh, driving: Clip, result: Clip, path: Path) -> Path:
+    """Write a picture: identity + driving = result, and both clips as strips."""
     middle = len(driving) // 2
     tiles = [
         still(identity, "identity"),
         still(_frame(driving, middle), "driving", tint=DRIVING_TINT),
         still(_frame(result, middle), "result"),
     ]
-    shown = (("driving", driving, DRIVING_TINT), ("result", result, None))
-    strips = [strip(clip, 6, (220, 280), tint=tint) for _, clip, tint in shown]
-    frames = clip_frames(
-        [(label, clip) for label, clip, _ in shown], TILE, tints=[tint for *_, tint in shown], track=True
-    )
-    pictures = [folder / "preview.png", folder / "preview.webp"]
-    save_picture(stack([page(tiles, 3), *strips]), pictures[0])
-    save_movie(frames, pictures[1], driving.fps)
-    return pictures
+    strips = [strip(clip, 6, (220, 280), tint=tint) for clip, tint in ((driving, DRIVING_TINT), (result, None))]
+    return save_picture(stack([page(tiles, 3), *strips]), path)
 
 
 def _frame(clip: Clip, t: int) -> Mesh:

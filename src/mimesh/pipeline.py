@@ -52,7 +52,8 @@ def transfer(
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
     done = move(identity, Clip.still(driving), method, axes, refine, seconds)
-    return Result(identity.with_vertices(done.vertices[0]), model, seconds, done.report, done.notes)
+    moved = identity.with_vertices(done.vertices[0])
+    return Result(moved, model, seconds, done.report, done.notes, identity, driving)
 
 
 def animate(
@@ -110,7 +111,8 @@ def animate(
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
-    return ClipResult(Clip(mesh, done.vertices, clip.fps), model, seconds, done.report, notes, done.skeleton)
+    moved = Clip(mesh, done.vertices, clip.fps)
+    return ClipResult(moved, model, seconds, done.report, notes, done.skeleton, identity, clip)
 
 
 def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:

@@ -1,4 +1,4 @@
-"""Pictures written beside a result: what moved, what it followed, and what came out, each seen from its own front."""
+"""The picture and the page written beside a result: what moved, what it followed, and what came out."""
 
 from __future__ import annotations
 
@@ -6,44 +6,42 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .io.atomic import whole_file, writing
-from .mesh import Clip, Mesh, cut_clip
-from .view.movie import clip_frames, save_movie
+from .mesh import Clip, Mesh
+from .result import ClipResult, Result
+from .view.movie import clip_frames
 from .view.sheet import DRIVING_TINT, page, stack, strip
 
 if TYPE_CHECKING:
     from PIL import Image
 
-    from .result import ClipResult, Result
-
 TILE = (360, 440)
-MOST_FRAMES = 32
-"""Longer clips are shown with fewer frames per second: drawing must not cost more than moving."""
 
 
-def transfer_picture(identity: Mesh, driving: Mesh, result: Result) -> Image.Image:
-    """Identity, driving mesh and result side by side."""
+def beside(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
+    """Write `output`.preview.png and `output`.preview.html, the page that plays it; returns their paths."""
+    from .view.player import download_of, write_result
+
+    base = output.with_suffix("") if output.suffix else output
+    picture, page = (base.with_name(f"{base.name}.preview{suffix}") for suffix in (".png", ".html"))
+    save_picture(result_picture(result), picture)
+    return picture, write_result(result, page, download_of(result, output))
+
+
+def result_picture(result: Result | ClipResult) -> Image.Image:
+    """Identity, driving and result side by side; of a clip, driving and result as two strips."""
     own, theirs = _axes(result.report, "identity"), _axes(result.report, "driving")
+    if isinstance(result, ClipResult):
+        assert result.driving is not None
+        clips = ((result.driving, theirs, DRIVING_TINT), (result.clip, own, None))
+        return stack([strip(clip, 6, (220, 280), tint=tint, **axes) for clip, axes, tint in clips])
+    assert result.identity is not None
+    assert result.driving is not None
     tiles = [
-        still(identity, "identity", **own),
-        still(driving, "driving", tint=DRIVING_TINT, **theirs),
+        still(result.identity, "identity", **own),
+        still(result.driving, "driving", tint=DRIVING_TINT, **theirs),
         still(result.mesh, f"result ({result.model})", **own),
     ]
     return page(tiles, len(tiles))
-
-
-def clip_pictures(driving: Clip, result: ClipResult, output: Path) -> list[Path]:
-    """Write `output`.preview.webp (driving and result, moving) and `output`.preview.png (the same as two strips).
-
-    `driving` has the frames that the result has, at its frame rate.
-    """
-    own, theirs = _axes(result.report, "identity"), _axes(result.report, "driving")
-    clips = (("driving", _thinned(driving), theirs, DRIVING_TINT), ("result", _thinned(result.clip), own, None))
-    base = output.with_suffix("") if output.suffix else output
-    movie, picture = (base.with_name(f"{base.name}.preview{suffix}") for suffix in (".webp", ".png"))
-    panels = [clip_frames([(label, clip)], TILE, tints=[tint], track=True, **axes) for label, clip, axes, tint in clips]
-    save_movie((page(tiles, len(tiles)) for tiles in zip(*panels, strict=True)), movie, clips[0][1].fps)
-    save_picture(stack([strip(clip, 6, (220, 280), tint=tint, **axes) for _, clip, axes, tint in clips]), picture)
-    return [movie, picture]
 
 
 def save_picture(image: Image.Image, path: Path) -> Path:
@@ -60,8 +58,3 @@ def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None
 
 def _axes(report: dict[str, Any], which: str) -> dict[str, Any]:
     return {"up": report[which]["up"], "front": report[which]["front"]}
-
-
-def _thinned(clip: Clip) -> Clip:
-    step = -(-len(clip) // MOST_FRAMES)
-    return cut_clip(clip, 0, None, step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +26,9 @@ class Result:
     """Wall time of each step: load, prepare, drive, refine, write."""
     report: dict
     notes: tuple[str, ...] = ()
+    identity: Mesh | None = field(default=None, repr=False)
+    """What was moved and what it imitated, to be shown beside the result; None leaves the result without a page."""
+    driving: Mesh | None = field(default=None, repr=False)
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
@@ -38,6 +41,21 @@ class Result:
         with timed(self.seconds, "write"):
             save_mesh(self.mesh, Path(path))
         return Path(path)
+
+    def player(self, path: str | Path) -> Path:
+        """Write an HTML page that shows identity, driving and result; it needs nothing beside it, and no network.
+
+        Raises:
+            InputError: a result that does not know its identity and driving, or a path that cannot be written.
+        """
+        from .view.player import write_result
+
+        return write_result(self, Path(path))
+
+    def _repr_html_(self) -> str | None:
+        from .view.player import notebook_frame
+
+        return notebook_frame(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +70,9 @@ class ClipResult:
     notes: tuple[str, ...] = ()
     skeleton: Skeleton | None = None
     """What moved the identity, if the model has joints."""
+    identity: Mesh | None = field(default=None, repr=False)
+    """What was moved and what it imitated, frame by frame; the driving's frames stay in memory, or on disk if many."""
+    driving: Clip | None = field(default=None, repr=False)
 
     @property
     def fps(self) -> float:
@@ -70,6 +91,21 @@ class ClipResult:
         if deviation is not None:
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
+
+    def player(self, path: str | Path) -> Path:
+        """Write an HTML page that plays identity, driving and result; it needs nothing beside it, and no network.
+
+        Raises:
+            InputError: a result that does not know its identity and driving, or a path that cannot be written.
+        """
+        from .view.player import write_result
+
+        return write_result(self, Path(path))
+
+    def _repr_html_(self) -> str | None:
+        from .view.player import notebook_frame
+
+        return notebook_frame(self)
 
     def save_skinned(self, path: str | Path) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and an animation of turns.

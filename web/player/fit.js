@@ -37,7 +37,7 @@ function stagePoints(panel, follow) {
   const [a, b, c, d, e, f, g, h, i] = panel.turn.map((x) => x / panel.size);
   const values = new Float32Array(3 * panel.vertices);
   const stride = 3 * Math.max(1, Math.floor(panel.vertices / POINTS));
-  const count = Math.min(panel.shown, FRAMES);
+  const count = Math.min(panel.frames, FRAMES);
   const found = [];
   for (let k = 0; k < count; k++) {
     const time = (k / Math.max(count - 1, 1)) * panel.duration;

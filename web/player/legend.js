@@ -9,8 +9,10 @@ export class Legend {
     this.stage = stage;
     this.box = make("div", "legend", { hidden: true });
     this.title = this.box.appendChild(make("span", "legend-title"));
-    this.strip = this.box.appendChild(make("span", "legend-strip"));
-    this.ends = this.box.appendChild(make("span", "legend-ends"));
+    const scale = this.box.appendChild(make("span", "legend-scale"));
+    this.low = scale.appendChild(make("span", ""));
+    this.strip = scale.appendChild(make("span", "legend-strip"));
+    this.high = scale.appendChild(make("span", ""));
     this.words = this.box.appendChild(make("span", "legend-words"));
     stage.element.append(this.box);
     stage.addEventListener("time", () => this.show());
@@ -23,7 +25,7 @@ export class Legend {
     const { title, ends, words } = measure.what === "stretch" ? stretched(measure) : wrong(measure);
     this.title.textContent = title;
     this.strip.style.background = measure.css;
-    this.ends.replaceChildren(...ends.map((end) => make("span", "", { textContent: end })));
+    [this.low.textContent, this.high.textContent] = ends;
     this.words.textContent = words;
   }
 
@@ -34,8 +36,8 @@ export class Legend {
 
 function stretched({ limit, mean, most }) {
   return {
-    title: "Edges, against the identity",
-    ends: [`−${percent(1 - 1 / limit)}`, "as they were", `+${percent(limit - 1)}`],
+    title: "Edge lengths, against the identity",
+    ends: [`−${percent(1 - 1 / limit)}`, `+${percent(limit - 1)}`],
     words: `mean change ${percent(mean)}, largest ${percent(most)}`,
   };
 }
@@ -43,7 +45,7 @@ function stretched({ limit, mean, most }) {
 function wrong({ limit, mean, most, size }) {
   return {
     title: "Distance to the truth",
-    ends: ["0", number(limit / 2), `${number(limit)}+`],
+    ends: ["0", `${number(limit)}+`],
     words: `mean ${number(mean)} (${percent(mean / size)} of the size), largest ${number(most)}`,
   };
 }

@@ -8,9 +8,9 @@
 //     corners: render vertex of each face corner; origin: its vertex; smooth: render vertices with one number share a
 //     normal; groups: runs of faces with one material.
 //
-// Packed fields of a panel: role, name, vertices, triangles, frames and fps (of the whole clip), step (every step-th
-// frame is here), surface (its number), turn (rows right, up, front of the subject), anchor (where it stands), size
-// (what is 1 on the stage), centre (3 numbers a frame), low, unit and stream (positions, see `Panel`).
+// Packed fields of a panel: role, name, vertices, triangles, frames and fps (of what is here), surface (its number),
+// turn (rows right, up, front of the subject), anchor (where it stands), size (what is 1 on the stage), centre (3 numbers
+// a frame), low, unit and stream (positions, see `Panel`).
 
 /** Bytes of a base64 text. */
 export function fromBase64(text) {
@@ -70,22 +70,20 @@ export class Panel {
     Object.assign(this, packed);
     this.stream = null;
     this.data = frames;
-    this.shown = packed.centre.length / 3;
-    this.rate = packed.fps / packed.step;
   }
 
   /** Seconds from the first frame that is here to the last. */
   get duration() {
-    return (this.shown - 1) / this.rate;
+    return (this.frames - 1) / this.fps;
   }
 
   /** Write the points (3 V: x, y, z, x ...) at a time, relative to the anchor, in the file's axes and unit. */
   sample(seconds, out) {
     if (this.held) return this.writeHeld(out);
-    const at = Math.min(Math.max(seconds * this.rate, 0), this.shown - 1);
-    const frame = Math.min(Math.floor(at), Math.max(this.shown - 2, 0));
+    const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
+    const frame = Math.min(Math.floor(at), Math.max(this.frames - 2, 0));
     const share = at - frame;
-    const next = Math.min(frame + 1, this.shown - 1);
+    const next = Math.min(frame + 1, this.frames - 1);
     const count = this.vertices;
     const { data, unit } = this;
     for (let axis = 0; axis < 3; axis++) {
@@ -115,9 +113,9 @@ export class Panel {
   /** Write the middle of the points at a time, relative to the first frame's, into a vector of three. */
   travel(seconds, out) {
     if (this.held) return Object.assign(out, this.heldMiddle.map((at, axis) => at - this.centre[axis]));
-    const at = Math.min(Math.max(seconds * this.rate, 0), this.shown - 1);
+    const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const frame = Math.floor(at);
-    const next = Math.min(frame + 1, this.shown - 1);
+    const next = Math.min(frame + 1, this.frames - 1);
     for (let axis = 0; axis < 3; axis++) {
       const [a, b] = [this.centre[3 * frame + axis], this.centre[3 * next + axis]];
       out[axis] = a + (b - a) * (at - frame) - this.centre[axis];

@@ -34,6 +34,7 @@ export class Stage extends EventTarget {
     this.orbit = new OrbitControls(this.camera, this.grid);
     Object.assign(this.orbit, { enableDamping: false, minDistance: 0.15, maxDistance: 30, zoomSpeed: 0.9 });
     this.orbit.addEventListener("change", () => this.render());
+    this.orbit.addEventListener("start", () => (this.touched = true));
     this.grid.addEventListener("dblclick", () => this.resetView());
     this.views = [];
     this.look = { colours: "material", wireframe: false, overlay: false, follow: false, dark: false };
@@ -130,6 +131,8 @@ export class Stage extends EventTarget {
   setTime(seconds) {
     this.time = seconds;
     for (const view of this.views) {
+      if (view.panel.frames === 1 && view.posed) continue;
+      view.posed = true;
       if (this.look.follow) level(view.panel.travel(seconds, view.away), view.panel.turn);
       view.subject.pose(seconds, this.look.follow ? view.away : null);
       view.stale = true;
@@ -145,6 +148,7 @@ export class Stage extends EventTarget {
     const aspect = Math.min(...this.views.map(({ box }) => box.clientWidth / Math.max(box.clientHeight, 1)));
     fitView(this.camera, this.orbit, this.scene.panels, this.look.follow, aspect || 1);
     this.fitted = true;
+    this.touched = false;
     this.render();
   }
 
@@ -253,8 +257,8 @@ async function readTexture({ type, bytes }) {
 function travelled(panel) {
   const way = [0, 0, 0];
   let most = 0;
-  for (let k = 0; k < panel.shown; k++) {
-    level(panel.travel(k / panel.rate, way), panel.turn);
+  for (let k = 0; k < panel.frames; k++) {
+    level(panel.travel(k / panel.fps, way), panel.turn);
     most = Math.max(most, Math.hypot(...way) / panel.size);
   }
   return most;
@@ -270,7 +274,7 @@ function level(vector, turn) {
 function lowest(panel) {
   const [, , , a, b, c] = panel.turn;
   const points = new Float32Array(3 * panel.vertices);
-  const count = Math.min(panel.shown, 24);
+  const count = Math.min(panel.frames, 24);
   let low = Infinity;
   for (let k = 0; k < count; k++) {
     panel.sample((k / Math.max(count - 1, 1)) * panel.duration, points);

@@ -7,28 +7,32 @@ from typing import Annotated, Any
 
 import typer
 
-from .terminal import Json, Quiet, Stop, print_json, print_next, progress
+from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next, progress
 
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("mimesh-demo"),
+    open_it: Open = False,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Let a shipped person take over a captured motion.
 
-    Writes the inputs, an animated GLB and pictures into a folder; needs no network.
+    Writes the inputs, an animated GLB, a picture and a page that plays it into a folder; needs no network.
     """
     from ..demo import run_demo
 
     with progress("frames", quiet or json) as advance:
         facts = run_demo(output, advance)
+    if open_it:
+        open_page(facts["player"])
     if json:
         print_json(facts)
     elif not quiet:
         seconds = facts["seconds"]["drive"]
         print(f"{facts['motion']}: {facts['frames']} frames moved by {facts['model']} in {seconds:.1f} s")
         print("\n".join(facts["files"]))
+        print(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
         print_next("transfer", output / "identity.obj", output / "driving.obj")
 
 

@@ -12,9 +12,11 @@ from .terminal import (
     BlendShapes,
     Json,
     Model,
+    Open,
     Output,
     Quiet,
     Seed,
+    open_page,
     output_beside,
     print_json,
     print_next,
@@ -23,7 +25,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..mesh import Clip, Mesh
+    from ..mesh import Mesh
     from ..result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
@@ -48,7 +50,7 @@ Root = Annotated[
 ]
 Ground = Annotated[bool, typer.Option("--ground", help="Keep feet where they stand on the floor (mime).")]
 Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
-Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write pictures beside the output.")]
+Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
 def transfer(
@@ -65,6 +67,7 @@ def transfer(
     reference: Reference = None,
     markers: Markers = None,
     preview: Preview = True,
+    open_it: Open = False,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -95,8 +98,16 @@ def transfer(
     )
     result.seconds["load"] += seconds
     result.save(output)
-    pictures = _picture(result, *meshes, output) if preview else []
-    _finish(result, output, pictures, json, quiet, vertices=len(meshes[0].vertices), frames=1, fps=None)
+    _finish(
+        result,
+        output,
+        _show(result, output, preview, open_it),
+        json,
+        quiet,
+        vertices=len(meshes[0].vertices),
+        frames=1,
+        fps=None,
+    )
 
 
 def animate(
@@ -125,6 +136,7 @@ def animate(
     ] = False,
     blendshapes: BlendShapes = None,
     preview: Preview = True,
+    open_it: Open = False,
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
@@ -135,7 +147,7 @@ def animate(
     """
     from ..convert import MOVIES, animations_note
     from ..io import clip_suffixes, load_clip, load_mesh
-    from ..mesh import InputError, cut_clip
+    from ..mesh import InputError
     from ..pipeline import animate as run
 
     output = output or output_beside(identity, driving, ".glb")
@@ -170,11 +182,10 @@ def animate(
     result.seconds["load"] += seconds
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
-    pictures = _pictures(result, cut_clip(clip, start, stop, step), output) if preview else []
     _finish(
         result,
         output,
-        pictures,
+        _show(result, output, preview, open_it),
         json,
         quiet,
         vertices=len(mesh.vertices),
@@ -230,8 +241,8 @@ def _print_summary(facts: dict[str, Any]) -> None:
     print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
     for note in facts["report"]["notes"]:
         print(f"note: {note}")
-    for picture in facts["report"]["pictures"]:
-        print(f"picture: {picture}")
+    for path in facts["report"]["pictures"]:
+        print(f"{'page' if path.endswith('.html') else 'picture'}: {path}")
     if Path(facts["output"]).suffix.lower() in MOVIES:
         return
     if facts["report"]["pictures"] or facts["fps"] is not None:
@@ -240,16 +251,16 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
 
 
-def _picture(result: Result, identity: Mesh, driving: Mesh, output: Path) -> list[Path]:
-    from ..preview import save_picture, transfer_picture
+def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> list[Path]:
+    """The picture and the page beside the output, if wanted; the page is opened if that is wanted too."""
+    from ..preview import beside
 
-    return [save_picture(transfer_picture(identity, driving, result), output.with_suffix(".preview.png"))]
-
-
-def _pictures(result: ClipResult, played: Clip, output: Path) -> list[Path]:
-    from ..preview import clip_pictures
-
-    return clip_pictures(played, result, output)
+    if not preview:
+        return []
+    picture, page = beside(result, output)
+    if open_it:
+        open_page(page)
+    return [picture, page]
 
 
 def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:

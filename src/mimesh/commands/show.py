@@ -43,10 +43,14 @@ def look(files: Files, json: Json = False) -> None:
 
 def render(
     files: Files,
-    output: Annotated[Path, typer.Option("--output", "-o", help="A picture (.png .jpg) or movie (.webp .gif).")],
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="A picture (.png .jpg), movie (.webp .gif) or page (.html).")
+    ],
     strip: Annotated[bool, typer.Option("--strip", help="Frames of each clip side by side.")] = False,
     turntable: Annotated[bool, typer.Option("--turntable", help="One mesh from all sides.")] = False,
-    truth: Annotated[Path | None, typer.Option(help="Heat map of the distance to this mesh.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Heat map of the distance to this mesh; a page takes a clip too.")
+    ] = None,
     view: Annotated[str, typer.Option(help="three-quarter, front, side, left, right, back or top.")] = "three-quarter",
     size: Annotated[int, typer.Option(help="Height of one picture in pixels.", min=32, max=4096)] = 480,
     clay: Annotated[bool, typer.Option("--clay", help="Leave materials and textures out.")] = False,
@@ -59,12 +63,15 @@ def render(
     """Draw meshes: sheet, strip, turntable, heat map or movie."""
     from ..io import load_clip
 
-    mode = _mode(output, strip, turntable, truth)
+    page = output.suffix.lower() == ".html"
+    mode = "page" if page else _mode(output, strip, turntable, truth)
     refuse_inputs(output, *files, *([truth] if truth else []))
     clips = [load_clip(path, fps=fps) for path in files]
     names = [path.name for path in files]
     look_from = {"view": view, "up": up, "front": front}
-    if mode in ("movie", "turning movie"):
+    if page:
+        _write_page(names, clips, truth, output, up, front)
+    elif mode in ("movie", "turning movie"):
         with progress("frames", quiet or json) as advance:
             _draw_movie(mode, names, clips, output, size, {**look_from, "clay": clay}, advance)
     else:
@@ -89,7 +96,7 @@ def _mode(output: Path, strip: bool, turntable: bool, truth: Path | None) -> str
     wanted = [name for name, on in (("strip", strip), ("turntable", turntable), ("heat map", truth is not None)) if on]
     suffix = output.suffix.lower()
     if suffix not in (".png", ".jpg", ".jpeg", ".webp", ".gif"):
-        raise InputError(f"{output}: expected .png, .jpg, .webp or .gif, found '{suffix}'; name another with -o")
+        raise InputError(f"{output}: expected .png, .jpg, .webp, .gif or .html, found '{suffix}'; name another with -o")
     if len(wanted) > 1:
         raise InputError(
             f"render: expected one of --strip, --turntable, --truth, found {' and '.join(wanted)}; choose one"
@@ -118,6 +125,34 @@ def _draw_movie(
         labels = names if len(clips) > 1 else [""]
         frames = clip_frames(list(zip(labels, clips, strict=True)), tile, **options)
     save_movie(_counted(frames, count, advance), output, rate)
+
+
+def _write_page(
+    names: list[str], clips: list[Clip], truth: Path | None, output: Path, up: str, front: str | None
+) -> None:
+    """A page that plays the files side by side; with a truth, the last of them is measured against it."""
+    from ..io import load_clip
+    from ..view.player import write_player
+    from ..view.scene import Shown
+
+    shown = [Shown("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
+    if truth is not None:
+        last, right = clips[-1], load_clip(truth, fps=clips[-1].fps)
+        _alike(last, right, truth)
+        shown[-1] = Shown("result", last, names[-1], up, front)
+        shown.append(Shown("truth", right, truth.name, up, front))
+    write_player(output, shown, title=output.stem)
+
+
+def _alike(clip: Clip, truth: Clip, path: Path) -> None:
+    """Raise InputError where a truth has other vertices than the clip that it is the truth of."""
+    from ..mesh import InputError
+
+    wanted, found = len(clip.mesh.vertices), len(truth.mesh.vertices)
+    if wanted != found:
+        raise InputError(
+            f"{path}: expected the truth to have {wanted} vertices, found {found}; give one of the same mesh"
+        )
 
 
 def _draw_picture(

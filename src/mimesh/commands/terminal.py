@@ -23,10 +23,18 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and n
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Animation = Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")]
+Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 BlendShapes = Annotated[
     int | None,
     typer.Option("--blendshapes", metavar="K", min=1, help="Write K morph targets, not one a frame (.glb, .gltf)."),
 ]
+
+
+def open_page(page: str | Path) -> None:
+    """Show a page of ours in the browser."""
+    import webbrowser
+
+    webbrowser.open(Path(page).resolve().as_uri())
 
 
 class Stop(Exception):

@@ -1,7 +1,7 @@
 """Packs meshes and clips for the browser: a dictionary of plain values that `json` writes and `web/player` shows.
 
-`pack_scene` is what the player's page and the studio's server both send; `web/player/scene.js` reads it and states every
-field. Positions keep 16 bits, vertices their order, materials their base colours and textures.
+The player's page and the studio's server both send what `pack_scene` gives; `web/player/scene.js` reads it and states
+every field. Positions keep 16 bits, vertices their order, materials their base colours and textures.
 """
 
 from __future__ import annotations
@@ -12,20 +12,18 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from ..mesh import Clip, InputError, Mesh
 from ..paging import each_frame
 from . import camera
 from .facets import Facets, facets
 from .pictures import Pictures
-from .stream import Box, boxed, coded_frames, cost, packed
+from .stream import Box, coded_frames, packed
+from .thinning import DENSE, simplified, thinned, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
 BUDGET = 24 * 2**20
 """Bytes that a page may have by default."""
-DENSE = 20_000
-"""Vertices from which on a driving clip is simplified, where the clips are too large for the budget."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,16 +61,16 @@ def pack_scene(
         if panel.role not in ROLES:
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
+    shown = [_lightened(panel, budget, left_out) for panel in shown]
     pictures, surfaces, owners = Pictures(), [], []
     for panel in shown:
         owners.append(_surface_of(panel.clip.mesh, owners, shown, surfaces, pictures))
     images = pictures.packed(budget // 3, left_out)
     room = budget - sum(_size(value) for value in (*surfaces, *images))
-    step, boxes = _thinned(shown, room, left_out)
-    places = _places(shown, boxes)
+    clips, boxes = thinned([panel.clip for panel in shown], room, left_out)
     panels = [
-        _panel(panel, box, step, place, owner)
-        for panel, box, place, owner in zip(shown, boxes, places, owners, strict=True)
+        _panel(panel, clip, box, place, owner)
+        for panel, clip, box, place, owner in zip(shown, clips, boxes, _places(shown), owners, strict=True)
     ]
     return {
         "format": "mimesh-scene",
@@ -88,8 +86,8 @@ def pack_scene(
     }
 
 
-def _panel(panel: Shown, box: Box, step: int, place: dict[str, Any], owner: int) -> dict[str, Any]:
-    clip = panel.clip
+def _panel(panel: Shown, clip: Clip, box: Box, place: dict[str, Any], owner: int) -> dict[str, Any]:
+    """One panel; `clip` is what is left of its clip."""
     return {
         "role": panel.role,
         "name": panel.name or clip.mesh.name,
@@ -97,14 +95,21 @@ def _panel(panel: Shown, box: Box, step: int, place: dict[str, Any], owner: int)
         "triangles": len(clip.mesh.faces),
         "frames": len(clip),
         "fps": clip.fps,
-        "step": step if len(clip) > 1 else 1,
         "surface": owner,
         **place,
         "centre": [float(x) for x in box.centre.ravel()],
         "low": [float(x) for x in box.low],
         "unit": box.step,
-        "stream": coded_frames(clip.vertices, box, step),
+        "stream": coded_frames(clip.vertices, box),
     }
+
+
+def _lightened(panel: Shown, budget: int, left_out: list[str]) -> Shown:
+    """A dense driving clip with fewer vertices, where it would take a share of the budget that is the result's."""
+    if panel.role != "driving" or not too_dense(panel.clip, budget // 3):
+        return panel
+    left_out.append(f"the driving mesh is shown with {DENSE:,} of its {len(panel.clip.mesh.vertices):,} vertices")
+    return dataclasses.replace(panel, clip=simplified(panel.clip, DENSE))
 
 
 def _size(value: Any) -> int:
@@ -116,25 +121,10 @@ def _size(value: Any) -> int:
     return len(value) if isinstance(value, str) else 8
 
 
-def _thinned(shown: Sequence[Shown], room: int, left_out: list[str]) -> tuple[int, list[Box]]:
-    """The fewest frames to skip so that all clips fit, and where the points of the frames left are."""
-    longest = max(len(panel.clip) for panel in shown)
-    step = 1
-    while True:
-        boxes = [boxed(panel.clip.vertices, step) for panel in shown]
-        need = sum(cost(panel.clip.vertices, box, step) for panel, box in zip(shown, boxes, strict=True))
-        if need <= room or step >= longest:
-            break
-        step = min(longest, max(step + 1, int(step * min(need / max(room, 1), 8.0))))
-    if step > 1:
-        left_out.append(f"every {_ordinal(step)} of {longest:,} frames is shown, to keep this page small")
-    return step, boxes
-
-
 def _surface_of(
     mesh: Mesh, owners: list[int], shown: Sequence[Shown], surfaces: list[dict[str, Any]], pictures: Pictures
 ) -> int:
-    """The number of the packed surface of a mesh: that of a panel before it with the same faces and looks, or a new one."""
+    """The number of a mesh's packed surface: that of a panel before it with the same faces and looks, or a new one."""
     for owner, other in zip(owners, shown, strict=False):
         if _same_surface(mesh, other.clip.mesh):
             return owner
@@ -173,7 +163,7 @@ def _surface(mesh: Mesh, split: Facets, pictures: Pictures) -> dict[str, Any]:
     }
 
 
-def _places(shown: Sequence[Shown], boxes: Sequence[Box]) -> list[dict[str, Any]]:
+def _places(shown: Sequence[Shown]) -> list[dict[str, Any]]:
     """How each panel is turned, where it stands, and how large it is; what is moved and what moves it are made alike.
 
     `size` is the mean diagonal of a frame's bounding box. In one pose, result and driving have about the same share of
@@ -185,7 +175,7 @@ def _places(shown: Sequence[Shown], boxes: Sequence[Box]) -> list[dict[str, Any]
         own = sizes[roles.index("result")]
         sizes = [own if role in ("identity", "truth") else size for role, size in zip(roles, sizes, strict=True)]
     places = []
-    for panel, box, size in zip(shown, boxes, sizes, strict=True):
+    for panel, size in zip(shown, sizes, strict=True):
         turn = camera.axes(panel.up, panel.front)
         first = np.asarray(panel.clip.vertices[0], np.float64) @ turn.T
         low, high = first.min(axis=0), first.max(axis=0)
@@ -198,26 +188,3 @@ def _diagonal(clip: Clip) -> float:
     chosen = np.unique(np.linspace(0, len(clip) - 1, 12).round().astype(int))
     frames = each_frame(clip.vertices[chosen])
     return float(np.mean([np.linalg.norm(np.ptp(points, axis=0)) for points in frames]))
-
-
-def _ordinal(number: int) -> str:
-    ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
-    return f"{number}{ending}"
-
-
-def simplified(clip: Clip, vertices: int) -> Clip:
-    """The clip with about so many vertices: one decimation, of the first frame, replayed over all of them."""
-    import fast_simplification
-
-    mesh, points = clip.mesh, np.asarray(clip.vertices[0], np.float32)
-    target = 1 - vertices / len(points)
-    _, _, collapses = fast_simplification.simplify(points, mesh.faces.astype(np.int64), target, return_collapses=True)
-    frames: list[Float[np.ndarray, "W 3"]] = []
-    faces = mesh.faces
-    for frame in each_frame(clip.vertices):
-        replayed, faces, _ = fast_simplification.replay_simplification(
-            frame.astype(np.float32), mesh.faces.astype(np.int64), collapses
-        )
-        frames.append(replayed)
-    kept = Mesh(frames[0].astype(np.float64), np.asarray(faces, np.int64), name=mesh.name)
-    return dataclasses.replace(clip, mesh=kept, vertices=np.stack(frames))

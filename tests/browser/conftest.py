@@ -1,0 +1,97 @@
+"""A headless Chromium for the tests of pages: one for the session, each page watched for errors and for requests.
+
+MIMESH_CHROMIUM names the browser; else one on PATH is taken, and where there is none the tests are skipped.
+"""
+
+import contextlib
+import io
+import os
+import shutil
+
+import numpy as np
+import pytest
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
+SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--force-color-profile=srgb"]
+QUIET = ["background-networking", "component-update", "sync", "quic", "default-apps", "extensions"]
+OPTIONS = [*SOFTWARE, "--no-first-run", *(f"--disable-{name}" for name in QUIET)]
+LOCAL = ("file:", "data:", "blob:", "about:")
+
+
+def found_browser() -> str:
+    """The path of Chromium; a skip where there is none and none was named."""
+    named = os.environ.get("MIMESH_CHROMIUM")
+    if named:
+        assert shutil.which(named), f"MIMESH_CHROMIUM: expected a browser, found nothing at {named}"
+        return named
+    path = next(filter(None, map(shutil.which, NAMES)), None)
+    if path is None:
+        pytest.skip("no Chromium on PATH: apt-get install chromium, or set MIMESH_CHROMIUM to its path")
+    return path
+
+
+@pytest.fixture(scope="session")
+def chromium():
+    """The browser, as playwright drives it."""
+    path = found_browser()
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=path, args=OPTIONS)
+        yield browser
+        browser.close()
+
+
+class Watched:
+    """A page, what it asked for, and what it complained of."""
+
+    def __init__(self, page):
+        self.page = page
+        self.requests: list[str] = []
+        self.complaints: list[str] = []
+        page.on("request", lambda request: self.requests.append(request.url))
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("console", lambda said: said.type in ("error", "warning") and self.complaints.append(said.text))
+
+    def picture(self, selector: str = ".stage") -> np.ndarray:
+        """What an element looks like once the next frames are drawn: sRGB, 8 bit."""
+        from PIL import Image
+
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+        content = self.page.locator(selector).screenshot(animations="disabled")
+        return np.asarray(Image.open(io.BytesIO(content)).convert("RGB")).astype(int)
+
+
+@contextlib.contextmanager
+def watching(chromium):
+    """Yield a function that opens an address and gives the page, watched; afterwards nothing may have gone wrong."""
+    opened = []
+
+    def open_address(address: str, allowed: tuple[str, ...] = LOCAL, **options) -> Watched:
+        context = chromium.new_context(**{"viewport": {"width": 720, "height": 420}, **options})
+        watched = Watched(context.new_page())
+        opened.append((watched, context, allowed))
+        watched.page.goto(address)
+        watched.page.wait_for_selector("html[data-state]", timeout=30_000)
+        return watched
+
+    yield open_address
+    for watched, context, allowed in opened:
+        strangers = [url for url in watched.requests if not url.startswith(allowed)]
+        context.close()
+        assert strangers == []
+        assert watched.complaints == []
+
+
+@pytest.fixture
+def watch(chromium):
+    """A function that opens an address for one test; see `watching`."""
+    with watching(chromium) as open_address:
+        yield open_address
+
+
+@pytest.fixture(scope="module")
+def watch_all(chromium):
+    """The same for all tests of a file: opening a page takes seconds where there is no graphics card."""
+    with watching(chromium) as open_address:
+        yield open_address

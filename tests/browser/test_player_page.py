@@ -1,0 +1,166 @@
+"""The player's page in a browser, from a file, without a network: it plays, and every button does what it says."""
+
+import dataclasses
+import io
+
+import numpy as np
+import pytest
+import zoo
+from PIL import Image
+
+from mimesh.mesh import Clip, Material, Part
+from mimesh.view.player import Download, write_player
+from mimesh.view.scene import Shown
+
+CONTENT = np.random.default_rng(0).bytes(3000)
+
+
+def painted():
+    """A cube whose faces wear a picture, which is not grey."""
+    picture = io.BytesIO()
+    Image.new("RGB", (4, 4), (200, 40, 30)).save(picture, "PNG")
+    mesh = zoo.cube()
+    uv = mesh.vertices[mesh.faces][..., :2]
+    parts = (Part("all", 0, len(mesh.faces), Material("paint", (1.0, 1.0, 1.0, 1.0), picture.getvalue())),)
+    return dataclasses.replace(mesh, corner_uv=uv, parts=parts)
+
+
+def stretching(mesh, by):
+    height = 1 + np.linspace(0, by, 9)[:, None, None] * [0, 1, 0]
+    way = np.linspace(0, 3, 9)[:, None, None] * [1.0, 0, 0]
+    return Clip(mesh, mesh.vertices * height + way, 12.0)
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    mesh, folder = painted(), tmp_path_factory.mktemp("page")
+    shown = [
+        Shown("identity", Clip.still(mesh)),
+        Shown("driving", stretching(zoo.grid(9), 0.8)),
+        Shown("result", stretching(mesh, 0.6)),
+        Shown("truth", stretching(mesh, 0.9)),
+    ]
+    notes = ["a note", "another", "a third"]
+    page = folder / "page.html"
+    write_player(page, shown, title="A cube", model="copy", notes=notes, download=Download("cube.glb", CONTENT))
+    return page.as_uri()
+
+
+@pytest.fixture(scope="module")
+def shared(watch_all, address):
+    return watch_all(address)
+
+
+@pytest.fixture
+def watched(shared):
+    """The page as it is when it has been opened, at rest."""
+    shared.page.evaluate("""() => {
+      const { stage, controls } = mimesh;
+      controls.pause();
+      controls.setLoop(true);
+      controls.speed = 1;
+      stage.set({ colours: "material", wireframe: false, overlay: false, follow: true, dark: false });
+      stage.setTime(0);
+      stage.resetView();
+    }""")
+    return shared
+
+
+def differ(a, b):
+    return a.shape != b.shape or np.abs(a - b).max() > 8
+
+
+def still(watched, seconds=0.3):
+    watched.page.evaluate(f"mimesh.controls.seek({seconds})")
+    return watched.picture()
+
+
+def test_it_plays_stands_still_and_scrubs_to_the_same_picture(watched):
+    watched.page.click("[data-name=play]")
+    first = watched.picture()
+    watched.page.wait_for_timeout(150)
+    assert differ(first, watched.picture())
+    watched.page.click("[data-name=play]")
+    paused = watched.picture()
+    watched.page.wait_for_timeout(100)
+    np.testing.assert_array_equal(paused, watched.picture())
+    early, late = still(watched, 0.1), still(watched, 0.6)
+    assert differ(early, late)
+    np.testing.assert_array_equal(early, still(watched, 0.1))
+
+
+@pytest.mark.parametrize("what", ["clay", "stretch", "error"])
+def test_colours_change_the_picture(watched, what):
+    before = still(watched)
+    watched.page.click(f".segment[data-name={what}]")
+    assert differ(before, watched.picture())
+    assert watched.page.locator(".legend").is_visible() == (what != "clay")
+    watched.page.click(".segment[data-name=material]")
+    np.testing.assert_array_equal(before, watched.picture())
+
+
+def test_every_key_has_an_effect_that_is_seen(watched):
+    still(watched)
+    before = watched.picture("body")
+    for key in ("w", "c", "d", "o", "f", "ArrowRight", "ArrowLeft", "End", "Home", "Shift+?"):
+        watched.page.keyboard.press(key)
+        after = watched.picture("body")
+        assert differ(before, after), key
+        before = after
+    assert watched.page.locator("dialog.help").is_visible()
+    watched.page.keyboard.press("Shift+?")
+    assert not watched.page.locator("dialog.help").is_visible()
+
+
+def test_the_camera_turns_and_comes_back(watched):
+    before = still(watched)
+    watched.page.mouse.move(300, 250)
+    watched.page.mouse.down()
+    watched.page.mouse.move(420, 220, steps=4)
+    watched.page.mouse.up()
+    assert differ(before, watched.picture())
+    watched.page.mouse.dblclick(300, 250)
+    np.testing.assert_array_equal(before, watched.picture())
+
+
+def test_speed_and_loop(watched):
+    watched.page.select_option("select.speed", "0.1")
+    assert watched.page.evaluate("mimesh.controls.speed") == 0.1
+    watched.page.click("[data-name=loop]")
+    watched.page.evaluate("mimesh.controls.pause(); mimesh.controls.advance(60)")
+    assert watched.page.evaluate("mimesh.stage.time === mimesh.stage.duration && !mimesh.controls.playing")
+
+
+def test_a_narrow_screen_that_is_touched_and_dark(watch, address):
+    size = {"width": 390, "height": 780}
+    watched = watch(address, viewport=size, has_touch=True, is_mobile=True, color_scheme="dark")
+    before = still(watched)
+    assert before[2, 2].max() < 90
+    wide = watched.page.evaluate("document.documentElement.scrollWidth")
+    assert wide <= 390
+    watched.page.tap(".segment[data-name=stretch]")
+    assert differ(before, watched.picture())
+    boxes = [box.bounding_box() for box in watched.page.locator(".panel").all()]
+    assert all(box["width"] > 150 and box["height"] > 60 for box in boxes)
+
+
+def test_the_download_gives_the_very_bytes(watched):
+    with watched.page.expect_download() as waiting:
+        watched.page.click(".download")
+    assert waiting.value.suggested_filename == "cube.glb"
+    with open(waiting.value.path(), "rb") as file:
+        assert file.read() == CONTENT
+
+
+def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
+    shown = [Shown("mesh", Clip.still(zoo.point_cloud())), Shown("mesh", Clip.still(zoo.cube()))]
+    watched = watch(write_player(tmp_path / "still.html", shown, title="still").as_uri())
+    assert not watched.page.locator(".bar").is_visible()
+    picture = watched.picture()
+    left, right = np.array_split(picture, 2, axis=1)
+    assert min(left.std(), right.std()) > 5
+
+
+def test_every_button_says_what_it_does(watched):
+    for button in watched.page.locator("button, select, input").all():
+        assert button.get_attribute("aria-label") or button.inner_text()

@@ -1,0 +1,97 @@
+"""The player's page: one file, the same every time, harmless whatever it is named, and built from these sources."""
+
+import hashlib
+import html
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zoo
+
+import mimesh
+from mimesh.mesh import Clip, InputError
+from mimesh.result import Result, no_time_yet
+from mimesh.view.player import Download, player_page, web_file, write_player
+from mimesh.view.scene import Shown
+
+WEB = Path(__file__).parents[2] / "web"
+SOURCES = (".js", ".mjs", ".css", ".html", ".json")
+EVIL = "</script><script>alert(1)</script><!--"
+
+
+def scene_of(page):
+    return json.loads(re.search(r'id="mimesh-scene">(.*?)</script>', page, re.DOTALL).group(1))
+
+
+def clip():
+    mesh = zoo.cube()
+    return Clip(mesh, mesh.vertices + np.linspace(0, 1, 5)[:, None, None], 10.0)
+
+
+def test_the_bundle_is_built_from_the_sources_here():
+    digest = hashlib.sha256()
+    for path in sorted(p.relative_to(WEB).as_posix() for p in WEB.rglob("*") if p.suffix in SOURCES):
+        if not path.startswith("node_modules/"):
+            content = (WEB / path).read_bytes()
+            digest.update(f"{path}\n{len(content)}\n".encode() + content)
+    mark = f"/* mimesh-web {digest.hexdigest()[:32]} */"
+    for name in ("player.js", "player.css"):
+        assert web_file(name).startswith(mark), "web/ has changed since the bundle was built: run make web"
+
+
+def test_the_bundle_keeps_the_licence_of_what_it_holds():
+    assert "three.js authors" in web_file("player.js")
+    assert "Permission is hereby granted" in web_file("player.js")
+
+
+def test_a_page_is_small_and_asks_for_nothing():
+    page = player_page([Shown("mesh", clip())], title="cube")
+    assert len(page.encode()) < 1.5e6
+    assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
+    assert "@import" not in web_file("player.css")
+    assert "url(" not in web_file("player.css")
+
+
+def test_the_same_input_gives_the_same_bytes(tmp_path):
+    pages = [write_player(tmp_path / name, [Shown("mesh", clip())], title="cube") for name in ("a.html", "b.html")]
+    assert pages[0].read_bytes() == pages[1].read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
+
+
+def test_names_and_notes_cannot_leave_their_place():
+    shown = [Shown("mesh", clip(), EVIL)]
+    download = Download(f"{EVIL}.glb", None)
+    page = player_page(shown, title=EVIL, model=EVIL, notes=[EVIL], download=download)
+    plain = player_page([Shown("mesh", clip())], title="x")
+    for mark in ("<script", "</script", "<!--"):
+        assert page.count(mark) == plain.count(mark)
+    scene = scene_of(page)
+    assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (EVIL, [EVIL], EVIL)
+
+
+def test_a_file_that_fits_lies_in_the_page_and_one_that_does_not_is_linked():
+    noise = np.random.default_rng(0).bytes(200_000)
+    options = {"title": "cube", "download": Download("my cube.glb", noise)}
+    inside = scene_of(player_page([Shown("mesh", clip())], **options))["download"]
+    assert inside["bytes"] == len(noise)
+    beside = scene_of(player_page([Shown("mesh", clip())], budget=800_000, **options))["download"]
+    assert beside == {"name": "my cube.glb", "href": "my%20cube.glb"}
+
+
+def test_results_write_their_page_and_show_themselves_in_notebooks(tmp_path):
+    result = mimesh.transfer(zoo.cube(), zoo.cube(), "copy")
+    page = result.player(tmp_path / "cube.html").read_text()
+    assert [panel["role"] for panel in scene_of(page)["panels"]] == ["identity", "driving", "result"]
+    frame = result._repr_html_()
+    inner = html.unescape(re.search(r'srcdoc="([^"]*)"', frame).group(1))
+    assert scene_of(inner)["model"] == "copy"
+    assert "driving=" not in repr(result)
+
+
+def test_a_result_without_inputs_has_no_page(tmp_path):
+    bare = Result(zoo.cube(), "copy", no_time_yet(), {})
+    assert bare._repr_html_() is None
+    with pytest.raises(InputError, match="without its inputs"):
+        bare.player(tmp_path / "cube.html")
