@@ -59,8 +59,7 @@ export class Live {
       const waiting = !this.current(number);
       view.box.classList.toggle("waiting", waiting);
       if (!waiting && view.panel.held && !this.asking.has(number)) {
-        view.panel.hold(null);
-        this.stage.setTime(this.stage.time);
+        this.stage.hold(view, null);
       }
     }
   }
@@ -81,8 +80,7 @@ export class Live {
         view.had = wish();
         const points = await askPose(number, this.frame(), stop.signal);
         if (!points || stop.signal.aborted || points.length !== 3 * view.panel.vertices) break;
-        view.panel.hold(points);
-        this.stage.setTime(this.stage.time);
+        this.stage.hold(view, points);
       }
     } catch (error) {
       if (error.name !== "AbortError") this.failed(error.message);
