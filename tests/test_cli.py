@@ -95,6 +95,28 @@ def test_animate_writes_a_glb_a_picture_and_a_page(files, capsys):
     assert text.err == ""
 
 
+def test_open_shows_the_page_in_the_browser(files, capsys, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-q", "--open"]
+    assert run(args) == 0
+    assert opened == [(files / "hero-pose.preview.html").as_uri()]
+    assert run([*args, "--no-preview"]) == 2
+    assert "--open: expected a page" in capsys.readouterr().err
+
+
+def test_render_writes_a_page_of_any_files(files, capsys):
+    page = files / "both.html"
+    assert run(["render", str(files / "hero.obj"), str(files / "walk"), "-o", str(page)]) == 0
+    assert '"role":"mesh"' in page.read_text()
+    assert run(["render", str(files / "hero.obj"), "--truth", str(files / "hero.obj"), "-o", str(page)]) == 0
+    assert '"role":"truth"' in page.read_text()
+    capsys.readouterr()
+    save_mesh(zoo.tetrahedron(), files / "other.obj")
+    assert run(["render", str(files / "hero.obj"), "--truth", str(files / "other.obj"), "-o", str(page)]) == 2
+    assert "expected the truth to have 8 vertices, found 4" in capsys.readouterr().err
+
+
 def test_animate_takes_a_range_and_writes_folders(files, capsys):
     args = ["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "--start", "1", "--fps", "24"]
     assert run([*args, "-o", str(files / "moved"), "--no-preview", "--json"]) == 0

@@ -67,10 +67,11 @@ def watching(chromium):
     """Yield a function that opens an address and gives the page, watched; afterwards nothing may have gone wrong."""
     opened = []
 
-    def open_address(address: str, allowed: tuple[str, ...] = LOCAL, **options) -> Watched:
+    def open_address(address: str, allowed: tuple[str, ...] = LOCAL, script: str = "", **options) -> Watched:
         context = chromium.new_context(**{"viewport": {"width": 720, "height": 420}, **options})
         watched = Watched(context.new_page())
         opened.append((watched, context, allowed))
+        watched.page.add_init_script(script)
         watched.page.goto(address)
         watched.page.wait_for_selector("html[data-state]", timeout=30_000)
         return watched

@@ -164,3 +164,14 @@ def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
 def test_every_button_says_what_it_does(watched):
     for button in watched.page.locator("button, select, input").all():
         assert button.get_attribute("aria-label") or button.inner_text()
+
+
+@pytest.mark.parametrize(
+    ("lacking", "words"),
+    [
+        ("delete window.DecompressionStream", "lacks DecompressionStream"),
+        ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2"),
+    ],
+)
+def test_a_browser_that_cannot_show_it_says_why(watch, address, lacking, words):
+    assert words in watch(address, script=lacking).page.locator(".refusal").inner_text()

@@ -9,7 +9,6 @@ import { Legend } from "./legend.js";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 1.5, 2];
 const COLOURS = [["material", "Material"], ["clay", "Clay"], ["stretch", "Stretch"], ["error", "Error"]];
-const STEP = 1 / 30;
 
 export class Controls {
   constructor(stage, { top, bottom }) {
@@ -44,8 +43,8 @@ export class Controls {
     for (const speed of SPEEDS) this.speedChoice.add(new Option(`${speed}×`, speed, speed === 1, speed === 1));
     this.speedChoice.addEventListener("change", () => (this.speed = Number(this.speedChoice.value)));
     this.loopButton = this.addButton(bar, "loop", "Loop", () => this.setLoop(!this.loop), { key: "l", pressed: true });
-    this.keys.push(["arrowleft", "←", "a frame back", () => this.seek(this.stage.time - STEP)]);
-    this.keys.push(["arrowright", "→", "a frame on", () => this.seek(this.stage.time + STEP)]);
+    this.keys.push(["arrowleft", "←", "a frame back", () => this.seek(this.stage.time - this.frame)]);
+    this.keys.push(["arrowright", "→", "a frame on", () => this.seek(this.stage.time + this.frame)]);
     this.keys.push(["home", "home", "to the start", () => this.seek(0)]);
     this.keys.push(["end", "end", "to the end", () => this.seek(this.stage.duration)]);
   }
@@ -198,8 +197,9 @@ export class Controls {
   }
 
   showScene() {
-    const { offers } = this.stage;
+    const { offers, scene } = this.stage;
     this.bar.hidden = !offers.moves;
+    this.frame = 1 / Math.max(...scene.panels.map((panel) => panel.fps));
     for (const button of this.colours) button.hidden = !offers[button.dataset.name];
     this.toggles.overlay.hidden = !offers.overlay;
     this.toggles.follow.hidden = !offers.travels;

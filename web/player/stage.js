@@ -17,6 +17,8 @@ import { Meter } from "./meter.js";
 import { decodeScene } from "./scene.js";
 import { Subject } from "./surface.js";
 
+/** Pixels below the subject that are left to its caption. */
+const CAPTION = 40;
 const LABELS = { identity: "Identity", driving: "Driving", result: "Result", truth: "Truth", mesh: "" };
 
 export class Stage extends EventTarget {
@@ -26,7 +28,8 @@ export class Stage extends EventTarget {
     this.canvas = element.appendChild(Object.assign(document.createElement("canvas"), { className: "stage-canvas" }));
     this.canvas.setAttribute("aria-hidden", "true");
     this.grid = element.appendChild(Object.assign(document.createElement("div"), { className: "stage-panels" }));
-    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: !drawsInSoftware(), alpha: true });
+    this.software = drawsInSoftware();
+    this.renderer = new THREE.WebGLRenderer({ canvas: this.canvas, antialias: !this.software, alpha: true });
     this.renderer.setClearColor(0, 0);
     this.renderer.toneMapping = THREE.NeutralToneMapping;
     this.renderer.autoClear = false;
@@ -152,7 +155,7 @@ export class Stage extends EventTarget {
 
   resetView() {
     if (!this.views.length) return;
-    const aspect = Math.min(...this.views.map(({ box }) => box.clientWidth / Math.max(box.clientHeight, 1)));
+    const aspect = Math.min(...this.views.map(({ box }) => box.clientWidth / Math.max(box.clientHeight - CAPTION, 1)));
     fitView(this.camera, this.orbit, this.scene.panels, this.look.follow, aspect || 1);
     this.fitted = true;
     this.touched = false;
@@ -162,7 +165,7 @@ export class Stage extends EventTarget {
   resized() {
     const { clientWidth: width, clientHeight: height } = this.element;
     if (!width || !height) return;
-    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, 2));
+    this.renderer.setPixelRatio(Math.min(window.devicePixelRatio || 1, this.software ? 1 : 2));
     this.renderer.setSize(width, height, false);
     if (this.fitted && !this.touched) this.resetView();
     this.render();
@@ -190,8 +193,8 @@ export class Stage extends EventTarget {
       const place = [box.left - whole.left, whole.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...place);
       renderer.setScissor(...place);
-      camera.aspect = box.width / box.height;
-      camera.updateProjectionMatrix();
+      camera.aspect = box.width / (box.height - CAPTION);
+      camera.setViewOffset(box.width, box.height - CAPTION, 0, 0, box.width, box.height);
       renderer.render(view.scene, camera);
     }
     this.dispatchEvent(new Event("drawn"));

@@ -12,7 +12,7 @@ export class Subject extends THREE.Group {
     this.surface = surface;
     this.points = new Float32Array(3 * panel.vertices);
     this.geometry = buildGeometry(surface);
-    this.wears = { material: lookMaterials(surface, textures), clay: clay(panel), measured: measured() };
+    this.wears = { material: lookMaterials(panel, surface, textures), clay: clay(panel), measured: measured() };
     this.body = surface.corners.length
       ? new THREE.Mesh(this.geometry, this.wears.clay)
       : new THREE.Points(this.geometry, dots(panel, surface));
@@ -118,9 +118,9 @@ function matte(options) {
   });
 }
 
-/** What the file says, one material a group; clay where it says nothing. */
-function lookMaterials(surface, textures) {
-  const plain = new THREE.Color().setRGB(...CLAY, THREE.SRGBColorSpace);
+/** What the file says, one material a group; the tint where it says nothing. */
+function lookMaterials(panel, surface, textures) {
+  const plain = surface.colors ? new THREE.Color(WHITE, WHITE, WHITE) : tint(panel);
   return surface.groups.map(({ material }) => {
     const color = material ? new THREE.Color(...material.color.slice(0, 3)).multiplyScalar(WHITE) : plain;
     const map = material && material.image !== null ? textures[material.image] : null;
@@ -129,8 +129,12 @@ function lookMaterials(surface, textures) {
 }
 
 function clay(panel) {
-  const tint = panel.role === "driving" ? SLATE : CLAY;
-  return matte({ color: new THREE.Color().setRGB(...tint, THREE.SRGBColorSpace) });
+  return matte({ color: tint(panel) });
+}
+
+/** Clay for whom the story is about, slate for whom it imitates. */
+function tint(panel) {
+  return new THREE.Color().setRGB(...(panel.role === "driving" ? SLATE : CLAY), THREE.SRGBColorSpace);
 }
 
 /** Colours from the attribute `measure`, so that a file's own vertex colours stay where they are. */
@@ -161,8 +165,7 @@ function dots(panel, surface) {
   const map = new THREE.CanvasTexture(canvas);
   map.colorSpace = THREE.SRGBColorSpace;
   const size = Math.min(Math.max(0.9 / Math.sqrt(panel.vertices), 0.004), 0.02);
-  const tint = surface.colors ? [1, 1, 1] : panel.role === "driving" ? SLATE : CLAY;
-  const color = new THREE.Color().setRGB(...tint, THREE.SRGBColorSpace);
+  const color = surface.colors ? new THREE.Color(1, 1, 1) : tint(panel);
   return new THREE.PointsMaterial({ size, map, color, alphaTest: 0.5, vertexColors: Boolean(surface.colors) });
 }
 

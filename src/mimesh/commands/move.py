@@ -81,6 +81,7 @@ def transfer(
 
     output = output or output_beside(identity, driving, identity.suffix)
     refuse_inputs(output, identity, driving)
+    _check_open(preview, open_it)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
     _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
     result = run(
@@ -152,6 +153,7 @@ def animate(
 
     output = output or output_beside(identity, driving, ".glb")
     refuse_inputs(output, identity, driving)
+    _check_open(preview, open_it)
     if skinned and blendshapes:
         raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
     _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
@@ -198,7 +200,7 @@ def animate(
 def _finish(
     result: Result | ClipResult,
     output: Path,
-    pictures: list[Path],
+    shown: dict[str, Any],
     json: bool,
     quiet: bool,
     *,
@@ -219,7 +221,7 @@ def _finish(
         "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
-        "report": {**result.report, "notes": notes, "pictures": [str(path) for path in pictures]},
+        "report": {**result.report, "notes": notes, **shown},
     }
     if json:
         print_json(facts)
@@ -242,7 +244,9 @@ def _print_summary(facts: dict[str, Any]) -> None:
     for note in facts["report"]["notes"]:
         print(f"note: {note}")
     for path in facts["report"]["pictures"]:
-        print(f"{'page' if path.endswith('.html') else 'picture'}: {path}")
+        print(f"picture: {path}")
+    if facts["report"]["page"]:
+        print(f"page: {facts['report']['page']}")
     if Path(facts["output"]).suffix.lower() in MOVIES:
         return
     if facts["report"]["pictures"] or facts["fps"] is not None:
@@ -251,16 +255,23 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
 
 
-def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> list[Path]:
-    """The picture and the page beside the output, if wanted; the page is opened if that is wanted too."""
+def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
+    """Write the picture and the page beside the output, if wanted, and open the page; their paths for the report."""
     from ..preview import beside
 
     if not preview:
-        return []
+        return {"pictures": [], "page": None}
     picture, page = beside(result, output)
     if open_it:
         open_page(page)
-    return [picture, page]
+    return {"pictures": [str(picture)], "page": str(page)}
+
+
+def _check_open(preview: bool, open_it: bool) -> None:
+    from ..mesh import InputError
+
+    if open_it and not preview:
+        raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
 
 
 def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
