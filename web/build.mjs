@@ -3,7 +3,7 @@
 // The first line of each bundle carries a fingerprint of all sources here and of the lock; a test compares it, so that
 // a bundle and its sources cannot part.
 import { createHash } from "node:crypto";
-import { readdirSync, readFileSync } from "node:fs";
+import { copyFileSync, readdirSync, readFileSync } from "node:fs";
 import { join, relative, sep } from "node:path";
 import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
@@ -37,6 +37,8 @@ await build({
   entryPoints: [
     { in: "player/page.js", out: "player" },
     { in: "style.css", out: "player" },
+    { in: "studio/studio.js", out: "studio" },
+    { in: "studio/studio.css", out: "studio" },
   ],
   outdir: output,
   bundle: true,
@@ -49,3 +51,4 @@ await build({
   footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
   logLevel: "info",
 });
+copyFileSync(join(here, "studio/studio.html"), join(output, "studio.html"));

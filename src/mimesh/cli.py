@@ -13,7 +13,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import about, change, learn, measure, move, show
+from .commands import about, change, learn, measure, move, show, studio
 from .commands.terminal import Stop
 
 app = typer.Typer(
@@ -33,6 +33,7 @@ COMMANDS = (
     change.convert,
     show.look,
     show.render,
+    studio.studio,
     about.demo,
     about.models,
     about.doctor,

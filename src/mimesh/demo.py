@@ -58,9 +58,9 @@ def person(body: RiggedBody, shape: tuple[float, ...]) -> Mesh:
     return dataclasses.replace(body.mesh(body.shaped(np.array(shape))[0]), name="identity")
 
 
-def played(body: RiggedBody) -> Clip:
-    """The driving person playing the motion at the demo's frame rate."""
-    motion = load_motion(MOTION)
+def played(body: RiggedBody, name: str = MOTION) -> Clip:
+    """The driving person playing a shipped motion at the demo's frame rate."""
+    motion = load_motion(name)
     step = max(1, round(motion.fps / RATE))
     cut = slice(0, FRAMES * step, step)
     taken = dataclasses.replace(motion, rotmat=motion.rotmat[cut], root=motion.root[cut], fps=motion.fps / step)

@@ -12,13 +12,13 @@ from jaxtyping import Float
 
 from .frame import Frame
 from .mesh import Clip, InputError, Mesh
-from .methods import Method
+from .methods import Drive, Method
 from .methods.mime import Mime, Puppet
 from .orient import known
 from .paging import PAGED, Progress, each_frame, let_go, new_frames
 from .refine import Refinement
 from .report import accelerations, doubt_notes, doubts, facing, facing_note, quality
-from .result import timed
+from .result import no_time_yet, timed
 from .rig import Rig, Skeleton
 from .track import Track, skate
 
@@ -77,6 +77,58 @@ class _Played:
         return (self.puppet.posed(*pose) for pose in zip(self.track.rotation, self.path, strict=True))
 
 
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """An identity and a clip that have been read: frames follow without looking at either again."""
+
+    identity: Mesh
+    clip: Clip
+    method: Method
+    drive: Drive
+    own: Frame
+    theirs: Frame
+    still: Mesh
+    """The identity in its Frame."""
+    surface: Refinement | None
+    """What results are refined on."""
+
+    def refined(self, refine: bool | None) -> Ready:
+        """The same with results refined, or not, or as the model has it (None)."""
+        surface = Refinement.of(self.still) if (self.method.rough if refine is None else refine) else None
+        return dataclasses.replace(self, surface=surface)
+
+
+def prepare(identity: Mesh, clip: Clip, choice: Choice, axes: Axes, refine: bool | None, travel: Travel) -> Ready:
+    """All that is done before the first frame; of `travel` only whether the model can do it is looked at.
+
+    Raises:
+        InputError: an axis, the model or its options cannot be used.
+    """
+    first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+    own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
+    method = choice(theirs)
+    travel.check(method)
+    drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
+    if isinstance(method, Mime) and isinstance(drive, Puppet):
+        before, (ours, others) = (own, theirs), drive.doubts
+        own, theirs = known(method, identity, own, axes[:2], ours), known(method, first, theirs, axes[2:], others)
+        if (own, theirs) != before:
+            drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
+    return Ready(identity, clip, method, drive, own, theirs, _seen(identity, own), None).refined(refine)
+
+
+def posed(ready: Ready, t: int) -> Float[np.ndarray, "V 3"]:
+    """The identity in frame t alone, where that frame of the whole clip stands; models of windows see it out of line.
+
+    Paths of joints that are smoothed, grounded or not scaled are for whole clips: see `play`.
+    """
+    chosen = [0] if t == 0 else [0, t]
+    given = (ready.theirs.apply(np.asarray(ready.clip.vertices[k], np.float64)) for k in chosen)
+    shift, frames = _placed(_refined(ready.drive(given), ready.surface, no_time_yet()), ready.still.vertices)
+    *_, vertices = frames
+    return ready.own.undo(vertices + shift)
+
+
 def move(
     identity: Mesh,
     clip: Clip,
@@ -94,27 +146,28 @@ def move(
         InputError: an axis, the model or its options cannot be used.
     """
     with timed(seconds, "prepare"):
-        first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-        own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
-        method = choice(theirs)
-        travel.check(method)
-        drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
-        if isinstance(method, Mime) and isinstance(drive, Puppet):
-            before, (ours, others) = (own, theirs), drive.doubts
-            own, theirs = known(method, identity, own, axes[:2], ours), known(method, first, theirs, axes[2:], others)
-            if (own, theirs) != before:
-                drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
-        still = _seen(identity, own)
-        surface = Refinement.of(still) if (method.rough if refine is None else refine) else None
+        ready = prepare(identity, clip, choice, axes, refine, travel)
+    return play(ready, seconds, travel, progress, dtype)
+
+
+def play(
+    ready: Ready,
+    seconds: dict[str, float],
+    travel: Travel = Travel(),
+    progress: Progress | None = None,
+    dtype: type[np.floating] = np.float64,
+) -> Moved:
+    """All frames of a clip, and what is to be said of them; `travel` has been checked."""
+    identity, clip, own, theirs, still = ready.identity, ready.clip, ready.own, ready.theirs, ready.still
     with timed(seconds, "drive"):
         count, size = len(clip), theirs.radius / own.radius
         given, played, done = _normalised(clip, theirs), None, 0
-        if isinstance(drive, Puppet):
+        if isinstance(ready.drive, Puppet):
             # The driving is followed to its end before the first frame is made: half of the work.
             given, done = _told(given, progress, count), count
-            played = _played(drive, given, clip.fps, travel, size)
-        frames = drive(given) if played is None else played.frames()
-        shift, frames = _placed(_refined(frames, surface, seconds), still.vertices)
+            played = _played(ready.drive, given, clip.fps, travel, size)
+        frames = ready.drive(given) if played is None else played.frames()
+        shift, frames = _placed(_refined(frames, ready.surface, seconds), still.vertices)
         moved = new_frames(count, len(identity.vertices), dtype)
         for t, vertices in enumerate(frames):
             moved[t] = own.undo(vertices + shift)
@@ -128,11 +181,12 @@ def move(
         "identity": facing(own),
         "driving": facing(theirs),
     }
-    notes = facing_note(own, identity.name, "--front") + facing_note(theirs, first.name, "--driving-front")
+    name = clip.mesh.name
+    notes = facing_note(own, identity.name, "--front") + facing_note(theirs, name, "--driving-front")
     skeleton = None
     if played is not None:
         skeleton = _skeleton(identity, played, own, shift)
-        notes += _judged(played, report, (identity.name, first.name), np.ptp(still.vertices[:, 1]))
+        notes += _judged(played, report, (identity.name, name), np.ptp(still.vertices[:, 1]))
         if travel.root == "drop":
             report["foot_skate"] = None  # in place, feet slide as they should
     return Moved(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))

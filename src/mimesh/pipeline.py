@@ -103,7 +103,7 @@ def animate(
     with timed(seconds, "load"):
         identity = _read_mesh(identity)
         clip = cut_clip(_read_clip(driving, fps, animation), start, stop, step)
-    axes = (up, front, *_driving_axes(clip, driving_up, driving_front))
+    axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     method = _choice(model, ensemble, seed, reference, markers)
     travel = Travel(root, ground, smooth, skinned)
     done = move(identity, clip, method, axes, refine, seconds, travel, progress, np.float32)
@@ -145,7 +145,7 @@ def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
     return found.astype(np.int64)
 
 
-def _driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
+def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
     """Up and front of the driving's first frame: as they were given, else as its joints say, else to be found."""
     if up is not None or front is not None or clip.headings is None:
         return up, front

@@ -17,7 +17,7 @@ from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
-from mimesh.pipeline import _driving_axes
+from mimesh.pipeline import driving_axes
 
 STANDS = ("t", "a", "hanging")
 
@@ -168,7 +168,7 @@ def test_a_clip_knows_which_way_its_person_faces(body, motion, tmp_path):
     write_bvh(tmp_path / "a.bvh", body, dataclasses.replace(motion, rotmat=rotmat))
     clip = load_clip(tmp_path / "a.bvh")
     np.testing.assert_allclose(clip.headings, rotmat[:, 0, :, 2], atol=1e-4)
-    assert _driving_axes(cut_clip(clip, 3, None, 2), None, None) == ("+y", "+x")
-    assert _driving_axes(clip, None, "-z") == (None, "-z")
+    assert driving_axes(cut_clip(clip, 3, None, 2), None, None) == ("+y", "+x")
+    assert driving_axes(clip, None, "-z") == (None, "-z")
     lying = dataclasses.replace(clip, headings=np.tile([0.1, -0.9, 0.2], (len(clip), 1)))
-    assert _driving_axes(lying, None, None) == ("+y", None)
+    assert driving_axes(lying, None, None) == ("+y", None)

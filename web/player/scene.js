@@ -79,6 +79,7 @@ export class Panel {
 
   /** Write the points (3 V: x, y, z, x ...) at a time, relative to the anchor, in the file's axes and unit. */
   sample(seconds, out) {
+    if (this.held) return this.writeHeld(out);
     const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const frame = Math.min(Math.floor(at), Math.max(this.frames - 2, 0));
     const share = at - frame;
@@ -98,8 +99,20 @@ export class Panel {
     return out;
   }
 
+  /** Show these points (3 V: x, y, z, x ..., as the file has them) at all times, until null is held. */
+  hold(points) {
+    this.held = points;
+    if (points) this.heldMiddle = [0, 1, 2].map((axis) => middle(points, axis));
+  }
+
+  writeHeld(out) {
+    for (let k = 0; k < out.length; k++) out[k] = this.held[k] - this.anchor[k % 3];
+    return out;
+  }
+
   /** Write the middle of the points at a time, relative to the first frame's, into a vector of three. */
   travel(seconds, out) {
+    if (this.held) return Object.assign(out, this.heldMiddle.map((at, axis) => at - this.centre[axis]));
     const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const frame = Math.floor(at);
     const next = Math.min(frame + 1, this.frames - 1);
@@ -109,6 +122,16 @@ export class Panel {
     }
     return out;
   }
+}
+
+/** Middle between the least and the largest of every third number. */
+function middle(points, axis) {
+  let [low, high] = [Infinity, -Infinity];
+  for (let k = axis; k < points.length; k += 3) {
+    low = Math.min(low, points[k]);
+    high = Math.max(high, points[k]);
+  }
+  return (low + high) / 2;
 }
 
 /** Frames of 16-bit numbers: low bytes, high bytes; differences from the frame before (the first: from its neighbour). */

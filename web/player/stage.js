@@ -146,6 +146,13 @@ export class Stage extends EventTarget {
     this.render();
   }
 
+  /** Let a view show these points (see Panel.hold) at all times, or its clip again with null. */
+  hold(view, points) {
+    view.panel.hold(points);
+    view.posed = false;
+    this.setTime(this.time);
+  }
+
   resetView() {
     if (!this.views.length) return;
     const aspect = Math.min(...this.views.map(({ box }) => box.clientWidth / Math.max(box.clientHeight - CAPTION, 1)));

@@ -1,0 +1,137 @@
+"""Results as files to be fetched: one file as it is, several (with images, frames, many meshes) as a .zip."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from ..convert import MOVIES, blend_note, not_kept, part, rate_note
+from ..io import save_mesh
+from ..io.atomic import whole_file
+from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, MESH_WRITERS
+from ..mesh import InputError
+from ..paging import Progress
+from ..result import ClipResult
+from .workplace import safe_name
+
+KEPT = 12
+"""Exports that are kept; older ones go."""
+FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
+"""Folders of numbered meshes."""
+NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
+NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
+"""Module that a format needs, and the extra that brings it."""
+WORDS = {
+    ".abc": "Alembic",
+    ".gif": "GIF, a movie",
+    ".glb": "GLB",
+    ".gltf": "glTF",
+    ".mdd": "MDD points",
+    ".mp4": "MP4, a movie",
+    ".npy": "NumPy points",
+    ".npz": "NumPy archive",
+    ".obj": "OBJ",
+    ".off": "OFF",
+    ".pc2": "PC2 points",
+    ".ply": "PLY",
+    ".stl": "STL",
+    ".usd": "USD",
+    ".usda": "USD as text",
+    ".usdc": "USD, binary",
+    ".usdz": "USDZ",
+    ".webp": "WebP, a movie",
+    "frames.obj": "OBJ frames",
+    "frames.ply": "PLY frames",
+}
+
+
+@dataclass(eq=False)
+class Export:
+    """Something that is written, or has been."""
+
+    number: int
+    suffix: str
+    skinned: bool
+    blendshapes: int | None
+    folder: Path
+    path: Path | None = None
+    """Once it is whole."""
+    done: float = 0.0
+    error: str = ""
+    notes: tuple[str, ...] = ()
+
+
+def formats(moving: bool) -> list[dict[str, str | bool]]:
+    """What results can be written as; `needs` is what has to be installed first, if anything."""
+    first = (".glb",) if moving else (".glb", ".obj")
+    known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
+    return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
+
+
+def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: Progress) -> Path:
+    """Write results, each with the name of its mesh and of what it imitates, and return the one file to be fetched.
+
+    Raises:
+        InputError: a format or option that does not fit.
+    """
+    _check(export, results)
+    inside, notes, used = export.folder / "files", [], set()
+    for k, (mesh, driving, result) in enumerate(results):
+        stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
+        notes += _write_one(export, result, inside, stem, part(progress, k, len(results)) or progress)
+    export.notes = tuple(dict.fromkeys(notes))
+    files = sorted(path for path in inside.rglob("*") if path.is_file())
+    if len(files) == 1:
+        return files[0]
+    stem = sorted(used)[0] if len(results) == 1 else f"{len(results)} meshes"
+    return _zipped(files, inside, export.folder / f"{stem}.zip")
+
+
+def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, progress: Progress) -> list[str]:
+    path = folder / (stem if export.suffix in FRAMES else f"{stem}{export.suffix}")
+    if len(result.clip) == 1 and not export.skinned:
+        save_mesh(result.clip.mesh, path)
+        return list(not_kept(result.clip.mesh, path))
+    if export.suffix in FRAMES:
+        from ..io import save_clip
+
+        save_clip(result.clip, path, export.suffix.removeprefix("frames"), progress)
+    elif export.skinned:
+        result.save_skinned(path)
+    else:
+        result.save(path, export.blendshapes, progress)
+    blended = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
+    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blended]
+
+
+def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
+    if not results:
+        raise InputError("export: expected a result, found none; add a mesh to move and what to imitate")
+    moving = len(results[0][2].clip) > 1
+    known = [one["suffix"] for one in formats(moving)]
+    if export.suffix not in known:
+        raise InputError(f"format: expected one of {' '.join(map(str, known))}, found {export.suffix!r}; choose one")
+    if (export.skinned or export.blendshapes) and export.suffix not in (".glb", ".gltf"):
+        raise InputError(f"{export.suffix}: expected .glb or .gltf for joints and blend shapes, found this; choose one")
+
+
+def _format(suffix: str) -> dict[str, str | bool]:
+    module, extra = NEEDS.get(suffix, ("", ""))
+    needs = f"pip install 'mimesh[{extra}]'" if module and find_spec(module) is None else ""
+    return {"suffix": suffix, "words": WORDS[suffix], "needs": needs, "joints": suffix in (".glb", ".gltf")}
+
+
+def _unused(stem: str, used: set[str]) -> str:
+    name = next(name for k in range(len(used) + 1) if (name := stem if k == 0 else f"{stem}-{k + 1}") not in used)
+    used.add(name)
+    return name
+
+
+def _zipped(files: list[Path], top: Path, path: Path) -> Path:
+    """Pack files by their places below `top`."""
+    with whole_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as pack:
+        for file in files:
+            pack.write(file, file.relative_to(top))
+    return path

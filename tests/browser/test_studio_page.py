@@ -1,0 +1,214 @@
+"""The studio's page used as a person would: from files that are chosen and dropped to a file that is downloaded."""
+
+import base64
+import dataclasses
+import threading
+
+import numpy as np
+import pytest
+
+from mimesh import Clip, animate, load_clip, save_clip, save_mesh
+from mimesh.bodies import load_body
+from mimesh.demo import IDENTITY_SHAPE, person, played
+from mimesh.studio import _listening, make_desk, make_server
+from mimesh.studio.guard import new_token
+
+HERO = ".row[data-state='done']:has-text('hero.glb')"
+DROP = """([role, name, text]) => {
+  const transfer = new DataTransfer();
+  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+  transfer.items.add(new File([bytes], name));
+  const send = (type, target) =>
+    target.dispatchEvent(new DragEvent(type, { dataTransfer: transfer, bubbles: true, cancelable: true }));
+  send("dragenter", document.body);
+  const target = document.querySelector(`#drop [data-role=${role}]`);
+  if (!target.checkVisibility()) throw new Error("no place to drop is shown");
+  send("drop", target);
+}"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A person as .glb and .obj, three frames of another who jumps, and what is no mesh."""
+    folder, body = tmp_path_factory.mktemp("files"), load_body()
+    hero, jump = person(body, IDENTITY_SHAPE), played(body)
+    save_mesh(hero, folder / "hero.glb")
+    save_mesh(hero, folder / "hero.obj")
+    save_clip(dataclasses.replace(jump, vertices=jump.vertices[::10], fps=10.0), folder / "jump.npz")
+    (folder / "bad.glb").write_text("this is not a mesh")
+    (folder / "flat.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def studio():
+    """A studio in this process; gives the address that opens it and its desk."""
+    desk, token = make_desk([], 64 * 2**20), new_token()
+    listening = _listening("127.0.0.1", 0)
+    port = listening.getsockname()[1]
+    server = make_server(desk, token, "127.0.0.1", port)
+    thread = threading.Thread(target=server.run, args=([listening],))
+    thread.start()
+    yield f"http://127.0.0.1:{port}", token, desk
+    server.should_exit = True
+    thread.join(10)
+    listening.close()
+    desk.close()
+    assert not thread.is_alive()
+
+
+@pytest.fixture(scope="module")
+def seen(studio, watch_all):
+    """The page, opened once: only this machine is asked, and nothing complains."""
+    origin, token, _ = studio
+    # Without motion, so that drawing in software leaves time for the rest.
+    options = {"viewport": {"width": 900, "height": 560}, "reduced_motion": "reduce"}
+    return watch_all(f"{origin}/?token={token}", allowed=(origin, "data:", "blob:"), **options)
+
+
+@pytest.fixture
+def fresh(studio, seen):
+    """The page with nothing on it but the options as they were."""
+    desk = studio[2]
+    for number in [*desk.identities, *([desk.driving.number] if desk.driving else [])]:
+        desk.remove(number)
+    seen.page.wait_for_selector("#welcome:not([hidden])")
+    return seen
+
+
+def choose(page, role, *paths):
+    page.set_input_files(f"#{'driving' if role == 'driving' else 'identities'} input[data-role]", list(map(str, paths)))
+
+
+def drop(page, role, path):
+    page.evaluate(DROP, [role, path.name, base64.b64encode(path.read_bytes()).decode()])
+
+
+def at_rest(page):
+    """Wait until the stage shows what the server has, and stop it."""
+    page.wait_for_function(
+        "() => mimesh.live.state?.scene === document.documentElement.dataset.scene && !mimesh.live.loading"
+    )
+    page.evaluate("() => mimesh.controls.pause()")
+
+
+def moved(before, after):
+    return int((np.abs(before - after).max(axis=-1) > 24).sum())
+
+
+def test_from_files_to_a_download(fresh, files, tmp_path):
+    page = fresh.page
+    choose(page, "identity", files / "hero.glb")
+    drop(page, "driving", files / "jump.npz")
+    page.wait_for_selector(HERO, timeout=30_000)
+    at_rest(page)
+    page.evaluate("() => mimesh.stage.setTime(0)")
+    first = fresh.picture()
+    page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
+    assert moved(first, fresh.picture()) > 2000, "the result plays"
+    with page.expect_download(timeout=30_000) as download:
+        page.click("#write")
+    download.value.save_as(tmp_path / "back.glb")
+    assert download.value.suggested_filename == "hero-jump.glb"
+    ours = animate(files / "hero.glb", files / "jump.npz")
+    ours.save(tmp_path / "ours.glb")
+    back, written = load_clip(tmp_path / "back.glb"), load_clip(tmp_path / "ours.glb")
+    np.testing.assert_allclose(back.vertices, written.vertices, atol=1e-6)
+    assert back.fps == written.fps
+
+
+def test_another_model_shows_at_once_and_options_follow_it(fresh, files):
+    page = fresh.page
+    choose(page, "identity", files / "hero.obj")
+    choose(page, "driving", files / "hero.obj")
+    page.wait_for_selector("#identities .row[data-state='done']", timeout=30_000)
+    page.select_option("#model select", "copy")
+    page.wait_for_function("() => mimesh.live.state.identities[0].outcome.model === 'copy'", timeout=20_000)
+    assert page.locator("#model input[type=checkbox]").is_disabled()
+    page.select_option("#model select", "mime")
+    page.wait_for_function("() => mimesh.live.state.identities[0].outcome.model === 'mime'", timeout=20_000)
+    assert page.locator("#model input[type=checkbox]").is_enabled()
+    page.reload()
+    page.wait_for_selector("#identities .row[data-state='done']", timeout=30_000)
+    assert page.locator("#model select").first.input_value() == "mime", "nothing is lost"
+
+
+def test_bad_files_are_said_and_the_page_goes_on(fresh, files):
+    page = fresh.page
+    choose(page, "identity", files / "bad.glb", files / "flat.obj")
+    page.wait_for_function("() => document.querySelectorAll('#identities .row[data-state=failed]').length === 2")
+    said = page.inner_text("#identities")
+    assert "bad.glb: expected" in said
+    assert "flat.obj: expected a mesh with some size" in said
+    for word in ("Traceback", 'File "', "/tmp/"):
+        assert word not in said
+    drop(page, "driving", files / "bad.glb")
+    page.wait_for_selector("#driving .row[data-state=failed] .error")
+    for cross in page.locator(".side .row .icon").all()[::-1]:
+        cross.click()
+    page.wait_for_selector("#welcome:not([hidden])")
+
+
+def test_two_meshes_at_once(fresh, files, studio):
+    page, desk = fresh.page, studio[2]
+    choose(page, "identity", files / "hero.glb", files / "hero.obj")
+    choose(page, "driving", files / "hero.obj")
+    page.wait_for_function(
+        "() => document.querySelectorAll('#identities .row[data-state=done]').length === 2", timeout=30_000
+    )
+    at_rest(page)
+    page.wait_for_function("() => mimesh.stage.views.length === 3")
+    with page.expect_download(timeout=30_000) as download:
+        page.click("#write")
+    assert download.value.suggested_filename == "2 meshes.zip"
+    page.locator("#identities .row .icon").first.click()
+    page.wait_for_function("() => mimesh.stage.views.length === 3 && mimesh.stage.views[0].panel.role === 'identity'")
+    assert len(desk.identities) == 1
+
+
+def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, monkeypatch):
+    """The clip is held up; what stands under the slider is shown nevertheless."""
+    from mimesh.studio import acts
+
+    page, go, made = fresh.page, threading.Event(), acts.result
+
+    def held_up(ready, options, progress):
+        while not go.wait(0.01):
+            progress(0, 1)
+        return made(ready, options, progress)
+
+    monkeypatch.setattr(acts, "result", held_up)
+    choose(page, "identity", files / "hero.glb")
+    choose(page, "driving", files / "jump.npz")
+    page.wait_for_selector(".panel.waiting", timeout=30_000)
+    at_rest(page)
+    page.evaluate("() => mimesh.stage.setTime(0)")
+    page.wait_for_function("() => mimesh.stage.views.at(-1).panel.held")
+    first = fresh.picture(".panel-result")
+    page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
+    page.wait_for_function("() => mimesh.live.asking.size === 0")
+    assert moved(first, fresh.picture(".panel-result")) > 500
+    go.set()
+    page.wait_for_selector(HERO, timeout=30_000)
+    page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.held")
+
+
+def test_keyboard_theme_and_narrow_windows(fresh, files):
+    page = fresh.page
+    page.focus("#welcome button")
+    page.keyboard.press("Enter")
+    page.wait_for_selector("#identities .row[data-state=done]", timeout=30_000)
+    at_rest(page)
+    light = fresh.picture("#side")
+    page.keyboard.press("d")
+    assert moved(light, fresh.picture("#side")) > 10_000
+    page.keyboard.press("d")
+    page.set_viewport_size({"width": 400, "height": 760})
+    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
+    page.set_viewport_size({"width": 900, "height": 560})
+
+
+def test_the_clip_of_the_test_is_one(files):
+    clip = load_clip(files / "jump.npz")
+    assert isinstance(clip, Clip)
+    assert len(clip) == 3

@@ -1,0 +1,160 @@
+"""The desk without a server: what is made is what `mimesh` makes, the newest wish wins, and stopping stops."""
+
+import dataclasses
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from mimesh import Clip, InputError, animate, load_clip, save_clip, save_mesh, transfer
+from mimesh.bodies import load_body
+from mimesh.demo import IDENTITY_SHAPE, person, played
+from mimesh.mesh import cut_clip
+from mimesh.studio import make_desk
+from mimesh.studio.jobs import Dropped, Worker
+from mimesh.studio.state import described
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A person to move and four frames of another who jumps."""
+    folder, body = tmp_path_factory.mktemp("given"), load_body()
+    save_mesh(person(body, IDENTITY_SHAPE), folder / "hero.obj")
+    save_clip(dataclasses.replace(cut_clip(played(body), 0, None, 9), fps=30.0), folder / "jump.glb")
+    return folder
+
+
+@pytest.fixture
+def desk(files):
+    desk = make_desk([files / "hero.obj", files / "jump.glb"], 2**20)
+    yield desk
+    desk.close()
+
+
+def until(met, seconds=20.0):
+    """Wait for something that the worker does."""
+    end = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.005)
+
+
+def only(desk):
+    return next(iter(desk.identities.values()))
+
+
+def done(desk):
+    until(lambda: (outcome := only(desk).outcome) is not None and (outcome.current or outcome.error))
+    return only(desk).outcome
+
+
+def test_results_are_those_of_animate(desk, files):
+    ours = animate(files / "hero.obj", files / "jump.glb")
+    result = done(desk).result
+    np.testing.assert_array_equal(result.clip.vertices, ours.clip.vertices)
+    assert result.fps == ours.fps
+    assert result.notes == ours.notes
+    pose = desk.pose(only(desk).number, 2).result(20)
+    np.testing.assert_allclose(pose, ours.clip.vertices[2], atol=1e-5)
+
+
+@pytest.mark.parametrize("given", [{"root": "drop"}, {"refine": True}, {"model": "copy"}])
+def test_options_are_those_of_animate(desk, files, given):
+    clip = load_clip(files / "jump.glb")
+    if given.get("model") == "copy":
+        desk.set_driving(files / "hero.obj", "hero.obj")
+        clip = Clip.still(load_clip(files / "hero.obj").mesh)
+    desk.set_options(given)
+    ours = animate(files / "hero.obj", clip, **given)
+    np.testing.assert_allclose(done(desk).result.clip.vertices, ours.clip.vertices, atol=1e-6)
+
+
+def test_a_pose_is_that_of_transfer(desk, files):
+    desk.set_driving(files / "hero.obj", "hero.obj")
+    ours = transfer(files / "hero.obj", files / "hero.obj")
+    np.testing.assert_array_equal(done(desk).result.clip.vertices[0], ours.vertices)
+
+
+def test_options_that_make_no_sense_are_refused(desk):
+    for given in ({"model": "/etc/passwd"}, {"root": "up"}, {"smooth": -1}, {"smooth": float("nan")}, {"ground": 1}):
+        with pytest.raises(InputError, match="expected"):
+            desk.set_options(given)
+    with pytest.raises(InputError, match="two axes"):
+        desk.set_item(only(desk).number, {"up": "y", "front": "-y"})
+
+
+def test_what_cannot_be_read_is_said_without_a_path(desk, tmp_path):
+    bad = tmp_path / "bad.glb"
+    bad.write_text("hello")
+    desk.add_identities([bad])
+    until(lambda: any(item.error for item in desk.identities.values()))
+    said = next(item.error for item in desk.identities.values() if item.error)
+    assert "expected" in said
+    assert done(desk).current, "the others go on"
+
+
+def test_the_state_is_plain(desk):
+    import json
+
+    done(desk)
+    state = json.loads(json.dumps(described(desk)))
+    assert state["driving"]["frames"] == 4
+    assert state["identities"][0]["outcome"]["state"] == "done"
+
+
+def test_removing_takes_the_result_along(desk):
+    done(desk)
+    desk.remove(only(desk).number)
+    assert not desk.identities
+    assert described(desk)["scene"].count(".") >= 1
+
+
+def test_the_newest_wish_wins_and_urgent_ones_go_between_frames():
+    worker, begun, order = Worker(), threading.Event(), []
+
+    def long(progress):
+        for t in range(500):
+            begun.set()
+            time.sleep(0.002)
+            progress(t, 500)
+        order.append("long")
+
+    clip = worker.put("clip", long)
+    begun.wait()
+    wishes = [worker.put("pose", lambda progress, k=k: order.append(k), urgent=True) for k in range(5)]
+    wishes[-1].result(5)
+    assert order[-1] == 4
+    assert not clip.done()
+    assert all(isinstance(wish.exception(), Dropped | type(None)) for wish in wishes)
+    worker.drop("clip")
+    assert isinstance(clip.exception(1), Dropped)
+    worker.close()
+    assert isinstance(worker.put("late", long).exception(1), Dropped)
+
+
+def test_stopping_keeps_the_desk_working(desk, files):
+    done(desk)
+    desk.set_options({"root": "keep"})
+    desk.stop(only(desk).number)
+    until(lambda: only(desk).outcome.stopped or only(desk).outcome.current)
+    desk.set_options({"root": "scale"})
+    assert done(desk).current
+
+
+def test_joints_need_a_model_with_joints(desk, files):
+    desk.set_options({"model": "npt", "root": "keep"})
+    outcome = done(desk)
+    assert outcome.current, "options of joints are not asked of others"
+    number = desk.export(".glb", [], True, None)
+    until(lambda: desk.exports[number].error)
+    assert "another model" in desk.exports[number].error
+
+
+def test_nothing_is_left(files):
+    desk = make_desk([files / "hero.obj"], 2**20)
+    folder = desk.workplace.folder
+    assert folder.is_dir()
+    desk.close()
+    assert not folder.exists()
+    assert dataclasses.is_dataclass(desk.options)

@@ -1,0 +1,82 @@
+"""`mimesh studio` as a program: it says its address, answers there, and ends well."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from mimesh.cli import run
+
+
+@pytest.fixture
+def program(tmp_path):
+    """A studio that runs; it is ended whatever happens."""
+    command = [sys.executable, "-m", "mimesh", "studio", "--no-open", "--json"]
+    environment = {**os.environ, "TMPDIR": str(tmp_path)}
+    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
+    yield program
+    program.kill()
+    program.communicate()
+
+
+def test_ends_within_a_second_and_leaves_nothing(program, tmp_path):
+    address = json.loads(program.stdout.readline())["address"]
+    state = f"{address.partition('?')[0]}api/state"
+    request = urllib.request.Request(state, headers={"x-mimesh-token": address.partition("token=")[2]})
+    with urllib.request.urlopen(request, timeout=20) as answer:
+        assert json.load(answer)["identities"] == []
+    assert list(tmp_path.glob("mimesh-studio-*"))
+    begin = time.monotonic()
+    program.send_signal(signal.SIGINT)
+    out, errors = program.communicate(timeout=10)
+    assert time.monotonic() - begin < 3, "a second on a quiet machine"
+    assert program.returncode == 0
+    assert (out, errors) == (b"", b"")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["missing.glb"], "expected a file or folder"),
+        (["--host", "203.0.113.1"], "expected a free port"),
+        (["-m", "nothing"], "--model: expected one of"),
+    ],
+)
+def test_what_is_wrong_is_said(arguments, words, capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    assert run(["studio", "--no-open", *arguments]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in said
+
+
+def test_the_extra_is_named(capsys, monkeypatch):
+    import importlib.util
+
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "uvicorn" else find(name))
+    assert run(["studio"]) == 2
+    assert "pip install 'mimesh[viewer]'" in capsys.readouterr().err
+
+
+def test_files_are_laid_on_the_desk(tmp_path):
+    from mimesh.studio import make_desk
+
+    triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+    folder = tmp_path / "walk"
+    folder.mkdir()
+    for path in (tmp_path / "a.obj", tmp_path / "b.obj", folder / "1.obj", folder / "2.obj"):
+        path.write_text(triangle)
+    before = {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")}
+    desk = make_desk([tmp_path / "a.obj", tmp_path / "b.obj", folder], 2**20, "copy")
+    assert [item.name for item in desk.identities.values()] == ["a.obj", "b.obj"]
+    assert desk.driving is not None
+    assert desk.driving.name == "walk"
+    desk.close()
+    assert {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")} == before
