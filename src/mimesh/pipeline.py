@@ -20,7 +20,7 @@ from .result import ClipResult, Result, no_time_yet, timed
 def transfer(
     identity: Mesh | str | Path,
     driving: Mesh | str | Path,
-    model: str = "mime",
+    model: str | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -38,6 +38,7 @@ def transfer(
     identity stood and heads where the driving does.
 
     Args:
+        model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`).
         ensemble: average over this many random pairings (index-paired networks only).
         refine: smooth the result as the identity's surface allows; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
@@ -52,13 +53,13 @@ def transfer(
     axes = (up, front, driving_up, driving_front)
     method = _choice(model, ensemble, seed, reference, markers)
     done = move(identity, Clip.still(driving), method, axes, refine, seconds)
-    return Result(identity.with_vertices(done.vertices[0]), model, seconds, done.report, done.notes)
+    return Result(identity.with_vertices(done.vertices[0]), _name(model), seconds, done.report, done.notes)
 
 
 def animate(
     identity: Mesh | str | Path,
     driving: Clip | str | Path,
-    model: str = "mime",
+    model: str | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -110,11 +111,13 @@ def animate(
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
-    return ClipResult(Clip(mesh, done.vertices, clip.fps), model, seconds, done.report, notes, done.skeleton)
+    return ClipResult(Clip(mesh, done.vertices, clip.fps), _name(model), seconds, done.report, notes, done.skeleton)
 
 
-def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
-    """The method of a name with its options, once the driving's frame is known."""
+def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
+    """The method of a name with its options, once the driving's frame is known; a method itself has its own."""
+    if isinstance(model, Method):
+        return lambda frame: model
     mesh = None if reference is None else _read_mesh(reference)
     if isinstance(markers, (str, Path)):
         from .io.markers import load_markers
@@ -128,6 +131,10 @@ def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
         return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
 
     return choose
+
+
+def _name(model: str | Method) -> str:
+    return model.name if isinstance(model, Method) else model
 
 
 def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
