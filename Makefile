@@ -8,10 +8,10 @@ TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
-CODE := src tests scripts benchmarks blender
+CODE := src tests scripts benchmarks blender examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup blender clients clean
+.PHONY: demo test check smoke bench setup blender gallery clients clean
 
 # The development install can run the demo too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -37,6 +37,10 @@ setup: $(VENV)/.dev
 blender: | $(BIN)/python
 	$(BIN)/python scripts/build_blender.py
 
+# Runs every command of docs/gallery.md and draws what comes out; some minutes.
+gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
+	$(BIN)/python scripts/build_gallery.py
+
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev
 	-test -d .clients/validator || npm install --silent --prefix .clients/validator gltf-validator@2.0.0-dev.3.10
@@ -57,4 +61,4 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	touch $@
 
 clean:
-	rm -rf $(VENV) mimesh-demo build dist
+	rm -rf $(VENV) mimesh-demo gallery build dist

@@ -1,4 +1,4 @@
-"""A method of your own beside the shipped ones: thirty lines, then the paper's test set.
+"""A method of your own beside the shipped ones: some lines, then the paper's test set.
 
 python examples/06_your_own_method.py             # 4 pairs of each kind
 python examples/06_your_own_method.py --pairs 72  # as many as the tables have

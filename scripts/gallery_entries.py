@@ -140,7 +140,7 @@ ENTRIES = (
     Entry(
         "skinned",
         "A character for a game engine",
-        "The same mesh with 25 joints, four weights a vertex and an animation of turns instead of frames: {size}.",
+        "The same mesh with 31 joints, four weights a vertex and an animation of turns instead of frames: {size}.",
         (
             _animated("runner", "dance.bvh"),
             _animated("runner", "dance.bvh", "--skinned", "runner-skinned.glb"),
