@@ -8,10 +8,10 @@ TESTS := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n auto --dist loadfile
 # Blender 4.5 as a module is for Python 3.11 alone.
 BLENDER_PYTHON ?= python3.11
 BPY := .clients/bpy/bin/python
-CODE := src tests scripts benchmarks blender docs
+CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup blender web clients docs clean
+.PHONY: demo test check smoke bench setup blender web gallery clients docs clean
 
 # The development install can run the demo too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
@@ -41,6 +41,10 @@ blender: | $(BIN)/python
 web:
 	cd web && npm ci --no-audit --no-fund && node build.mjs
 
+# Runs every command of docs/gallery.md and draws what comes out; some minutes.
+gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
+	$(BIN)/python scripts/build_gallery.py
+
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev
 	-test -d .clients/validator || npm install --silent --prefix .clients/validator gltf-validator@2.0.0-dev.3.10
@@ -66,4 +70,4 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	touch $@
 
 clean:
-	rm -rf $(VENV) mimesh-demo build dist docs/_build
+	rm -rf $(VENV) mimesh-demo gallery build dist docs/_build

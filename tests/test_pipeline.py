@@ -7,6 +7,7 @@ from people import person, walk
 from zoo import cube, tetrahedron
 
 from mimesh.mesh import Clip, InputError, Mesh
+from mimesh.methods.copy import Copy
 from mimesh.pipeline import animate, transfer
 from mimesh.report import edge_stretch, flipped_share, quality
 
@@ -232,3 +233,10 @@ def test_a_clip_cannot_begin_with_a_collapsed_frame():
 def test_a_single_triangle_is_no_crash():
     triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), name="triangle")
     assert np.isfinite(transfer(triangle, person(0)).vertices).all()
+
+
+def test_a_method_of_ones_own_does_what_its_name_does():
+    identity, driving = person(0), person(1, 2)
+    own, named = transfer(identity, driving, Copy()), transfer(identity, driving, "copy")
+    assert np.array_equal(own.vertices, named.vertices)
+    assert own.model == animate(identity, walk(), Copy()).model == "copy"

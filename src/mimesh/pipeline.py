@@ -20,7 +20,7 @@ from .result import ClipResult, Result, no_time_yet, timed
 def transfer(
     identity: Mesh | str | Path,
     driving: Mesh | str | Path,
-    model: str = "mime",
+    model: str | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -38,6 +38,7 @@ def transfer(
     identity stood and heads where the driving does.
 
     Args:
+        model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`).
         ensemble: average over this many random pairings (index-paired networks only).
         refine: smooth the result as the identity's surface allows; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
@@ -53,13 +54,13 @@ def transfer(
     method = _choice(model, ensemble, seed, reference, markers)
     done = move(identity, Clip.still(driving), method, axes, refine, seconds)
     moved = identity.with_vertices(done.vertices[0])
-    return Result(moved, model, seconds, done.report, done.notes, identity, driving)
+    return Result(moved, _name(model), seconds, done.report, done.notes, identity, driving)
 
 
 def animate(
     identity: Mesh | str | Path,
     driving: Clip | str | Path,
-    model: str = "mime",
+    model: str | Method = "mime",
     *,
     up: str | None = None,
     front: str | None = None,
@@ -112,11 +113,13 @@ def animate(
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
     moved = Clip(mesh, done.vertices, clip.fps)
-    return ClipResult(moved, model, seconds, done.report, notes, done.skeleton, identity, clip)
+    return ClipResult(moved, _name(model), seconds, done.report, notes, done.skeleton, identity, clip)
 
 
-def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
-    """The method of a name with its options, once the driving's frame is known."""
+def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
+    """The method of a name with its options, once the driving's frame is known; a method itself has its own."""
+    if isinstance(model, Method):
+        return lambda frame: model
     mesh = None if reference is None else _read_mesh(reference)
     if isinstance(markers, (str, Path)):
         from .io.markers import load_markers
@@ -130,6 +133,10 @@ def _choice(model: str, ensemble: int, seed: int, reference, markers) -> Choice:
         return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
 
     return choose
+
+
+def _name(model: str | Method) -> str:
+    return model.name if isinstance(model, Method) else model
 
 
 def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:

@@ -78,8 +78,10 @@ def trained(method: str) -> str:
     return f"{minutes}; {sum(stage['pairs'] for stage in stages):,} pairs of {count:,} vertices; {data}"
 
 
-def moved(pair: Pair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "V 3"]:
-    """The identity's vertices as a method of GIVEN, of `methods.MODELS` or in an `.onnx` file moves them, in metres.
+def moved(pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "V 3"]:
+    """The identity's vertices as a method moves them, in metres.
+
+    By name it is one of GIVEN, of `methods.MODELS` or in an `.onnx` file; else it is one of your own.
 
     Axes are given to all alike: finding them is not what is measured here. Networks that were told the true size are
     not refined.
@@ -87,6 +89,8 @@ def moved(pair: Pair, method: str, ensemble: int = 1, refine: bool = False) -> F
     Raises:
         NotApplicableError: the method cannot work on this pair, such as deformation transfer of a point cloud.
     """
+    if not isinstance(method, str):
+        return transfer(pair.identity, pair.driving, method, **AXES, refine=refine).vertices
     if method == "copy":
         return resized(needed(pair.aligned, method), pair.truth)
     if method.startswith("deformation-transfer"):
@@ -139,7 +143,7 @@ def in_true_size(
     return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])
 
 
-def measure(pair: Pair, method: str, **options: Any) -> dict[str, Any]:
+def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Figures of one pair, or {"why": ...} where the method cannot work on it."""
     started = time.perf_counter()
     try:

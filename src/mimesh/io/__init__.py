@@ -17,6 +17,7 @@ import numpy as np
 from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
 from ..paging import Progress
 from .atomic import whole_file, writing
+from .bvh_write import save_bvh as save_bvh
 from .formats import (
     ANIMATED,
     CACHES,

@@ -1,0 +1,59 @@
+"""One clip drives many: other shapes, other clothes, other proportions, other triangles.
+
+python examples/03_one_clip_many_people.py                          # a shipped clip and the shipped cast
+python examples/03_one_clip_many_people.py walk.glb a.obj b.glb ... # your own: a clip, and whom it drives
+"""
+
+import argparse
+from pathlib import Path
+
+import fast_simplification
+import numpy as np
+
+import mimesh
+from mimesh.bodies import character, load_body
+from mimesh.motions import load_motion, motion_clip
+from mimesh.view import sheet
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("driving", nargs="?", type=Path, help="a clip")
+    parser.add_argument("identities", nargs="*", type=Path, help="meshes to be moved")
+    parser.add_argument("--frames", type=int, default=None, help="stop after so many")
+    parser.add_argument("--columns", type=int, default=8, help="frames in a row of the picture")
+    parser.add_argument("-o", "--output", type=Path, default=Path("03_one_clip_many_people"), help="folder")
+    options = parser.parse_args(argv)
+    driving = options.driving and mimesh.load_clip(options.driving)
+    driving = driving or motion_clip(load_body(), None, load_motion("turn"))
+    identities = [mimesh.load_mesh(path) for path in options.identities] or crowd()
+
+    tile = (150, 200)
+    rows = [sheet.strip(driving, options.columns, tile, tint=sheet.DRIVING_TINT)]
+    for identity in identities:
+        # Nothing is asked of an identity: no rig, no correspondence, no vertex count, no rest pose.
+        result = mimesh.animate(identity, driving, stop=options.frames)
+        path = result.save(options.output / f"{identity.name}.glb")
+        print(f"wrote {path}: {len(identity.vertices)} vertices, {sum(result.seconds.values()):.1f} s")
+        rows.append(sheet.strip(result.clip, options.columns, tile))
+    picture = options.output / "picture.png"
+    sheet.stack(rows).save(picture)
+    print("wrote", picture)
+
+
+def crowd() -> list[mimesh.Mesh]:
+    """Four of the cast, and one of them again with a twentieth of the triangles."""
+    return [character("heavy"), character("child"), character("dancer"), character("imp"), decimated("heavy", 20)]
+
+
+def decimated(name: str, times: int) -> mimesh.Mesh:
+    """A member of the cast with so many times fewer triangles; what it wears is one surface with it."""
+    mesh = character(name)
+    points, faces = fast_simplification.simplify(
+        mesh.vertices, mesh.faces.astype(np.int32), target_count=len(mesh.faces) // times
+    )
+    return mimesh.Mesh(points.astype(float), faces.astype(int), name=f"{name}-decimated")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,172 @@
+"""What is in the gallery: each entry's title, sentence, commands and picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from gallery_stage import Movie, Panel, heat, on_one_floor, side_by_side, stills
+from PIL import Image
+
+Picture = Movie | Image.Image
+JUMPERS = (("slim", -1.9), ("heavy", -0.95), ("child", 0.85), ("brute", 1.85))
+CREATURES = (("brute", -2.7), ("imp", 0.7), ("stork", 2.9))
+ROOTS = ("keep", "scale", "drop")
+RIVALS = ("copy", "npt", "aniformer", "mime")
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One result, or one comparison."""
+
+    name: str
+    """Of its picture."""
+    title: str
+    sentence: str
+    commands: tuple[str, ...]
+    """Run in the gallery's folder, in order."""
+    draw: Callable[[Path], Picture]
+    """From that folder, once the commands have run."""
+
+
+def _animated(identity: str, driving: str, options: str = "", result: str = "") -> str:
+    result = result or f"{identity}-{Path(driving).stem}.glb"
+    return f"mimesh animate inputs/{identity}.glb inputs/{driving} -o {result}{options and ' ' + options}"
+
+
+def _trio(identity: str, driving: str, result: str, label: str) -> Callable[[Path], Picture]:
+    panels = [
+        Panel(f"inputs/{identity}.glb", "identity"),
+        Panel(f"inputs/{driving}", label, drives=True),
+        Panel(result, "result"),
+    ]
+    return lambda folder: side_by_side(folder, panels)
+
+
+def _posed(identity: str, driving: str, result: str, label: str) -> Callable[[Path], Picture]:
+    panels = [
+        Panel(f"inputs/{identity}.glb", "identity"),
+        Panel(f"inputs/{driving}", label, drives=True),
+        Panel(result, "result"),
+    ]
+    return lambda folder: stills(folder, panels)
+
+
+def _jump(folder: Path) -> Picture:
+    others = [Panel(f"{name}-jump.glb", "", place=(x, -0.35)) for name, x in JUMPERS]
+    return on_one_floor(folder, [Panel("inputs/jump.bvh", "", True, (0.0, 0.8)), *others], (720, 330))
+
+
+def _creatures(folder: Path) -> Picture:
+    others = [Panel(f"{name}-lunge.glb", "", place=(x, 0.0)) for name, x in CREATURES]
+    return on_one_floor(folder, [Panel("inputs/lunge.bvh", "", True, (-0.9, 0.4)), *others], (720, 340))
+
+
+def _roots(folder: Path) -> Picture:
+    lanes = [("inputs/walk.bvh", "driving"), *((f"walk-{root}.glb", root) for root in ROOTS)]
+    panels = [Panel(file, label, not k, (1.2 - 0.85 * k, 0.0)) for k, (file, label) in enumerate(lanes)]
+    return on_one_floor(folder, panels, (720, 330), view=(-78.0, 13.0))
+
+
+def _hard(folder: Path) -> Picture:
+    pairs = [(f"inputs/pose-{i}.obj", f"brute-pose-{i}.glb") for i in range(3)]
+    panels = [panel for a, b in pairs for panel in (Panel(a, "driving", True), Panel(b, "result"))]
+    return stills(folder, panels, (240, 300))
+
+
+def _rivals(folder: Path) -> Picture:
+    return heat(folder, [(f"{model}.obj", model) for model in RIVALS], "inputs/truth.obj", limit=0.08)
+
+
+ENTRIES = (
+    Entry(
+        "one-jump",
+        "One jump, four people",
+        "A captured jump (blue, in front) drives a slim person, a heavy one, a child and a stylised brute.",
+        tuple(_animated(name, "jump.bvh") for name, _ in JUMPERS),
+        _jump,
+    ),
+    Entry(
+        "dancer",
+        "In skirt and hair",
+        "Four surfaces in one file, none of them rigged; the file comes back with its materials.",
+        (_animated("dancer", "dance.bvh"),),
+        _trio("dancer", "dance.bvh", "dancer-dance.glb", "driving: a BVH file"),
+    ),
+    Entry(
+        "creatures",
+        "Proportions of other worlds",
+        "A motion made up from a seed (blue) on a brute, an imp with a large head and a stork with long limbs.",
+        tuple(_animated(name, "lunge.bvh") for name, _ in CREATURES),
+        _creatures,
+    ),
+    Entry(
+        "noise",
+        "A noisy scan drives",
+        "Every vertex of every frame is off by 2 % of half the height; the result is smooth and does not tremble.",
+        (_animated("runner", "noisy.glb", result="runner-noisy.glb"),),
+        _trio("runner", "noisy.glb", "runner-noisy.glb", "driving: 2 % noise"),
+    ),
+    Entry(
+        "points",
+        "Bare points drive",
+        "A folder of point clouds, 1,500 points each and no triangles.",
+        (_animated("child", "points", "--fps 15"),),
+        _trio("child", "points", "child-points.glb", "driving: points"),
+    ),
+    Entry(
+        "half-scan",
+        "Half a person drives",
+        "A surface as one depth camera would see it: the side that looks away is missing.",
+        ("mimesh transfer inputs/slim.glb inputs/half-scan.ply -o slim-half-scan.glb",),
+        _posed("slim", "half-scan.ply", "slim-half-scan.glb", "driving: seen from one side"),
+    ),
+    Entry(
+        "meshings",
+        "No vertex in common",
+        "The identity has about 500 vertices, the driving 6,900 others than the body's own; nobody paired them.",
+        (_animated("low-poly", "retriangulated.glb"),),
+        _trio("low-poly", "retriangulated.glb", "low-poly-retriangulated.glb", "driving: retriangulated"),
+    ),
+    Entry(
+        "roots",
+        "Three ways to walk",
+        "An adult (blue) drives a child: as far as the adult (`keep`), as far as its own legs take it (`scale`), "
+        "and in place (`drop`).",
+        tuple(_animated("child", "walk.bvh", f"--root {root}", f"walk-{root}.glb") for root in ROOTS),
+        _roots,
+    ),
+    Entry(
+        "skinned",
+        "A character for a game engine",
+        "The same mesh with 31 joints, four weights a vertex and an animation of turns instead of frames: {size}.",
+        (
+            _animated("runner", "dance.bvh"),
+            _animated("runner", "dance.bvh", "--skinned", "runner-skinned.glb"),
+        ),
+        _trio("runner", "dance.bvh", "runner-skinned.glb", "driving: a BVH file"),
+    ),
+    Entry(
+        "hard-poses",
+        "At the limits of the joints",
+        "Poses drawn at random from what human joints can do, each from its mesh alone.",
+        tuple(f"mimesh transfer inputs/brute.glb inputs/pose-{i}.obj -o brute-pose-{i}.glb" for i in range(3)),
+        _hard,
+    ),
+    Entry(
+        "rivals",
+        "Four models, one truth",
+        "Distance to the true result, from grey (none) to purple (80 mm and more), and its mean. `aniformer` is made "
+        "for clips and is given one frame here.",
+        tuple(f"mimesh transfer inputs/stander.obj inputs/poser.obj -m {model} -o {model}.obj" for model in RIVALS),
+        _rivals,
+    ),
+    Entry(
+        "failure",
+        "What fails",
+        "On the hands: `mime` does not find the arms and lays them along the trunk. Its note says not to trust this.",
+        ("mimesh transfer inputs/runner.glb inputs/handstand.obj -o runner-handstand.glb",),
+        _posed("runner", "handstand.obj", "runner-handstand.glb", "driving: a handstand"),
+    ),
+)  # fmt: skip

@@ -1,0 +1,83 @@
+"""The files that the gallery's commands read: characters, motions and scans, all made from what is shipped."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+from gallery_motions import dance, faced, handstand
+from gallery_stage import FPS
+
+from mimesh.bodies import CAST, RiggedBody, character, load_body
+from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
+from mimesh.evaluate import remesh
+from mimesh.evaluate.protocols import PROTOCOLS
+from mimesh.io import save_bvh, save_clip, save_mesh
+from mimesh.mesh import Clip, Material, Mesh, Part
+from mimesh.motions import load_motion, motion_clip, resample, spline_motion, walk_motion
+
+ACTOR = np.array((0.8, -0.6, -0.4, 0.7))
+"""Shape of the person whose meshes drive others."""
+
+
+def write_inputs(folder: Path) -> None:
+    """Write all of them; what is there already is written again."""
+    folder.mkdir(parents=True, exist_ok=True)
+    body = load_body()
+    for name in CAST:
+        save_mesh(character(name), folder / f"{name}.glb")
+    motions = {
+        "jump": resample(load_motion("jump"), FPS),
+        "dance": dance(body, fps=FPS),
+        "walk": faced(walk_motion(body, 3, 26, seconds=2.6, fps=FPS)),
+        "lunge": faced(spline_motion(body, 3, 1, seconds=2.4, fps=FPS)),
+    }
+    for name, motion in motions.items():
+        save_bvh(motion, body, folder / f"{name}.bvh")
+    jump = motion_clip(body, ACTOR, motions["jump"])
+    save_clip(noisy(jump, 0.02), folder / "noisy.glb")
+    save_clip(replayed(jump, remesh.points(body, 1500, np.random.default_rng(0))), folder / "points", suffix=".ply")
+    save_clip(replayed(jump, remesh.retriangulated()), folder / "retriangulated.glb")
+    save_mesh(low_poly("heavy", 1000), folder / "low-poly.glb")
+    write_poses(body, folder)
+
+
+def write_poses(body: RiggedBody, folder: Path) -> None:
+    """Single meshes: hard poses, one scan seen from one side, and a pair of a test set with its truth."""
+    for i in range(3):
+        pose = rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
+        save_mesh(body.mesh(body.posed(ACTOR, pose)), folder / f"pose-{i}.obj")
+    upright = rotvec_to_rotmat(sample_pose(body, 5, 1, JOINT_LIMITS))
+    points = body.posed(ACTOR, upright)
+    half = remesh.half(body, points, np.random.default_rng(1))
+    save_mesh(Mesh(half.at(points), half.faces), folder / "half-scan.ply")
+    save_mesh(body.mesh(body.posed(ACTOR, handstand(body))), folder / "handstand.obj")
+    protocol = PROTOCOLS["human-npt"]
+    pair = protocol.whole("test", "unseen", 4, protocol.rng("test", "unseen", 4))
+    for name, mesh in (("stander", pair.identity), ("poser", pair.driving)):
+        save_mesh(mesh, folder / f"{name}.obj")
+    save_mesh(pair.identity.with_vertices(pair.truth), folder / "truth.obj")
+
+
+def noisy(clip: Clip, share: float) -> Clip:
+    """Every vertex of every frame off by a normal draw, of this share of half the height."""
+    rng, size = np.random.default_rng(0), np.ptp(clip.mesh.vertices[:, 1]) / 2
+    return dataclasses.replace(clip, vertices=clip.vertices + rng.normal(0, share * size, clip.vertices.shape))
+
+
+def replayed(clip: Clip, meshing: remesh.Remesh) -> Clip:
+    """The clip of the body on other vertices."""
+    vertices = np.stack([meshing.at(frame) for frame in clip.vertices])
+    return Clip(Mesh(vertices[0], meshing.faces), vertices, clip.fps)
+
+
+def low_poly(name: str, faces: int) -> Mesh:
+    """The skin of a member of the cast with so few triangles."""
+    import fast_simplification
+
+    body, whole = load_body(), character(name)
+    vertices, triangles = whole.vertices[: len(body.vertices)], whole.faces[: len(body.faces)].astype(np.int32)
+    points, triangles = fast_simplification.simplify(vertices, triangles, target_count=faces)
+    looks = Part("skin", 0, len(triangles), Material("skin", (0.38, 0.30, 0.52, 1.0)))
+    return Mesh(points.astype(np.float64), triangles.astype(np.int64), name="low-poly", parts=(looks,))

@@ -1,0 +1,60 @@
+"""The cast: characters that stand, are coloured whole, and grow as asked."""
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import CAST, character, load_body
+from mimesh.bodies.cast import proportioned
+from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.mesh import InputError, check_mesh
+
+BODY = load_body()
+
+
+@pytest.mark.parametrize("name", CAST)
+def test_every_member_stands_on_the_floor_and_is_coloured_whole(name):
+    mesh = check_mesh(character(name), name)
+    assert mesh.vertices[:, 1].min() == 0.0
+    assert [part.start for part in mesh.parts[1:]] == [part.stop for part in mesh.parts[:-1]]
+    assert (mesh.parts[0].start, mesh.parts[-1].stop) == (0, len(mesh.faces))
+    assert all(part.material for part in mesh.parts)
+
+
+def test_arms_are_held_out_or_hang():
+    wide, narrow = (np.ptp(character("slim", arms).vertices[:, 0]) for arms in (0.0, 1.0))
+    assert wide > 1.5 * narrow
+
+
+def test_strangers_are_named():
+    with pytest.raises(InputError, match="slim"):
+        character("nobody")
+
+
+def test_factors_of_one_change_nothing():
+    same = proportioned(BODY, {"Leg": 1.0}, {"Head": 1.0})
+    assert np.abs(same.vertices - BODY.vertices + [0, BODY.vertices[:, 1].min(), 0]).max() < 1e-12
+    assert np.abs(same.components - BODY.components).max() < 1e-12
+
+
+def test_bones_grow_by_their_factors_on_both_sides_and_in_every_shape():
+    grown, shape = proportioned(BODY, {"UpLeg": 1.5}, {"Spine1": 0.7}, size=2.0), np.linspace(-1, 1, 16)
+    for joints, others in ((BODY.joints, grown.joints), (BODY.shaped(shape)[1], grown.shaped(shape)[1])):
+        for side in ("Left", "Right"):
+            hip, knee, foot = (BODY.joint(side + name) for name in ("UpLeg", "Leg", "Foot"))
+            before, after = (np.linalg.norm(places[knee] - places[hip]) for places in (joints, others))
+            assert after / before == pytest.approx(3.0, rel=0.01)  # shapes turn bones a little
+            before, after = (np.linalg.norm(places[foot] - places[knee]) for places in (joints, others))
+            assert after / before == pytest.approx(2.0)
+
+
+def test_a_grown_body_bends_as_the_body_does():
+    """Growing and then posing a body of one factor is posing and then growing it."""
+    grown = proportioned(BODY, {}, {}, size=1.7)
+    pose, shape = rotvec_to_rotmat(sample_pose(BODY, 1, 0)), np.linspace(1, -1, 16)
+    ours, theirs = grown.posed(shape, pose), BODY.posed(shape, pose)
+    assert np.abs((ours - ours.mean(axis=0)) - 1.7 * (theirs - theirs.mean(axis=0))).max() < 1e-9
+
+
+def test_unknown_bones_are_refused():
+    with pytest.raises(InputError, match="Tail"):
+        proportioned(BODY, {"Tail": 2.0}, {})

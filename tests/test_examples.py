@@ -1,0 +1,138 @@
+"""Every example runs as it is, on small things, writes what it says, and is on the page of examples."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from people import person, walk
+
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+
+ROOT = Path(__file__).parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def example(name: str):
+    """The module of an example, whose name begins with a number."""
+    path = next(path for path in EXAMPLES if path.stem.endswith(name))
+    spec = importlib.util.spec_from_file_location(f"example_{name}", path)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # dataclasses look themselves up
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def ran(tmp_path, monkeypatch, capsys):
+    """Run an example in an empty folder; gives its output folder and what it printed."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(name: str, *argv: str) -> tuple[Path, str]:
+        example(name).main(list(argv))
+        (folder,) = (path for path in tmp_path.iterdir() if path.name.endswith(name))
+        text = capsys.readouterr().out
+        assert {path.split(":")[0] for path in re.findall(r"wrote (\S+)", text)} <= {
+            str(path.relative_to(tmp_path)) for path in folder.rglob("*")
+        }
+        return folder, text
+
+    return run
+
+
+def test_first_transfer(ran):
+    folder, text = ran("first_transfer")
+    assert len(load_mesh(folder / "result.glb").vertices) == 9564
+    assert (folder / "picture.png").stat().st_size > 10_000
+    assert "note:" not in text
+
+
+def test_first_transfer_of_own_files(ran, tmp_path):
+    save_mesh(person(0), tmp_path / "a.obj")
+    save_mesh(person(1, 2), tmp_path / "b.ply")
+    folder, _ = ran("first_transfer", "a.obj", "b.ply")
+    assert (folder / "result.obj").exists()
+
+
+def test_motion_capture(ran):
+    folder, _ = ran("motion_capture", "--frames", "5")
+    skinned, morph = (load_clip(folder / f"{name}.glb", fps=15.0) for name in ("skinned", "morph"))
+    assert len(skinned) == len(morph) == 3
+    assert (folder / "skinned.glb").stat().st_size < (folder / "morph.glb").stat().st_size
+
+
+def test_one_clip_many_people(ran, tmp_path):
+    save_clip(walk(frames=2), tmp_path / "walk.glb")
+    for k in range(2):
+        save_mesh(person(k), tmp_path / f"{k}.obj")
+    folder, _ = ran("one_clip_many_people", "walk.glb", "0.obj", "1.obj", "--columns", "2")
+    assert len(list(folder.glob("*.glb"))) == 2
+    names = [mesh.name for mesh in example("one_clip_many_people").crowd()]
+    assert names == ["heavy", "child", "dancer", "imp", "heavy-decimated"]
+
+
+def test_compare_models(ran):
+    folder, text = ran("compare_models", "--models", "copy", "mime")
+    errors = {line.split()[0]: float(line.split()[1]) for line in text.splitlines() if line[:4] in ("copy", "mime")}
+    assert errors["mime"] < errors["copy"] / 10
+    assert {path.name for path in folder.iterdir()} == {"copy.png", "mime.png", "pair.png"}
+
+
+def test_scan(ran, tmp_path):
+    scans = example("scan").made_scans(np.random.default_rng(0))
+    assert [scan.name for scan in scans] == ["points", "surface", "one-side"]
+    save_mesh(scans[0], tmp_path / "points.ply")
+    save_mesh(person(0), tmp_path / "person.obj")
+    folder, text = ran("scan", "person.obj", "points.ply")
+    assert (folder / "points.glb").exists()
+    assert "note:" not in text
+
+
+def test_your_own_method(ran):
+    folder, _ = ran("your_own_method", "--pairs", "1", "--beside", "copy")
+    table = json.loads((folder / "table.json").read_text())
+    assert table["mime twice"]["unseen"] < table["copy"]["unseen"] / 10
+
+
+def test_train_your_own(ran, tmp_path):
+    pytest.importorskip("onnxscript")
+    save_mesh(person(0), tmp_path / "a.obj")
+    save_mesh(person(1, 2), tmp_path / "b.obj")
+    folder, _ = ran("train_your_own", "a.obj", "b.obj", "--minutes", "0.02")
+    assert len(load_mesh(folder / "result.glb").vertices) == len(person(0).vertices)
+
+
+def test_batch_goes_on_where_it_stopped_and_says_what_cannot_be_used(ran, tmp_path):
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "broken.obj").write_text("v 1 2\n")
+    save_mesh(person(0), tmp_path / "meshes" / "a.obj")
+    for k in range(2):
+        save_clip(walk(k, frames=2), tmp_path / "clips" / f"{k}.npz")
+    folder, _ = ran("batch", "meshes", "clips")
+    manifest, result = folder / "manifest.jsonl", folder / "a-0.glb"
+    lines, before = manifest.read_text().splitlines(), result.stat().st_mtime_ns
+    assert [json.loads(line)["identity"] for line in lines if "why" in line] == ["broken.obj"] * 2
+    manifest.write_text("\n".join(lines[:-1]) + "\n")
+    _, text = ran("batch", "meshes", "clips")
+    assert "3 of them before" in text
+    assert len(manifest.read_text().splitlines()) == 4
+    assert result.stat().st_mtime_ns == before
+
+
+def test_batch_of_the_cast(tmp_path):
+    meshes, motions = example("batch").shipped(tmp_path)
+    assert len(list(meshes.iterdir())) == 3
+    assert len(list(motions.iterdir())) == 2
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_it_is_short_and_on_the_page(path):
+    assert 30 <= len(path.read_text().splitlines()) <= 100
+    assert f"`{path.name}`" in (ROOT / "docs" / "examples.md").read_text()

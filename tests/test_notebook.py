@@ -1,0 +1,23 @@
+"""The notebook runs from top to bottom, shows what it promises, and is stored without outputs."""
+
+from pathlib import Path
+
+import pytest
+
+nbformat = pytest.importorskip("nbformat")
+nbclient = pytest.importorskip("nbclient")
+pytest.importorskip("ipykernel")
+
+NOTEBOOK = Path(__file__).parents[1] / "examples" / "mimesh.ipynb"
+
+
+@pytest.mark.filterwarnings("default")  # those of the kernel's own machinery are not ours to mend
+def test_the_notebook_runs(tmp_path):
+    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    assert not any(cell.get("outputs") or cell.get("execution_count") for cell in notebook.cells)
+    nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    shown = [output for cell in notebook.cells for output in cell.get("outputs", ())]
+    assert sum("image/png" in output.get("data", {}) for output in shown) == 6
+    assert not any(output.get("name") == "stderr" for output in shown)
+    written = {path.name for path in (tmp_path / "mimesh-notebook").iterdir()}
+    assert written > {"pose.glb", "jump.glb", "jump-skinned.glb", "jump.pc2", "jump.webp"}
