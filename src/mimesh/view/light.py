@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -15,7 +17,7 @@ KEY = np.array([1.02, 0.975, 0.92], np.float32) * np.float32(0.95)
 RIM = np.array([0.95, 0.98, 1.0], np.float32) * np.float32(0.45)
 GLOSS = np.float32(0.06)
 CODES = 1 << 13
-"""Entries of the table from the square root of linear light to 8-bit sRGB: exact to a fiftieth of a step."""
+"""Steps of the table from the square root of linear light to 8-bit sRGB: exact to a fiftieth of a step."""
 
 
 def shade(
@@ -83,5 +85,11 @@ def to_srgb(linear: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
 
 def to_pixels(root: Float[np.ndarray, "*N C"]) -> UInt8[np.ndarray, "*N C"]:
     """Square roots of linear light, in 0..1, to 8-bit sRGB, rounded."""
-    table = (to_srgb(np.square(np.linspace(0.0, 1.0, CODES))[:, None])[:, 0] * 255 + 0.5).astype(np.uint8)
-    return table[(np.clip(root, 0.0, 1.0) * (CODES - 1) + 0.5).astype(np.uint16)]
+    return _table()[(root * np.float32(CODES) + np.float32(0.5)).astype(np.uint16)]
+
+
+@functools.cache
+def _table() -> UInt8[np.ndarray, " N"]:
+    """8-bit sRGB of evenly spaced square roots of linear light; a little longer, for what is rounded above 1."""
+    linear = np.square(np.arange(CODES + 8) / CODES)[:, None]
+    return (to_srgb(linear)[:, 0] * 255 + 0.5).astype(np.uint8)

@@ -113,9 +113,9 @@ def _merged(seen, shifts):
     What is shaded once is a triangle's share of a pixel, not each sample: a smooth surface costs little more with many.
     """
     rows, width = seen.shape[1:]
-    covered = np.flatnonzero((seen >= 0).any(axis=1))
+    covered = np.flatnonzero(seen.max(axis=1) >= 0)
     row, column = np.divmod(covered, width)
-    packed = np.sort(seen[row, :, column] * rows + np.arange(rows), axis=1)
+    packed = np.sort(seen[row, :, column].astype(np.int64) * rows + np.arange(rows), axis=1)
     face, sub = np.divmod(packed, rows)  # an empty sample has face -1
     first = np.ones(face.shape, bool)
     first[:, 1:] = face[:, 1:] != face[:, :-1]
@@ -169,7 +169,7 @@ def _resolve(color, hits, count, size, supersample):
 
 def _over_paper(total, covered, dark, background):
     paper = np.sqrt(to_linear(np.asarray(background, np.float64))).astype(np.float32)
-    return light.to_pixels(total + np.sqrt(1 - dark)[..., None] * paper * (1 - covered))
+    return light.to_pixels(total + (np.sqrt(1 - dark)[..., None] * (1 - covered)) * paper)
 
 
 def _transparent(total, covered, dark):

@@ -23,8 +23,9 @@ MAP = 88
 """Side of a depth map in texels; enough for soft light, small enough for a hundred frames."""
 LIFT = 1.7
 """Texels by which a point is lifted off its surface before asking what light it sees, so as not to shade itself."""
-AMBIENT, KEYS = 28, 8
-"""How many directions stand for the light from all around, and for the key light."""
+AMBIENT, KEYS = 14, 8
+"""How many lines stand for the light from all around, which comes along them both ways, and how many for the key."""
+TEXELS = MAP * MAP
 GOLDEN = np.pi * (3 - np.sqrt(5))
 DENSITY = 2.5
 """Points of the surface for every texel of area."""
@@ -39,11 +40,12 @@ class Shadows:
     """Depth maps of one frame: what the sky, the floor's bounce and the key light can see of it."""
 
     directions: Float[np.ndarray, "D 3"]
-    """Unit vectors towards the lights: AMBIENT of them all around, then KEYS at the key light."""
+    """Unit vectors towards the lights: AMBIENT of them above the floor, then KEYS at the key light."""
     to_map: Float[np.ndarray, "D 3 3"]
     """From the subject's middle, in texels, to column, row and distance from the middle of a map."""
-    maps: Float[np.ndarray, "D texels"]
-    """Distance of the nearest surface in texels, infinite where there is none and all along the map's edge."""
+    maps: Float[np.ndarray, "D both_texels"]
+    """Distance of the nearest surface in texels, infinite where there is none and all along the map's edge; then the
+    same from the opposite side, where the distance counts the other way (of AMBIENT directions alone)."""
     centre: Float[np.ndarray, " 3"]
     """Middle of the subject in the world."""
     texel: float
@@ -59,10 +61,13 @@ def cast(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], came
     centre, texel = (low + high) / 2, float(np.linalg.norm(high - low)) / (MAP - 4) + 1e-12
     to_map = np.stack([_view_from(direction) for direction in directions]).astype(np.float32)
     points = surface_points((vertices - centre) / texel, faces, TILT @ camera.rotmat_camera_world).astype(np.float32)
-    maps = np.full((len(directions), MAP * MAP), np.inf, np.float32)
-    for view, depth in zip(to_map, maps, strict=True):
-        cell, distance = _in_map(view, points.T)
-        np.minimum.at(depth, cell, distance)
+    maps = np.full((len(directions), 2 * TEXELS), np.inf, np.float32)
+    columns = np.ascontiguousarray(points.T)
+    for k, (view, depth) in enumerate(zip(to_map, maps, strict=True)):
+        cell, distance = _in_map(view, columns)
+        np.minimum.at(depth[:TEXELS], cell, distance)
+        if k < AMBIENT:
+            np.minimum.at(depth[TEXELS:], cell, -distance)
     return Shadows(directions, to_map, maps, centre, texel, points)
 
 
@@ -95,20 +100,27 @@ def visible_light(
     shadows: Shadows, points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"]
 ) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
     """Share of the ambient light (weighted by the cosine) and of the key light that reaches each point, in 0..1."""
-    lifted = ((points - shadows.centre) / shadows.texel + normals * LIFT).T.astype(np.float32)
-    x, y, z = normals.T.astype(np.float32)
+    lifted = np.ascontiguousarray(((points - shadows.centre) / shadows.texel + normals * LIFT).T, np.float32)
+    x, y, z = np.ascontiguousarray(normals.T, np.float32)
     sky, key, whole = (np.zeros(len(points), np.float32) for _ in range(3))
     for k, (view, depth) in enumerate(zip(shadows.to_map, shadows.maps, strict=True)):
         cell, distance = _in_map(view, lifted)
-        lit = np.minimum(np.maximum(depth[cell] - distance + np.float32(1.0), 0.0), 1.0)
-        if k < AMBIENT:
-            u, v, w = shadows.directions[k].astype(np.float32)
-            cosine = np.maximum(u * x + v * y + w * z, 0.0)
-            sky += lit * cosine
-            whole += cosine
-        else:
-            key += lit
+        if k >= AMBIENT:
+            key += _share_lit(depth[cell] - distance)
+            continue
+        u, v, w = shadows.directions[k].astype(np.float32)
+        cosine = u * x + v * y + w * z
+        behind = cosine < 0
+        np.negative(distance, out=distance, where=behind)
+        cosine = np.abs(cosine)
+        sky += _share_lit(depth[cell + behind * np.int32(TEXELS)] - distance) * cosine
+        whole += cosine
     return sky / np.maximum(whole, 1e-9), key / KEYS
+
+
+def _share_lit(free):
+    """1 where the nearest surface is no nearer to the light than the point, 0 where it is by a texel or more."""
+    return np.minimum(np.maximum(free + np.float32(1.0), 0.0), 1.0)
 
 
 def floor_shadow(shadows: Shadows, camera: Camera, size: tuple[int, int], block: int = 1) -> Float[np.ndarray, "h w"]:
@@ -142,7 +154,9 @@ def _in_map(view, points):
     x, y, z = points
     column, row, distance = (a * x + b * y + c * z for a, b, c in view)
     column, row = (np.minimum(np.maximum(v + np.float32(MAP / 2), 0), MAP - 1).astype(np.int32) for v in (column, row))
-    return row * MAP + column, distance
+    row *= MAP
+    row += column
+    return row, distance
 
 
 def _vignette(width, height):
@@ -207,10 +221,10 @@ def _foot(camera: Camera) -> Float[np.ndarray, 3]:
 
 
 def _directions(camera: Camera) -> Float[np.ndarray, "D 3"]:
-    """AMBIENT directions evenly all around, turned with the camera, and a small disc of KEYS around the key light."""
+    """AMBIENT directions evenly above the floor, turned with the camera, and a small disc of KEYS at the key light."""
     right, front = floor_axes(camera)
     k = np.arange(AMBIENT) + 0.5
-    y, angle = 1 - 2 * k / AMBIENT, k * GOLDEN
+    y, angle = 1 - k / AMBIENT, k * GOLDEN
     ring = np.sqrt(1 - y * y)
     ambient = np.stack([ring * np.cos(angle), y, ring * np.sin(angle)], axis=1) @ np.stack([right, camera.up, front])
     key = key_direction(camera)

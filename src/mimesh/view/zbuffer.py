@@ -11,11 +11,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Int32
 
 BLOCK = 1 << 17
 """Samples tested at a time: large enough to hide NumPy's overhead, small enough to stay in the cache."""
 FAR = np.iinfo(np.int64).max
+DEPTHS = 1 << 30
+"""Steps of depth between the nearest and the farthest corner; they stand above the 32 bits of a face's number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ def visible_faces(
     width: int,
     rows: int,
     shifts: Float[np.ndarray, " S"] | None = None,
-) -> Int[np.ndarray, "rows width"]:
+) -> Int32[np.ndarray, "rows width"]:
     """The nearest triangle at each sample, -1 where there is none; of equally near ones, the first in `faces`.
 
     Args:
@@ -47,11 +49,10 @@ def visible_faces(
         shifts: row r has its samples at columns c + shifts[r % S] and height r + 0.5; one half by default.
     """
     spans = _spans(points, faces, width, rows, np.array([0.5]) if shifts is None else shifts)
-    bits = max(len(faces).bit_length(), 1)
     nearest = np.full(rows * width, FAR)
-    for sample, depth, face in _samples(spans, 62 - bits):
-        np.minimum.at(nearest, sample, depth << bits | face)
-    return np.where(nearest == FAR, -1, nearest & ((1 << bits) - 1)).reshape(rows, width)
+    for sample, key in _samples(spans):
+        np.minimum.at(nearest, sample, key)
+    return nearest.astype(np.int32).reshape(rows, width)  # the lower half: the face, and -1 of FAR
 
 
 def weights_at(
@@ -141,17 +142,18 @@ def _expand(start, stop):
     return index, np.arange(len(index)) + np.repeat(start - np.cumsum(count) + count, count)
 
 
-def _samples(spans, bits):
-    """Yield blocks of (sample, depth in so many bits, face) that cover all spans, about BLOCK samples at a time."""
+def _samples(spans):
+    """Yield blocks of (sample, depth and face) that cover all spans, about BLOCK samples at a time."""
     stops = np.concatenate([[0], np.cumsum(spans.count)])
+    step = np.rint(spans.slope * DEPTHS).astype(np.int64) << 32
+    key = (np.rint(spans.depth * DEPTHS).astype(np.int64) << 32) + spans.face
     begin = 0
     while begin < len(stops) - 1:
         end = max(int(np.searchsorted(stops, stops[begin] + BLOCK, side="right")) - 1, begin + 1)
-        block, scale = slice(begin, end), float(1 << bits)
+        block = slice(begin, end)
         count, before = spans.count[block], stops[block] - stops[begin]
         k = np.arange(stops[end] - stops[begin])
-        sample = np.repeat(spans.first[block] - before, count) + k
-        slope = spans.slope[block]
-        depth = np.repeat(spans.depth[block] - slope * before, count) + np.repeat(slope, count) * k
-        yield sample, (np.clip(depth, 0.0, 1.0) * scale).astype(np.int64), np.repeat(spans.face[block], count)
+        keys = np.repeat(step[block], count) * k
+        keys += np.repeat(key[block] - step[block] * before, count)  # may wrap around on the way, and comes back
+        yield np.repeat(spans.first[block] - before, count) + k, keys
         begin = end
