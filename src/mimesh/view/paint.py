@@ -51,11 +51,12 @@ def plain(colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None, fac
 
 
 def materials(mesh: Mesh) -> Paint | None:
-    """The base colours and textures of the mesh's parts, or None where it has neither."""
-    if not any(part.material for part in mesh.parts):
+    """The base colours and textures of the mesh's parts times its vertex colours, or None where it has none of them."""
+    tones = mesh.vertex_colors
+    if tones is None and not any(part.material for part in mesh.parts):
         return None
-    clay = to_linear(np.asarray(CLAY))
-    base = np.tile(clay / WHITE, (len(mesh.faces), 1))
+    bare = to_linear(np.asarray(CLAY)) / WHITE if tones is None else np.ones(3)
+    base = np.tile(bare, (len(mesh.faces), 1))
     for part in mesh.parts:
         if part.material:
             base[part.start : part.stop] = part.material.base_color[:3]
@@ -64,6 +65,8 @@ def materials(mesh: Mesh) -> Paint | None:
     def paint(hits: Hits) -> np.ndarray:
         face = hits.corner[:, 0] // 3
         color = base[face]
+        if tones is not None:
+            color *= mixed(tones[mesh.faces.ravel()[hits.corner], :3], hits.weight)
         for images, textured, uv in layers:
             inside = np.flatnonzero(textured[face])
             corners = uv[hits.corner[inside]]

@@ -69,19 +69,29 @@ def render_mesh(
     *,
     view: str | tuple[float, float] = "three-quarter",
     clay: bool = False,
+    tint: tuple[float, float, float] | None = None,
     supersample: int = 2,
     shadows: bool = True,
     background: tuple[float, float, float] | None = light.BACKGROUND,
 ) -> UInt8[np.ndarray, "h w C"]:
-    """A picture of a mesh with its own materials, textures and hard edges; `clay` leaves the colours out."""
+    """A picture of a mesh with its own materials, textures, vertex colours and hard edges.
+
+    `clay` leaves the colours out; so does `tint`, an sRGB colour in 0..1 instead of them.
+    """
+    own = not clay and tint is None
+    if own and mesh.vertex_colors is not None and len(mesh.faces) == 0:
+        colors = light.to_srgb(mesh.vertex_colors[:, :3] * paint.WHITE)
+    else:
+        colors = None if tint is None else np.asarray(tint, np.float64)
     return render(
         mesh.vertices,
         mesh.faces,
         camera or fit(mesh.vertices, size, view),
         size,
+        colors,
         supersample=supersample,
         corner_normals=mesh.corner_normals,
-        surface=None if clay else paint.materials(mesh),
+        surface=paint.materials(mesh) if own and len(mesh.faces) else None,
         shadows=shadows,
         background=background,
     )
