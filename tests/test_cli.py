@@ -159,8 +159,8 @@ def test_look_tells_the_same_to_people_and_programs(files, capsys):
 @pytest.mark.parametrize(
     ("flags", "output", "kind"),
     [
-        ([], "x.png", "contact sheet"),
-        ([], "x.jpg", "contact sheet"),
+        ([], "x.png", "strip"),
+        (["--sheet"], "x.jpg", "contact sheet"),
         (["--strip"], "x.png", "strip"),
         (["--turntable"], "x.png", "turntable"),
         (["--truth", "pose.ply"], "x.png", "heat map"),

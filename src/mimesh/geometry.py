@@ -115,8 +115,13 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], 
 
     Exact on purpose: a tolerance would join surfaces that only touch. `merged[index]` gives the vertices back.
     """
-    merged, index = np.unique(vertices, axis=0, return_inverse=True)
-    return merged, index.reshape(-1)
+    order = np.lexsort(vertices.T[::-1])
+    ordered = vertices[order]
+    new = np.ones(len(vertices), bool)
+    new[1:] = (ordered[1:] != ordered[:-1]).any(axis=1)
+    index = np.empty(len(vertices), np.int64)
+    index[order] = np.cumsum(new) - 1
+    return ordered[new], index
 
 
 def turn_normals(

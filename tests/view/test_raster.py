@@ -27,7 +27,7 @@ def assert_same_picture(a, b):
 
 
 def foreground(picture):
-    return (picture != light.to_pixels(light.to_linear(np.array([[light.BACKGROUND]])))).any(axis=2)
+    return (picture != light.to_pixels(np.sqrt(light.to_linear(np.array([[light.BACKGROUND]]))))).any(axis=2)
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)

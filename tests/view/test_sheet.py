@@ -7,7 +7,7 @@ import pytest
 import zoo
 
 from mimesh.mesh import Clip, InputError
-from mimesh.view import sheet
+from mimesh.view import heat, sheet
 
 TILE = (60, 72)
 
@@ -33,7 +33,9 @@ def test_contact_sheet_has_a_captioned_tile_for_every_mesh():
 
 
 def test_a_short_last_row_is_centred():
-    tiles = [sheet.captioned(np.full((10, 20, 3), 9, np.uint8), "") for _ in range(3)]
+    picture = np.full((10, 20, 3), 9, np.uint8)
+    picture[0] = 240  # paper
+    tiles = [sheet.captioned(picture, "") for _ in range(3)]
     page = np.asarray(sheet.page(tiles, 2))
     height = tiles[0].height
     assert (page[height + 5, 10:30] == 9).all()
@@ -46,7 +48,7 @@ def test_an_empty_contact_sheet_is_refused():
 
 
 def test_captions_are_drawn_and_shortened_to_the_tile():
-    blank = np.zeros((TILE[1], TILE[0], 3), np.uint8)
+    blank = np.full((TILE[1], TILE[0], 3), 240, np.uint8)
     assert (band(sheet.captioned(blank, "")) > 200).all()
     assert (band(sheet.captioned(blank, "cube")) < 120).any()
     long = band(sheet.captioned(blank, "a name far too long for its tile"))
@@ -96,16 +98,16 @@ def test_turntable_has_its_views_in_two_rows_and_stack_centres_rows():
 
 
 def test_heat_colours_get_darker_all_the_way_and_clip_at_both_ends():
-    colors = sheet.heat_colors(np.linspace(0, 1, 40))
+    colors = heat.heat_colors(np.linspace(0, 1, 40))
     lightness = colors @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) < 0.01).all()
-    np.testing.assert_array_equal(sheet.heat_colors(np.array([-1.0, 2.0])), sheet.heat_colors(np.array([0.0, 1.0])))
+    np.testing.assert_array_equal(heat.heat_colors(np.array([-1.0, 2.0])), heat.heat_colors(np.array([0.0, 1.0])))
 
 
 def test_heat_map_is_deepest_where_the_error_is():
     cube = zoo.cube()
     bent = cube.vertices + np.where(cube.vertices[:, 1:2] > 0.5, [0.0, 0.02, 0.0], 0.0)
-    pixels = np.asarray(sheet.heat_map(cube.with_vertices(bent), cube, tile=TILE)).astype(int)
+    pixels = np.asarray(heat.heat_map(cube.with_vertices(bent), cube, tile=TILE)).astype(int)
     picture = pixels[: TILE[1], : TILE[0]]
     warmth = picture[..., 0] - picture[..., 1]
     assert warmth[: TILE[1] // 2].max() > 60
@@ -114,6 +116,6 @@ def test_heat_map_is_deepest_where_the_error_is():
 
 def test_heat_map_of_no_error_is_drawn_and_another_topology_refused():
     cube = zoo.cube()
-    assert sheet.heat_map(cube, cube.vertices, tile=TILE).width > TILE[0]
+    assert heat.heat_map(cube, cube.vertices, tile=TILE).width > TILE[0]
     with pytest.raises(InputError, match="cube: expected the truth to have 8 vertices, found 4"):
-        sheet.heat_map(cube, dataclasses.replace(zoo.tetrahedron()))
+        heat.heat_map(cube, dataclasses.replace(zoo.tetrahedron()))

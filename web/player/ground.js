@@ -30,9 +30,10 @@ const blurFragment = `varying vec2 at; uniform sampler2D map; uniform vec2 along
   void main() { float sum = 0.0, weight = 0.0;
     for (int k = -5; k <= 5; k++) { float w = exp(-0.11 * float(k * k)); sum += w * texture2D(map, at + along * float(k)).r; weight += w; }
     gl_FragColor = vec4(sum / weight); }`;
+// Seen from below, left and right change places: hence 1 - x.
 const floorFragment = `varying vec2 at; uniform sampler2D map; uniform vec3 color; uniform float strength;
   void main() { float edge = smoothstep(0.5, 0.36, distance(at, vec2(0.5)));
-    gl_FragColor = vec4(color, strength * edge * texture2D(map, at).r); }`;
+    gl_FragColor = vec4(color, strength * edge * texture2D(map, vec2(1.0 - at.x, at.y)).r); }`;
 
 /** Draws how near a subject is to the floor from below, blurs that, and lays it on the floor. One a panel. */
 export class ContactShadow {

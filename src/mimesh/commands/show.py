@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import Json, Quiet, print_json, print_next, progress, refuse_inputs
+from .terminal import Animation, Json, Quiet, print_json, print_next, progress, refuse_inputs
 
 if TYPE_CHECKING:
     from ..mesh import Clip
@@ -44,15 +44,25 @@ def look(files: Files, json: Json = False) -> None:
 def render(
     files: Files,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="A picture (.png .jpg), movie (.webp .gif) or page (.html).")
+        Path, typer.Option("--output", "-o", help="A picture (.png .jpg), a movie (.webp .gif .mp4) or a page (.html).")
     ],
+    sheet: Annotated[bool, typer.Option("--sheet", help="Each file once, in rows.")] = False,
     strip: Annotated[bool, typer.Option("--strip", help="Frames of each clip side by side.")] = False,
     turntable: Annotated[bool, typer.Option("--turntable", help="One mesh from all sides.")] = False,
-    truth: Annotated[
-        Path | None, typer.Option(help="Heat map of the distance to this mesh; a page takes a clip too.")
+    truth: Annotated[Path | None, typer.Option(help="Heat map of the distance to this mesh or clip.")] = None,
+    stretch: Annotated[
+        Path | None, typer.Option(metavar="REFERENCE", help="Heat map of how edges differ in length from this mesh's.")
     ] = None,
+    animation: Animation = None,
+    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
+    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
+    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
+    track: Annotated[bool, typer.Option("--track", help="In movies, the camera goes along.")] = False,
     view: Annotated[str, typer.Option(help="three-quarter, front, side, left, right, back or top.")] = "three-quarter",
     size: Annotated[int, typer.Option(help="Height of one picture in pixels.", min=32, max=4096)] = 480,
+    width: Annotated[int | None, typer.Option(help="Width of one picture in pixels.", min=32, max=4096)] = None,
+    background: Annotated[str, typer.Option(help="paper, white, dark, none (.png) or #rrggbb.")] = "paper",
+    labels: Annotated[bool, typer.Option("--labels/--no-labels", help="Captions below pictures.")] = True,
     clay: Annotated[bool, typer.Option("--clay", help="Leave materials and textures out.")] = False,
     up: Annotated[str, typer.Option(help="Axis away from the floor: x, y, z, -x, -y, -z.")] = "y",
     front: Annotated[str | None, typer.Option(help="Axis that faces the front.")] = None,
@@ -60,130 +70,35 @@ def render(
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Draw meshes: sheet, strip, turntable, heat map or movie."""
-    from ..io import load_clip
+    """Draw meshes and clips: sheet, strip, turntable, heat map, movie or a page to play with.
 
-    page = output.suffix.lower() == ".html"
-    mode = "page" if page else _mode(output, strip, turntable, truth)
-    refuse_inputs(output, *files, *([truth] if truth else []))
-    clips = [load_clip(path, fps=fps) for path in files]
+    By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
+    """
+    from ..drawing import Wanted, draw
+
+    wanted = Wanted(
+        sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background
+    )
+    wanted.check(output)
+    refuse_inputs(output, *files, *(path for path in (truth, stretch) if path))
+    clips = _cut(files, fps, animation, start, stop, step)
     names = [path.name for path in files]
-    look_from = {"view": view, "up": up, "front": front}
-    if page:
-        _write_page(names, clips, truth, output, up, front)
-    elif mode in ("movie", "turning movie"):
-        with progress("frames", quiet or json) as advance:
-            _draw_movie(mode, names, clips, output, size, {**look_from, "clay": clay}, advance)
-    else:
-        from ..preview import save_picture
-
-        save_picture(_draw_picture(mode, names, clips, truth, size, look_from, clay), output)
+    with progress("frames", quiet or json) as advance:
+        kind = draw(wanted, names, clips, output, advance)
     if json:
-        print_json({"output": str(output), "kind": mode, "files": [str(path) for path in files]})
+        print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
     elif not quiet:
-        print(f"{output}: {mode} of {', '.join(names)}")
+        print(f"{output}: {kind} of {', '.join(names)}")
         print_next("look", *files)
 
 
-def _mode(output: Path, strip: bool, turntable: bool, truth: Path | None) -> str:
-    """What to draw, from the suffix and the flags.
-
-    Raises:
-        InputError: a suffix that is not drawn, or flags that exclude each other.
-    """
-    from ..mesh import InputError
-
-    wanted = [name for name, on in (("strip", strip), ("turntable", turntable), ("heat map", truth is not None)) if on]
-    suffix = output.suffix.lower()
-    if suffix not in (".png", ".jpg", ".jpeg", ".webp", ".gif"):
-        raise InputError(f"{output}: expected .png, .jpg, .webp, .gif or .html, found '{suffix}'; name another with -o")
-    if len(wanted) > 1:
-        raise InputError(
-            f"render: expected one of --strip, --turntable, --truth, found {' and '.join(wanted)}; choose one"
-        )
-    if suffix in (".webp", ".gif"):
-        if wanted in (["strip"], ["heat map"]):
-            raise InputError(
-                f"{output}: expected a picture (.png or .jpg) for a {wanted[0]}, found '{suffix}'; rename it"
-            )
-        return "turning movie" if turntable else "movie"
-    return wanted[0] if wanted else "contact sheet"
-
-
-def _draw_movie(
-    mode: str, names: list[str], clips: list[Clip], output: Path, size: int, options: dict, advance
-) -> None:
-    from ..view.movie import clip_frames, save_movie, turntable_frames
-
-    tile = (size, size)
-    if mode == "turning movie":
-        count, rate = 60, 20.0
-        frames = turntable_frames(_only(names, clips).mesh, count, tile, **options)
-    else:
-        rate = clips[0].fps
-        count = max(round(clip.seconds * rate) for clip in clips)
-        labels = names if len(clips) > 1 else [""]
-        frames = clip_frames(list(zip(labels, clips, strict=True)), tile, **options)
-    save_movie(_counted(frames, count, advance), output, rate)
-
-
-def _write_page(
-    names: list[str], clips: list[Clip], truth: Path | None, output: Path, up: str, front: str | None
-) -> None:
-    """A page that plays the files side by side; with a truth, the last of them is measured against it."""
+def _cut(
+    files: list[Path], fps: float | None, animation: str | None, start: int, stop: int | None, step: int
+) -> list[Clip]:
+    """The clips, each cut alike; a file of one mesh stays whole beside one that moves."""
     from ..io import load_clip
-    from ..view.player import write_player
-    from ..view.scene import Shown
+    from ..mesh import cut_clip
 
-    shown = [Shown("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
-    if truth is not None:
-        last, right = clips[-1], load_clip(truth, fps=clips[-1].fps)
-        _alike(last, right, truth)
-        shown[-1] = Shown("result", last, names[-1], up, front)
-        shown.append(Shown("truth", right, truth.name, up, front))
-    write_player(output, shown, title=output.stem)
-
-
-def _alike(clip: Clip, truth: Clip, path: Path) -> None:
-    """Raise InputError where a truth has other vertices than the clip that it is the truth of."""
-    from ..mesh import InputError
-
-    wanted, found = len(clip.mesh.vertices), len(truth.mesh.vertices)
-    if wanted != found:
-        raise InputError(
-            f"{path}: expected the truth to have {wanted} vertices, found {found}; give one of the same mesh"
-        )
-
-
-def _draw_picture(
-    mode: str, names: list[str], clips: list[Clip], truth: Path | None, size: int, look_from: dict, clay: bool
-):
-    from ..view import sheet
-
-    if mode == "strip":
-        return sheet.stack([sheet.strip(clip, 8, (size * 3 // 4, size), **look_from) for clip in clips])
-    if mode == "turntable":
-        return sheet.turntable(_only(names, clips).mesh, 8, (size, size), clay=clay, **look_from)
-    if mode == "heat map":
-        from ..io import load_mesh
-
-        assert truth is not None
-        tile = (size, size * 6 // 5)
-        return sheet.heat_map(_only(names, clips).mesh, load_mesh(truth), tile=tile, view=look_from["view"])
-    items = [(name, clip.mesh) for name, clip in zip(names, clips, strict=True)]
-    return sheet.contact_sheet(items, tile=(size * 5 // 6, size), clay=clay, **look_from)
-
-
-def _only(names: list[str], clips: list[Clip]) -> Clip:
-    from ..mesh import InputError
-
-    if len(clips) != 1:
-        raise InputError(f"render: expected one file for this picture, found {len(names)}; draw them one by one")
-    return clips[0]
-
-
-def _counted(frames, count: int, advance):
-    for done, frame in enumerate(frames, 1):
-        yield frame
-        if advance is not None:
-            advance(done, count)
+    clips = [load_clip(path, fps, animation) for path in files]
+    alone = all(len(clip) == 1 for clip in clips)
+    return [cut_clip(clip, start, stop, step) if len(clip) > 1 or alone else clip for clip in clips]

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..mesh import InputError
+from ..paging import each_frame
 
 VIEWS = {
     "three-quarter": (-32.0, 12.0),
@@ -27,6 +28,8 @@ Negative azimuths stand at the subject's right, so that it faces the right edge 
 
 FIELD_OF_VIEW = 26.0
 """Degrees from top to bottom: a portrait lens, which keeps proportions honest and still shows depth."""
+MARGIN = 0.08
+"""Share of the picture that stays free at each edge."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +71,7 @@ def fit(
     view: str | tuple[float, float] = "three-quarter",
     *,
     perspective: bool = True,
-    margin: float = 0.08,
+    margin: float = MARGIN,
     up: str = "y",
     front: str | None = None,
 ) -> Camera:
@@ -91,12 +94,10 @@ def fit(
     flat = np.asarray(points, np.float64).reshape(-1, 3)
     low, high = flat.min(axis=0), flat.max(axis=0)
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
-    slope = float(np.tan(np.radians(FIELD_OF_VIEW / 2)))
     # Measured from the centre, so that a mesh far from the origin gets the same picture to the last bits.
     local = (flat - centre) @ rotmat.T
-    frame = np.array([size[0] / size[1], 1.0]) * (1 - 2 * margin)
     place = _fit_perspective if perspective else _fit_parallel
-    offset, half_height = place(local, frame, slope, radius)
+    offset, half_height = place(local, _frame(size, margin), _slope(), radius)
     return Camera(
         rotmat_camera_world=rotmat,
         eye=centre + offset @ rotmat,
@@ -126,6 +127,36 @@ def orbit(
     return [turned(wide, 360.0 * k / count) for k in range(count)]
 
 
+def extremes(
+    frames: Float[np.ndarray, "T V 3"],
+    size: tuple[int, int] = (512, 512),
+    view: str | tuple[float, float] = "three-quarter",
+    travel: Float[np.ndarray, "T 3"] | None = None,
+    *,
+    up: str = "y",
+    front: str | None = None,
+) -> Float[np.ndarray, "P 3"]:
+    """The few points of a clip that decide how `fit` sees all of them with a lens; frames are read one by one.
+
+    Args:
+        travel: what is taken away from each frame's points first.
+    """
+    world = axes(up, front)
+    rotmat = _turn(*_angles(view)) @ world
+    reach = _slope() * _frame(size, MARGIN)
+    cones = [[1, 0, reach[0]], [-1, 0, reach[0]], [0, 1, reach[1]], [0, -1, reach[1]], [0, 0, 1]]
+    directions = np.concatenate([np.array(cones) @ rotmat, -world[1:2], np.eye(3), -np.eye(3)])
+    best, found = np.full(len(directions), -np.inf), np.zeros((len(directions), 3))
+    for t, points in enumerate(each_frame(frames)):
+        moved_points = points if travel is None else points - travel[t]
+        value = directions @ moved_points.T
+        farthest = value.argmax(axis=1)
+        value = value[np.arange(len(value)), farthest]
+        better = value > best
+        best[better], found[better] = value[better], moved_points[farthest[better]]
+    return found
+
+
 def follow(
     points: Float[np.ndarray, "T V 3"],
     size: tuple[int, int] = (512, 512),
@@ -136,10 +167,10 @@ def follow(
 ) -> list[Camera]:
     """One camera per frame at one distance and height, moved along the floor with the subject's middle."""
     vertical = axes(up, front)[1]
-    middle = points.mean(axis=1)
+    middle = np.stack([frame.mean(axis=0) for frame in each_frame(points)])
     travel = middle - middle[0]
     travel -= (travel @ vertical)[:, None] * vertical
-    camera = fit(points - travel[:, None], size, view, up=up, front=front)
+    camera = fit(extremes(points, size, view, travel, up=up, front=front), size, view, up=up, front=front)
     return [moved(camera, step) for step in travel]
 
 
@@ -165,6 +196,15 @@ def _about(axis, degrees) -> Float[np.ndarray, "3 3"]:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.radians(degrees)
     return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _slope() -> float:
+    return float(np.tan(np.radians(FIELD_OF_VIEW / 2)))
+
+
+def _frame(size: tuple[int, int], margin: float) -> Float[np.ndarray, " 2"]:
+    """Half the width and height that are to be filled, over half the picture's height."""
+    return np.array([size[0] / size[1], 1.0]) * (1 - 2 * margin)
 
 
 def _fit_perspective(local, frame, slope, radius):

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..geometry import normal_turner
 from ..io.atomic import whole_file, writing
 from ..mesh import Clip, InputError, Mesh
-from .camera import Camera, fit, follow, orbit
-from .raster import render, render_mesh
-from .sheet import captioned, page
+from ..paging import PAGED, let_go
+from .camera import Camera, extremes, fit, follow, orbit
+from .light import BACKGROUND
+from .raster import render_mesh
+from .sheet import Color, captioned, page
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -61,6 +65,8 @@ def clip_frames(
     clay: bool = False,
     up: str = "y",
     front: str | None = None,
+    labels: bool = True,
+    background: Color = BACKGROUND,
 ) -> Iterator[Image.Image]:
     """Yield the pictures of a clip, or of several side by side with captions, one by one.
 
@@ -73,13 +79,25 @@ def clip_frames(
         track: the camera goes along the floor with the subject (a walk that leaves the picture otherwise).
     """
     named = [("", clips)] if isinstance(clips, Clip) else list(clips)
-    cameras = [_cameras(clip, size, view, track, up, front) for _, clip in named]
+    cameras = [clip_cameras(clip, size, view, track, up, front) for _, clip in named]
+    poses, colors = [posing(clip.mesh) for _, clip in named], tints or [None] * len(named)
     fps = named[0][1].fps
     for k in range(max(round(clip.seconds * fps) for _, clip in named)):
         tiles = []
-        for (label, clip), path, tint in zip(named, cameras, tints or itertools.repeat(None), strict=False):
+        for (label, clip), path, pose, tint in zip(named, cameras, poses, colors, strict=True):
             t = min(int(k / fps * clip.fps + 1e-6), len(clip) - 1)
-            tiles.append(_panel(clip, t, path[t], size, label, tint, clay))
+            picture = render_mesh(
+                pose(np.asarray(clip.vertices[t], np.float64)),
+                size,
+                path[t],
+                clay=clay,
+                tint=tint,
+                background=background,
+            )
+            tiles.append(captioned(picture, label if label and labels else None))
+        if k % PAGED == 0:
+            for _, clip in named:
+                let_go(clip.vertices)
         yield page(tiles, len(tiles))
 
 
@@ -92,31 +110,30 @@ def turntable_frames(
     clay: bool = False,
     up: str = "y",
     front: str | None = None,
+    background: Color = BACKGROUND,
 ) -> Iterator[Image.Image]:
     """Yield the pictures of one full turn around the mesh; played in a loop it has no seam."""
     from PIL import Image
 
     for camera in orbit(mesh.vertices, size, count, view, up=up, front=front):
-        yield Image.fromarray(render_mesh(mesh, size, camera, clay=clay))
+        yield Image.fromarray(render_mesh(mesh, size, camera, clay=clay, background=background))
 
 
-def _cameras(clip: Clip, size, view, track, up, front) -> list[Camera]:
-    points = np.asarray(clip.vertices, np.float64)
+def posing(mesh: Mesh) -> Callable[[np.ndarray], Mesh]:
+    """A function of vertices (V, 3) as `mesh.with_vertices`, for many frames of one mesh."""
+    if mesh.corner_normals is None:
+        return mesh.with_vertices
+    turn = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
+    return lambda points: dataclasses.replace(mesh, vertices=points, corner_normals=turn(points))
+
+
+def clip_cameras(
+    clip: Clip, size: tuple[int, int], view: str | tuple[float, float], track: bool, up: str, front: str | None
+) -> list[Camera]:
+    """A camera per frame: one for all, or one that goes along; the clip is read frame by frame."""
     if track:
-        return follow(points, size, view, up=up, front=front)
-    return [fit(points, size, view, up=up, front=front)] * len(clip)
-
-
-def _panel(clip: Clip, t: int, camera: Camera, size, label: str, tint, clay: bool) -> Image.Image:
-    from PIL import Image
-
-    mesh = clip.mesh.with_vertices(np.asarray(clip.vertices[t], np.float64))
-    if tint is None:
-        picture = render_mesh(mesh, size, camera, clay=clay)
-    else:
-        normals = mesh.corner_normals
-        picture = render(mesh.vertices, mesh.faces, camera, size, np.array(tint), corner_normals=normals)
-    return captioned(picture, label) if label else Image.fromarray(picture)
+        return follow(clip.vertices, size, view, up=up, front=front)
+    return [fit(extremes(clip.vertices, size, view, up=up, front=front), size, view, up=up, front=front)] * len(clip)
 
 
 def _as_image(frame: Image.Image | np.ndarray) -> Image.Image:

@@ -32,40 +32,48 @@ def creased_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "
     Faces count by their angle at the corner, so that a box's diagonals do not show.
     """
     merged, index = weld(vertices)
-    flat = _unit(face_vectors(vertices, faces))[:, None]
+    flat = unit(face_vectors(vertices, faces))[:, None]
     pull = (_corner_angles(vertices, faces)[..., None] * flat).reshape(-1, 3)
     position = index[faces].ravel()
     total = np.stack([np.bincount(position, pull[:, k], minlength=len(merged)) for k in range(3)], axis=1)
-    smooth = _unit(total)[position].reshape(-1, 3, 3)
-    return np.where((smooth * flat).sum(axis=2, keepdims=True) > np.cos(np.radians(CREASE)), smooth, flat)
+    smooth = unit(total)[position].reshape(-1, 3, 3)
+    x, y, z = np.moveaxis(smooth * flat, 2, 0)
+    return np.where((x + y + z)[..., None] > np.cos(np.radians(CREASE)), smooth, flat)
 
 
 def plain(colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None, faces: Int[np.ndarray, "F 3"]) -> Paint:
     """One sRGB colour for all (clay by default), or one per vertex."""
     linear = to_linear(np.asarray(CLAY if colors is None else colors, np.float64))
     if linear.ndim == 1:
-        return lambda hits: np.broadcast_to(linear, (len(hits.sample), 3))
+        return lambda hits: np.broadcast_to(linear, (len(hits.pixel), 3))
     flat = faces.ravel()
-    return lambda hits: _mix(linear[flat[hits.corner]], hits)
+    return lambda hits: mixed(linear[flat[hits.corner]], hits.weight)
 
 
 def materials(mesh: Mesh) -> Paint | None:
-    """The base colours and textures of the mesh's parts, or None where it has neither."""
-    if not any(part.material for part in mesh.parts):
+    """The base colours and textures of the mesh's parts times its vertex colours, or None where it has none of them."""
+    tones = mesh.vertex_colors
+    if tones is None and not any(part.material for part in mesh.parts):
         return None
-    clay = to_linear(np.asarray(CLAY))
-    base = np.tile(clay / WHITE, (len(mesh.faces), 1))
+    bare = to_linear(np.asarray(CLAY)) / WHITE if tones is None else np.ones(3)
+    base = np.tile(bare, (len(mesh.faces), 1))
     for part in mesh.parts:
         if part.material:
             base[part.start : part.stop] = part.material.base_color[:3]
-    layers = [(image, faces, uv.reshape(-1, 2)) for image, faces, uv in _textures(mesh)]
+    layers = [(images, faces, uv.reshape(-1, 2)) for images, faces, uv in _textures(mesh)]
 
     def paint(hits: Hits) -> np.ndarray:
         face = hits.corner[:, 0] // 3
         color = base[face]
-        for image, textured, uv in layers:
+        if tones is not None:
+            color *= mixed(tones[mesh.faces.ravel()[hits.corner], :3], hits.weight)
+        for images, textured, uv in layers:
             inside = np.flatnonzero(textured[face])
-            color[inside] *= _sample(image, _mix(uv[hits.corner[inside]], hits, inside))
+            corners = uv[hits.corner[inside]]
+            level = _level(images, corners, hits.area[inside])
+            place = mixed(corners, hits.weight[inside])
+            for k in np.unique(level):
+                color[inside[level == k]] *= _sample(images[k], place[level == k])
         return color * WHITE
 
     return paint
@@ -95,13 +103,15 @@ def discs(
 def _corner_angles(vertices, faces):
     """Angle of each triangle (F) at each of its corners (3), in radians."""
     corners = vertices[faces]
-    after = _unit((np.roll(corners, -1, axis=1) - corners).reshape(-1, 3)).reshape(corners.shape)
-    cosine = -(after * np.roll(after, 1, axis=1)).sum(axis=2)
-    return np.arccos(np.clip(cosine, -1.0, 1.0))
+    after = unit(corners[:, [1, 2, 0]] - corners)
+    x, y, z = np.moveaxis(after * after[:, [2, 0, 1]], 2, 0)
+    return np.arccos(np.clip(-(x + y + z), -1.0, 1.0))
 
 
-def _unit(vectors):
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+def unit(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Vectors at length 1; zero stays zero."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return vectors / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-30)[..., None]
 
 
 def _point_radius(points, camera) -> float:
@@ -114,8 +124,8 @@ def _point_radius(points, camera) -> float:
     return float(np.clip(0.6 * gap, 0.007 * camera.radius, 0.02 * camera.radius))
 
 
-def _textures(mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Each texture once as linear RGB (height, width, 3), the faces (F,) that wear it, and the corners' UVs."""
+def _textures(mesh: Mesh) -> list[tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]]:
+    """Each texture once (see `_decode`), the faces (F,) that wear it, and the corners' UVs."""
     if mesh.corner_uv is None:
         return []
     layers: dict[bytes, np.ndarray] = {}
@@ -127,11 +137,27 @@ def _textures(mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
 
 
 @functools.lru_cache(maxsize=8)  # the frames of a movie share their textures
-def _decode(content: bytes) -> np.ndarray:
+def _decode(content: bytes) -> tuple[np.ndarray, ...]:
+    """The picture in linear RGB (height, width, 3), then ever smaller ones of half the size, to where a side is 1."""
     from PIL import Image
 
     with Image.open(io.BytesIO(content)) as image:
-        return to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image.convert("RGB"))]
+        images: list[np.ndarray] = [
+            to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image.convert("RGB"))]
+        ]
+    while min(images[-1].shape[:2]) > 1:
+        even = images[-1][: images[-1].shape[0] // 2 * 2, : images[-1].shape[1] // 2 * 2]
+        images.append((even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / 4)
+    return tuple(images)
+
+
+def _level(images, corners, area) -> np.ndarray:
+    """Which size of a texture has about one texel per pixel on triangles of an area in pixels and corner UVs."""
+    (ux, uy), (vx, vy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    texels = np.abs(ux * vy - uy * vx) / 2 * images[0].shape[0] * images[0].shape[1]
+    # Half a size sharper than the mean over the triangle: a surface seen aslant is squeezed in one direction alone.
+    level = np.log2(np.maximum(texels, 1e-12) / np.maximum(area, 1e-12)) / 2 - 0.5
+    return np.clip(np.rint(level), 0, len(images) - 1).astype(np.int64)
 
 
 def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -146,6 +172,6 @@ def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     return upper * (1 - v) + lower * v
 
 
-def _mix(values: np.ndarray, hits: Hits, some: np.ndarray | slice = slice(None)) -> np.ndarray:
-    """Corner values (N, 3, C) to hit values (N, C)."""
-    return np.einsum("nk,nkc->nc", hits.weight[some], values)
+def mixed(values: Float[np.ndarray, "N 3 C"], weight: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N C"]:
+    """Corner values to hit values."""
+    return weight[:, 0, None] * values[:, 0] + weight[:, 1, None] * values[:, 1] + weight[:, 2, None] * values[:, 2]

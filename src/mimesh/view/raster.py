@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from ..mesh import Mesh
-from . import light, paint
+from . import light, paint, shadow
 from .camera import Camera, fit
-from .zbuffer import Hits, zbuffer
+from .light import to_linear
+from .paint import mixed, unit
+from .zbuffer import Hits, visible_faces, weights_at
 
 SMOOTH = 0.005
 """Blur of shadows on the subject, as a share of the picture's longer side."""
+LIGHTS = 256
+"""Places along the longer side at which light is asked for: it is blurred anyway."""
 
 
 def render(
@@ -27,8 +29,8 @@ def render(
     corner_normals: Float[np.ndarray, "F 3 3"] | None = None,
     surface: paint.Paint | None = None,
     shadows: bool = True,
-    background: tuple[float, float, float] = light.BACKGROUND,
-) -> UInt8[np.ndarray, "h w 3"]:
+    background: tuple[float, float, float] | None = light.BACKGROUND,
+) -> UInt8[np.ndarray, "h w C"]:
     """A picture of a mesh, or of a point cloud (no faces) as small discs; sRGB, 8 bit, rows from the top.
 
     Both sides of a face are drawn alike. A face that reaches behind the camera's eye is left out, not clipped.
@@ -39,21 +41,25 @@ def render(
         supersample: s gives s * s samples per pixel, no two of them in one row or column.
         corner_normals: shading normals; smooth with creases by default.
         surface: base colours as `paint.materials` gives them, instead of `colors`.
-        shadows: soft shadows on the subject and on the floor (about half of the time).
-        background: sRGB in 0..1.
+        shadows: soft shadows on the subject and on the floor (about a third of the time).
+        background: sRGB in 0..1; None gives RGBA with nothing behind the subject and its shadow.
     """
     if len(faces) == 0:
         vertices, faces, corner_normals, colors = paint.discs(vertices, camera, colors)
     if corner_normals is None:
         corner_normals = paint.creased_normals(vertices, faces)
-    hits, normals = _see(vertices, faces, corner_normals, camera, size, supersample)
-    pixel = _pixel_of(hits, size, supersample)
-    cast = light.cast(vertices, faces, camera) if shadows else None
-    sky, key = _light_per_pixel(cast, vertices, faces, hits, normals, pixel, size)
+    hits, count, normals = _fragments(vertices, faces, corner_normals, camera, size, supersample)
+    dark, sky, key = np.zeros(size[::-1], np.float32), np.ones(size[::-1]), np.ones(size[::-1])
+    if shadows:
+        cast, block = shadow.cast(vertices, faces, camera), max(1, round(max(size) / LIGHTS))
+        sky, key = _light_per_pixel(cast, vertices, faces, hits, normals, size, block)
+        dark = shadow.floor_shadow(cast, camera, size, block)
     albedo = (surface or paint.plain(colors, faces))(hits)
-    color = light.shade(albedo, normals, sky[pixel], key[pixel], camera)
-    backdrop = light.backdrop(cast, vertices, faces, camera, size, background)
-    return light.to_pixels(_resolve(color, pixel, backdrop, supersample**2))
+    color = light.shade(albedo, normals, sky.ravel()[hits.pixel], key.ravel()[hits.pixel], camera)
+    total, covered = _resolve(color, hits, count, size, supersample)
+    if background is None:
+        return _transparent(total, covered, dark)
+    return _over_paper(total, covered, dark, background)
 
 
 def render_mesh(
@@ -63,88 +69,122 @@ def render_mesh(
     *,
     view: str | tuple[float, float] = "three-quarter",
     clay: bool = False,
+    tint: tuple[float, float, float] | None = None,
     supersample: int = 2,
     shadows: bool = True,
-) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture of a mesh with its own materials, textures and hard edges; `clay` leaves the colours out."""
+    background: tuple[float, float, float] | None = light.BACKGROUND,
+) -> UInt8[np.ndarray, "h w C"]:
+    """A picture of a mesh with its own materials, textures, vertex colours and hard edges.
+
+    `clay` leaves the colours out; so does `tint`, an sRGB colour in 0..1 instead of them.
+    """
+    own = not clay and tint is None
+    if own and mesh.vertex_colors is not None and len(mesh.faces) == 0:
+        colors = light.to_srgb(mesh.vertex_colors[:, :3] * paint.WHITE)
+    else:
+        colors = None if tint is None else np.asarray(tint, np.float64)
     return render(
         mesh.vertices,
         mesh.faces,
         camera or fit(mesh.vertices, size, view),
         size,
+        colors,
         supersample=supersample,
         corner_normals=mesh.corner_normals,
-        surface=None if clay else paint.materials(mesh),
+        surface=paint.materials(mesh) if own and len(mesh.faces) else None,
         shadows=shadows,
+        background=background,
     )
 
 
-def _see(vertices, faces, corner_normals, camera, size, supersample) -> tuple[Hits, np.ndarray]:
-    """What each sample sees, with weights linear on the surface, and the unit normal on the side it sees."""
+def _fragments(vertices, faces, corner_normals, camera, size, supersample) -> tuple[Hits, np.ndarray, np.ndarray]:
+    """What each pixel sees, once per triangle in it: hits, how many samples each has, and unit normals towards us."""
     width, height = size
     rows = supersample**2
     # One sample per pixel in each of s * s sub-rows: sub-row a s + b takes column b s + a, so that edges at any
     # angle pass s * s steps from empty to full.
-    columns = np.arange(rows).reshape(supersample, supersample).T.ravel()
+    shifts = (np.arange(rows).reshape(supersample, supersample).T.ravel() + 0.5) / rows
     projected = camera.project(vertices, size)
-    hits = zbuffer(projected * [1, rows, 1], faces, width, height * rows, (columns + 0.5) / rows)
+    seen = visible_faces(projected * [1, rows, 1], faces, width, height * rows, shifts)
+    pixel, face, x, y, count = _merged(seen.reshape(height, rows, width), shifts)
+    weight, area = weights_at(projected, faces, face, pixel % width + x, pixel // width + y)
+    corner = 3 * face[:, None] + np.arange(3)
     if camera.perspective:
-        weight = hits.weight * projected[:, 2][faces.ravel()[hits.corner]]
-        hits = dataclasses.replace(hits, weight=weight / weight.sum(axis=1, keepdims=True))
-    normals = np.einsum("nk,nkc->nc", hits.weight, corner_normals.reshape(-1, 3)[hits.corner])
-    normals *= _side(projected, faces)[hits.corner[:, 0] // 3][:, None]
-    return hits, normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+        weight *= projected[:, 2][faces[face]]
+        weight /= weight.sum(axis=1, keepdims=True)
+    normals = mixed(corner_normals.reshape(-1, 3)[corner], weight)
+    normals *= np.where(area > 0, -1.0, 1.0)[:, None]  # y counts down: the back of a face turns clockwise
+    return Hits(pixel, corner, weight, np.abs(area)), count, unit(normals)
 
 
-def _side(projected, faces):
-    """+1 for faces seen from the front (counter-clockwise), -1 from the back."""
-    a, b, c = (projected[faces[:, k], :2] for k in range(3))
-    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
-    return np.where(ux * vy - uy * vx > 0, -1.0, 1.0)  # y counts down, so counter-clockwise is negative
+def _merged(seen, shifts):
+    """Samples (h, s * s, w) of one triangle in one pixel as one: pixel, face, middle of them in the pixel, and number.
+
+    What is shaded once is a triangle's share of a pixel, not each sample: a smooth surface costs little more with many.
+    """
+    rows, width = seen.shape[1:]
+    covered = np.flatnonzero(seen.max(axis=1) >= 0)
+    row, column = np.divmod(covered, width)
+    packed = np.sort(seen[row, :, column].astype(np.int64) * rows + np.arange(rows), axis=1)
+    face, sub = np.divmod(packed, rows)  # an empty sample has face -1
+    first = np.ones(face.shape, bool)
+    first[:, 1:] = face[:, 1:] != face[:, :-1]
+    start = np.flatnonzero(first)
+    x, y = (np.add.reduceat(places[sub].ravel(), start) for places in (shifts, (np.arange(rows) + 0.5) / rows))
+    count = np.diff(start, append=first.size)
+    pixel, lead, face = covered[start // rows], sub.ravel()[start], face.ravel()[start]
+    some = np.flatnonzero(face >= 0)
+    some = some[np.argsort(pixel[some] * rows + lead[some], kind="stable")]  # so that numbers of faces do not matter
+    return pixel[some], face[some], x[some] / count[some], y[some] / count[some], count[some]
 
 
-def _pixel_of(hits, size, supersample):
-    row, column = np.divmod(hits.sample, size[0])
-    return row // supersample**2 * size[0] + column
-
-
-def _light_per_pixel(cast, vertices, faces, hits, normals, pixel, size):
-    """Sky and key light at one sample of every pixel that sees the subject; its other samples share them."""
-    sky, key = np.ones(size[0] * size[1]), np.ones(size[0] * size[1])
-    if cast is None:
-        return sky, key
-    one = np.full(size[0] * size[1], -1)
-    one[pixel[::-1]] = np.arange(len(pixel))[::-1]
+def _light_per_pixel(cast, vertices, faces, hits, normals, size, block):
+    """Sky and key light (h, w), asked for once in a block of pixels and smoothed over the subject."""
+    columns, rows = (-(-side // block) for side in size)
+    cell = hits.pixel // size[0] // block * columns + hits.pixel % size[0] // block
+    one = np.full(columns * rows, -1)
+    one[cell[::-1]] = np.arange(len(cell))[::-1]
     covered = np.flatnonzero(one >= 0)
-    if len(covered) == 0:
-        return sky, key
     one = one[covered]
-    points = np.einsum("nk,nkc->nc", hits.weight[one], vertices[faces.ravel()[hits.corner[one]]])
-    for image, values in zip((sky, key), light.visible_light(cast, points, normals[one]), strict=True):
-        image[covered] = _smooth(values, covered, size)
-    return sky, key
+    points = mixed(vertices[faces.ravel()[hits.corner[one]]], hits.weight[one])
+    values = shadow.visible_light(cast, points, normals[one])
+    sigma = SMOOTH * max(size) / block
+    return [shadow.enlarged(light, block, size) for light in _smooth(values, covered, (rows, columns), sigma)]
 
 
-def _smooth(values, covered, size):
-    """Blur values over the covered pixels only: hides the grain of the few, coarse depth maps."""
+def _smooth(values, covered, shape, sigma):
+    """Images of values blurred over what is covered alone, 1 elsewhere: hides the grain of the few, coarse maps."""
     from scipy.ndimage import gaussian_filter
 
-    row, column = np.divmod(covered, size[0])
-    row, column = row - row.min(), column - column.min()
-    image = np.zeros((2, row.max() + 1, column.max() + 1), np.float32)
-    image[:, row, column] = values, np.ones_like(values)
-    sigma = SMOOTH * max(size)
-    total, weight = gaussian_filter(image, (0, sigma, sigma), mode="constant", truncate=2.5)[:, row, column]
-    return total / weight
+    images = np.zeros((3, shape[0] * shape[1]), np.float32)
+    images[:, covered] = *values, np.ones(len(covered))
+    *totals, weight = gaussian_filter(images.reshape(3, *shape), (0, sigma, sigma), mode="constant", truncate=2.5)
+    return [np.where(weight > 0, total / np.maximum(weight, 1e-12), 1.0) for total in totals]
 
 
-def _resolve(color, pixel, backdrop, samples):
-    """Average the samples of each pixel, over the backdrop where they see nothing.
+def _resolve(color, hits, count, size, supersample):
+    """Square roots of linear light summed over a pixel's samples (h, w, 3), and the share of them that are covered.
 
     Square roots are averaged, not linear light: with few samples that is what makes edges look even to the eye.
     """
-    count = np.bincount(pixel, minlength=backdrop.shape[0] * backdrop.shape[1])
-    root = np.sqrt(color)
-    total = np.stack([np.bincount(pixel, root[:, k], minlength=len(count)) for k in range(3)], axis=1)
-    covered = (count / samples).reshape(*backdrop.shape[:2], 1)
-    return np.square(total.reshape(backdrop.shape) / samples + np.sqrt(backdrop) * (1 - covered))
+    share = count / supersample**2
+    root = np.sqrt(color) * share[:, None]
+    cells = size[0] * size[1]
+    total = np.stack([np.bincount(hits.pixel, root[:, k], minlength=cells) for k in range(3)], axis=1)
+    covered = np.bincount(hits.pixel, share, minlength=cells)
+    return total.reshape(size[1], size[0], 3).astype(np.float32), covered.reshape(size[1], size[0], 1).astype(
+        np.float32
+    )
+
+
+def _over_paper(total, covered, dark, background):
+    paper = np.sqrt(to_linear(np.asarray(background, np.float64))).astype(np.float32)
+    return light.to_pixels(total + (np.sqrt(1 - dark)[..., None] * (1 - covered)) * paper)
+
+
+def _transparent(total, covered, dark):
+    """RGBA, not premultiplied: the subject over a black veil that darkens what lies below as the shadow would."""
+    veil = 1 - light.to_srgb(1 - dark)[..., None]
+    alpha = covered + veil * (1 - covered)
+    color = light.to_pixels(total / np.maximum(alpha, 1e-6))
+    return np.concatenate([color, (alpha * 255 + 0.5).astype(np.uint8)], axis=2)

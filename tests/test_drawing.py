@@ -1,0 +1,131 @@
+"""`mimesh render` from end to end: what suits which files, every option, and movies read back."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+import zoo
+from PIL import Image
+
+from mimesh.cli import run
+from mimesh.io import save_clip, save_mesh
+from mimesh.mesh import Clip
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    """A cube, the same a fifth taller, and a clip of six frames in which it grows and walks."""
+    cube = zoo.cube()
+    save_mesh(cube, tmp_path / "cube.obj")
+    save_mesh(cube.with_vertices(cube.vertices * [1, 1.2, 1]), tmp_path / "tall.obj")
+    grown = np.stack([cube.vertices * [1, 1 + 0.04 * t, 1] + [0, 0, 0.5 * t] for t in range(6)])
+    save_clip(Clip(cube, grown, 10.0), tmp_path / "grow.glb")
+    save_clip(Clip(cube, grown, 10.0), tmp_path / "grow")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def draw(capsys, *args):
+    assert run(["render", *args, "--size", "40", "--json"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)["kind"]
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def frames(path):
+    with Image.open(path) as image:
+        return getattr(image, "n_frames", 1)
+
+
+@pytest.mark.parametrize(
+    ("args", "kind"),
+    [
+        (["cube.obj", "-o", "x.png"], "contact sheet"),
+        (["cube.obj", "grow", "-o", "x.png"], "strip"),
+        (["grow.glb", "-o", "x.png"], "strip"),
+        (["grow.glb", "--sheet", "-o", "x.jpg"], "contact sheet"),
+        (["tall.obj", "--truth", "cube.obj", "-o", "x.png"], "heat map"),
+        (["tall.obj", "--stretch", "cube.obj", "-o", "x.png"], "heat map"),
+        (["grow.glb", "-o", "x.gif"], "movie"),
+        (["grow.glb", "--stretch", "cube.obj", "-o", "x.gif"], "heat movie"),
+        (["grow", "--truth", "grow.glb", "--track", "-o", "x.webp"], "heat movie"),
+    ],
+)
+def test_every_file_gets_what_suits_it(files, args, kind, capsys):
+    assert draw(capsys, *args) == kind
+    assert (files / args[-1]).stat().st_size > 100
+    assert frames(args[-1]) == (6 if args[-1].endswith(("gif", "webp")) else 1)
+
+
+def test_a_mesh_as_a_movie_turns(files, capsys, monkeypatch):
+    monkeypatch.setattr("mimesh.drawing.TURN", 3)
+    assert draw(capsys, "cube.obj", "-o", "x.gif") == "turning movie"
+    assert frames("x.gif") == 3
+
+
+def test_an_mp4_comes_back_with_its_frames_size_and_rate(files, capsys):
+    av = pytest.importorskip("av")
+    assert draw(capsys, "grow", "cube.obj", "--fps", "10", "--track", "-o", "x.mp4") == "movie"
+    with av.open("x.mp4") as container:
+        stream = container.streams.video[0]
+        found = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+        assert float(stream.average_rate) == 10
+    assert len(found) == 6
+    assert found[0].shape[1] == 80
+    assert np.abs(found[0].astype(int) - found[5]).max() > 20
+
+
+def test_frames_are_chosen_by_start_stop_and_step(files, capsys):
+    draw(capsys, "grow.glb", "--start", "1", "--step", "2", "-o", "x.gif")
+    assert frames("x.gif") == 3
+    draw(capsys, "grow.glb", "--start", "2", "--stop", "3", "-o", "one.png")
+    assert pixels("one.png").shape[1] < 60
+    assert run(["render", "grow.glb", "--start", "9", "-o", "x.gif"]) == 2
+    assert "within its 6 frames" in capsys.readouterr().err
+
+
+def test_an_animation_is_named_as_convert_has_it(files, capsys):
+    assert draw(capsys, "grow.glb", "--animation", "0", "-o", "x.png") == "strip"
+    assert run(["render", "cube.obj", "--animation", "Run", "-o", "x.png"]) == 2
+    assert "--animation" in capsys.readouterr().err
+
+
+def test_nothing_behind_the_subject(files, capsys):
+    draw(capsys, "cube.obj", "--background", "none", "-o", "x.png")
+    found = pixels("x.png")
+    assert found.shape[2] == 4
+    assert found[0, 0, 3] == 0
+    assert found[20, 17, 3] == 255
+
+
+def test_backgrounds_labels_and_width(files, capsys):
+    draw(capsys, "cube.obj", "--background", "#204060", "--no-labels", "--width", "64", "-o", "x.png")
+    image = pixels("x.png")
+    assert image.shape == (40, 64, 3)
+    assert image[0, 0].tolist() == [0x20, 0x40, 0x60]
+    draw(capsys, "cube.obj", "--background", "dark", "-o", "x.png")
+    assert pixels("x.png")[41:].max() > 120  # letters are light on dark paper
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["-o", "x.png", "--background", "beige"], "--background: expected paper, white, dark, none or #rrggbb"),
+        (["-o", "x.jpg", "--background", "none"], "expected a .png for --background none"),
+        (["-o", "x.png", "--track"], "expected a movie with --track"),
+        (["-o", "x.mp4", "--strip"], r"expected a picture \(.png or .jpg\) for --strip"),
+        (["-o", "x.png", "--strip", "--stretch", "cube.obj"], "found --strip and --stretch"),
+        (["-o", "x.png", "--truth", "other.obj"], "expected the truth to have 8 vertices, found 4"),
+        (["-o", "x.png", "--stretch", "other.obj"], "expected the reference to have 8 vertices, found 4"),
+    ],
+)
+def test_what_cannot_be_drawn_is_said_in_one_line(files, args, message, capsys):
+    save_mesh(zoo.tetrahedron(), files / "other.obj")
+    assert run(["render", "cube.obj", *args, "--size", "40"]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert re.search(message, said)
