@@ -10,7 +10,7 @@ from PIL import Image
 
 from mimesh.mesh import InputError, Material, Mesh, Part, permute_vertices
 from mimesh.view import light, paint
-from mimesh.view.camera import VIEWS, fit, follow, orbit, turned
+from mimesh.view.camera import VIEWS, extremes, fit, follow, orbit, turned
 from mimesh.view.raster import render, render_mesh
 
 SIZE = (72, 64)
@@ -228,6 +228,53 @@ def test_an_orbit_keeps_the_subject_in_the_picture_from_everywhere():
         assert min(x.min(), y.min()) > 0
         assert (x.max() < SIZE[0]) & (y.max() < SIZE[1])
     np.testing.assert_allclose(turned(cameras[-1], 30.0).eye, cameras[0].eye, atol=1e-9)
+
+
+def test_every_tile_of_a_turntable_shows_a_subject_of_one_size():
+    mesh = zoo.cube()
+    upright = np.array([[0.0, 0, 0], [0, 1, 0]]) + mesh.vertices.mean(axis=0)
+    heights = [np.ptp(camera.project(upright, SIZE)[:, 1]) for camera in orbit(mesh.vertices, SIZE, 8)]
+    np.testing.assert_allclose(heights, heights[0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("view", ["three-quarter", "top"])
+def test_a_few_points_of_a_clip_decide_its_camera(view):
+    clip = np.random.default_rng(4).normal(size=(5, 30, 3)) + [3, 0, 1]
+    whole, few = fit(clip, (300, 200), view), fit(extremes(clip, (300, 200), view), (300, 200), view)
+    np.testing.assert_allclose(few.eye, whole.eye, atol=1e-9)
+    np.testing.assert_allclose([few.floor, few.radius], [whole.floor, whole.radius], atol=1e-9)
+
+
+def test_a_transparent_picture_over_paper_is_the_picture_on_paper():
+    mesh = zoo.two_parts()
+    layers = shot(mesh, background=None).astype(float)
+    paper, alpha = np.array(light.BACKGROUND) * 255, layers[..., 3:] / 255
+    over = layers[..., :3] * alpha + paper * (1 - alpha)
+    # Edges and veils are mixed in sRGB here and in square roots of light there.
+    assert np.abs(over - shot(mesh)).max() < 8
+    assert layers[0, 0, 3] == 0
+
+
+def test_vertex_colours_multiply_the_material_and_tint_and_clay_leave_them_out():
+    blue = np.tile([0.1, 0.2, 0.9, 1.0], (4, 1))
+    mesh = dataclasses.replace(quad(None), vertex_colors=blue)
+    camera = fit(mesh.vertices, SIZE, (0.0, 0.0))
+    assert render_mesh(mesh, SIZE, camera, shadows=False)[32, 36].argmax() == 2
+    assert render_mesh(mesh, SIZE, camera, shadows=False, clay=True)[32, 36].argmax() == 0
+    assert render_mesh(mesh, SIZE, camera, shadows=False, tint=(0.2, 0.9, 0.2))[32, 36].argmax() == 1
+    cloud = Mesh(mesh.vertices, np.zeros((0, 3), int), vertex_colors=blue)
+    seen = render_mesh(cloud, SIZE, camera, shadows=False)
+    assert (seen[foreground(seen)].argmax(axis=1) == 2).mean() > 0.9
+
+
+def test_a_fine_texture_seen_from_afar_is_its_mean():
+    """Black and white texels of a thirtieth of a pixel: grey, without a pattern."""
+    board = (np.indices((1024, 1024)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    content = io.BytesIO()
+    Image.fromarray(board).convert("RGB").save(content, "png")
+    mesh = quad(Material("board", (1.0, 1.0, 1.0, 1.0), content.getvalue()))
+    picture = render_mesh(mesh, SIZE, fit(mesh.vertices, SIZE, (0.0, 0.0)), shadows=False)
+    assert np.ptp(picture[24:40, 28:44].astype(int), axis=(0, 1)).max() < 12
 
 
 def test_a_following_camera_sees_a_carried_mesh_stand_still():

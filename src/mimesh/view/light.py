@@ -77,19 +77,18 @@ def to_linear(color: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
     return np.where(color <= 0.04045, color / 12.92, ((np.maximum(color, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
-def to_srgb(linear: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N C"]:
+def to_srgb(linear: Float[np.ndarray, "*N"]) -> Float[np.ndarray, "*N"]:
     """Linear light to sRGB in 0..1 (values above 1 are clipped)."""
     linear = np.clip(linear, 0.0, 1.0)
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
 
 
-def to_pixels(root: Float[np.ndarray, "*N C"]) -> UInt8[np.ndarray, "*N C"]:
+def to_pixels(root: Float[np.ndarray, "*N"]) -> UInt8[np.ndarray, "*N"]:
     """Square roots of linear light, in 0..1, to 8-bit sRGB, rounded."""
-    return _table()[(root * np.float32(CODES) + np.float32(0.5)).astype(np.uint16)]
+    return np.take(_table(), (root * np.float32(CODES) + np.float32(0.5)).astype(np.uint16))
 
 
 @functools.cache
 def _table() -> UInt8[np.ndarray, " N"]:
     """8-bit sRGB of evenly spaced square roots of linear light; a little longer, for what is rounded above 1."""
-    linear = np.square(np.arange(CODES + 8) / CODES)[:, None]
-    return (to_srgb(linear)[:, 0] * 255 + 0.5).astype(np.uint8)
+    return (to_srgb(np.square(np.arange(CODES + 8) / CODES)) * 255 + 0.5).astype(np.uint8)

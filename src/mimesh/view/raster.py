@@ -110,9 +110,9 @@ def _fragments(vertices, faces, corner_normals, camera, size, supersample) -> tu
     weight, area = weights_at(projected, faces, face, pixel % width + x, pixel // width + y)
     corner = 3 * face[:, None] + np.arange(3)
     if camera.perspective:
-        weight *= projected[:, 2][faces[face]]
-        weight /= weight.sum(axis=1, keepdims=True)
-    normals = mixed(corner_normals.reshape(-1, 3)[corner], weight)
+        weight *= np.take(projected[:, 2][faces], face, axis=0)
+        weight /= (weight[:, 0] + weight[:, 1] + weight[:, 2])[:, None]
+    normals = mixed(np.take(corner_normals, face, axis=0), weight)
     normals *= np.where(area > 0, -1.0, 1.0)[:, None]  # y counts down: the back of a face turns clockwise
     return Hits(pixel, corner, weight, np.abs(area)), count, unit(normals)
 
@@ -163,28 +163,26 @@ def _smooth(values, covered, shape, sigma):
 
 
 def _resolve(color, hits, count, size, supersample):
-    """Square roots of linear light summed over a pixel's samples (h, w, 3), and the share of them that are covered.
+    """Square roots of linear light summed over a pixel's samples (3, h, w), and the share of them that are covered.
 
     Square roots are averaged, not linear light: with few samples that is what makes edges look even to the eye.
     """
     share = count / supersample**2
-    root = np.sqrt(color) * share[:, None]
-    cells = size[0] * size[1]
-    total = np.stack([np.bincount(hits.pixel, root[:, k], minlength=cells) for k in range(3)], axis=1)
+    shape, cells = size[::-1], size[0] * size[1]
+    total = [np.bincount(hits.pixel, channel * share, minlength=cells) for channel in np.sqrt(color).T]
     covered = np.bincount(hits.pixel, share, minlength=cells)
-    return total.reshape(size[1], size[0], 3).astype(np.float32), covered.reshape(size[1], size[0], 1).astype(
-        np.float32
-    )
+    return np.stack(total, dtype=np.float32, casting="same_kind").reshape(3, *shape), covered.reshape(shape)
 
 
 def _over_paper(total, covered, dark, background):
     paper = np.sqrt(to_linear(np.asarray(background, np.float64))).astype(np.float32)
-    return light.to_pixels(total + (np.sqrt(1 - dark)[..., None] * (1 - covered)) * paper)
+    bare = np.sqrt(1 - dark) * (1 - covered).astype(np.float32)
+    return np.stack([light.to_pixels(own + bare * tone) for own, tone in zip(total, paper, strict=True)], axis=2)
 
 
 def _transparent(total, covered, dark):
     """RGBA, not premultiplied: the subject over a black veil that darkens what lies below as the shadow would."""
-    veil = 1 - light.to_srgb(1 - dark)[..., None]
+    veil = 1 - light.to_srgb(1 - dark)
     alpha = covered + veil * (1 - covered)
-    color = light.to_pixels(total / np.maximum(alpha, 1e-6))
-    return np.concatenate([color, (alpha * 255 + 0.5).astype(np.uint8)], axis=2)
+    colors = [light.to_pixels(np.minimum(own / np.maximum(alpha, 1e-6), 1)) for own in total]
+    return np.stack([*colors, (alpha * 255 + 0.5).astype(np.uint8)], axis=2)

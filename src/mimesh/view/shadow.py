@@ -78,22 +78,23 @@ def surface_points(
 
     A triangle's points depend on where its corners lie along `tilt`, not on their order and not on other triangles.
     """
-    corners = vertices[faces]
-    length = np.sqrt(np.square(corners - corners[:, [1, 2, 0]]).sum(axis=2).max(axis=1))
-    (ux, uy, uz), (vx, vy, vz) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    ax, ay, az, bx, by, bz, cx, cy, cz = np.take(vertices, faces, axis=0).reshape(-1, 9).T
+    ux, uy, uz, vx, vy, vz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+    sides = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, (ux - vx) ** 2 + (uy - vy) ** 2 + (uz - vz) ** 2
+    length = np.sqrt(np.maximum(np.maximum(sides[0], sides[1]), sides[2]))
     area = np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2) / 2
     count = np.ceil(np.maximum(DENSITY * area, 1.5 * length - 1)).astype(np.int64)
     single = count <= 1
     few = np.flatnonzero(~single)
-    a, b, c = np.take_along_axis(corners[few], np.argsort(corners[few] @ tilt, axis=1)[..., None], axis=1).swapaxes(
-        0, 1
-    )
+    corners = vertices[faces[few]]
+    a, b, c = np.take_along_axis(corners, np.argsort(corners @ tilt, axis=1)[..., None], axis=1).swapaxes(0, 1)
     one = np.repeat(np.arange(len(few)), count[few])
     k = np.arange(len(one)) - np.repeat(np.cumsum(count[few]) - count[few], count[few])
     out = np.sqrt((k + 0.5) / count[few][one])[:, None]
     across = ((k + 0.5) * 0.6180339887498949 % 1.0)[:, None]
     spread = a[one] * (1 - out) + (b[one] * (1 - across) + c[one] * across) * out
-    return np.concatenate([corners[single].mean(axis=1), spread])
+    middle = np.stack([ax + bx + cx, ay + by + cy, az + bz + cz], axis=1)[single] / 3
+    return np.concatenate([middle, spread])
 
 
 def visible_light(

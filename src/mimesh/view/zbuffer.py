@@ -15,6 +15,8 @@ from jaxtyping import Float, Int, Int32
 
 BLOCK = 1 << 17
 """Samples tested at a time: large enough to hide NumPy's overhead, small enough to stay in the cache."""
+BLOCK_ROWS = 1 << 14
+"""Rows of triangles that are worked on at a time."""
 FAR = np.iinfo(np.int64).max
 DEPTHS = 1 << 30
 """Steps of depth between the nearest and the farthest corner; they stand above the 32 bits of a face's number."""
@@ -48,10 +50,11 @@ def visible_faces(
         faces: either orientation is drawn; a triangle with a NaN corner is left out.
         shifts: row r has its samples at columns c + shifts[r % S] and height r + 0.5; one half by default.
     """
-    spans = _spans(points, faces, width, rows, np.array([0.5]) if shifts is None else shifts)
+    shifts = np.array([0.5]) if shifts is None else shifts
     nearest = np.full(rows * width, FAR)
-    for sample, key in _samples(spans):
-        np.minimum.at(nearest, sample, key)
+    for block in _blocks(*_sorted_triangles(points, faces, width, rows)):
+        for sample, key in _samples(_spans(block, width, rows, shifts)):
+            np.minimum.at(nearest, sample, key)
     return nearest.astype(np.int32).reshape(rows, width)  # the lower half: the face, and -1 of FAR
 
 
@@ -63,15 +66,18 @@ def weights_at(
     y: Float[np.ndarray, " N"],
 ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
     """Weights of the corners of a triangle at places in it, linear across the picture, and its signed area (y down)."""
-    (ax, ay), (bx, by), (cx, cy) = (points[faces[face, k], :2].T for k in range(3))
-    ux, uy, vx, vy, dx, dy = bx - ax, by - ay, cx - ax, cy - ay, x - ax, y - ay
+    x0, y0, _ = points[faces[:, 0]].T
+    (ux, uy, _), (vx, vy, _) = points[faces[:, 1]].T - [x0, y0, 0 * x0], points[faces[:, 2]].T - [x0, y0, 0 * x0]
     double = ux * vy - uy * vx
     scale = 1 / np.where(double == 0, np.inf, double)
+    planes = np.stack([x0, y0, vy * scale, -vx * scale, -uy * scale, ux * scale, double / 2], axis=1)
+    x0, y0, second_x, second_y, third_x, third_y, area = np.take(planes, face, axis=0).T
+    dx, dy = x - x0, y - y0
     weight = np.empty((len(face), 3))
-    weight[:, 1] = np.clip((dx * vy - dy * vx) * scale, 0.0, 1.0)
-    weight[:, 2] = np.clip((ux * dy - uy * dx) * scale, 0.0, 1.0 - weight[:, 1])
+    weight[:, 1] = np.clip(dx * second_x + dy * second_y, 0.0, 1.0)
+    weight[:, 2] = np.clip(dx * third_x + dy * third_y, 0.0, 1.0 - weight[:, 1])
     weight[:, 0] = 1.0 - weight[:, 1] - weight[:, 2]
-    return weight, double / 2
+    return weight, area
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,8 +93,17 @@ class _Spans:
     """Change of depth per column."""
 
 
-def _spans(points, faces, width, rows, shifts) -> _Spans:
-    kept, x, y, z = _sorted_triangles(points, faces, width, rows)
+def _blocks(kept, x, y, z):
+    """Yield the sorted triangles some at a time, so that what is made of their rows stays in the cache."""
+    block = np.cumsum(y[2] - y[0]) // BLOCK_ROWS
+    starts = np.flatnonzero(np.diff(block, prepend=-1))
+    for begin, end in zip(starts, np.append(starts, len(kept))[1:], strict=True):
+        some = slice(begin, end)
+        yield kept[some], x[:, some], y[:, some], z[:, some]
+
+
+def _spans(triangles, width, rows, shifts) -> _Spans:
+    kept, x, y, z = triangles
     one, row = _expand(_clipped(y[0] - 0.5, rows), _clipped(y[2] - 0.5, rows))
     height = row + 0.5
     short = one + len(kept) * (height >= y[1][one])  # which of the two short edges the row crosses
