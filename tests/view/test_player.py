@@ -71,6 +71,13 @@ def test_names_and_notes_cannot_leave_their_place():
     assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (EVIL, [EVIL], EVIL)
 
 
+def test_names_that_are_no_text_are_shown_as_far_as_they_are(tmp_path):
+    name = "p\udce9"
+    download = Download(f"{name}.glb", None)
+    page = write_player(tmp_path / "x.html", [Shown("mesh", clip(), name)], title=name, download=download)
+    assert scene_of(page.read_text())["download"]["href"] == "p%E9.glb"
+
+
 def test_a_file_that_fits_lies_in_the_page_and_one_that_does_not_is_linked():
     noise = np.random.default_rng(0).bytes(200_000)
     options = {"title": "cube", "download": Download("my cube.glb", noise)}

@@ -2,12 +2,14 @@
 
 import base64
 import dataclasses
+import io
 import json
 import zlib
 
 import numpy as np
 import pytest
 import zoo
+from PIL import Image
 
 from mimesh.mesh import Clip, InputError, Material, Mesh, Part
 from mimesh.view.facets import facets
@@ -41,6 +43,12 @@ def frames(panel):
     steps = np.cumsum(steps, axis=0, dtype=np.uint16).reshape(panel["frames"], 3, -1).transpose(0, 2, 1)
     centre = np.reshape(panel["centre"], (-1, 1, 3))
     return centre + np.array(panel["low"]) + panel["unit"] * steps
+
+
+def png():
+    content = io.BytesIO()
+    Image.new("RGB", (2, 2)).save(content, "PNG")
+    return content.getvalue()
 
 
 def moving(mesh, count=7, seed=0):
@@ -77,11 +85,21 @@ def test_vertices_are_split_where_texture_coordinates_part():
     sheet = zoo.grid(3)
     uv = sheet.vertices[sheet.faces][..., :2].astype(float)
     uv[0] += 5.0
-    painted = (Part("all", 0, len(sheet.faces), Material("paint", texture=b"\x89PNG not read here")),)
+    painted = (Part("all", 0, len(sheet.faces), Material("paint", texture=png())),)
     split = facets(dataclasses.replace(sheet, corner_uv=uv, parts=painted))
     assert len(split.origin) == 9 + 3
     np.testing.assert_allclose(split.uv[split.corners], uv)
     assert len(np.unique(split.smooth)) == 9  # a seam of the texture is no hard edge
+
+
+def test_pictures_that_cannot_be_read_are_left_out_and_counted():
+    cube = zoo.cube()
+    uv = np.zeros((len(cube.faces), 3, 2))
+    broken = (Part("all", 0, len(cube.faces), Material("paint", texture=b"\x89PNG broken")),)
+    scene = pack_scene([Shown("mesh", Clip.still(dataclasses.replace(cube, corner_uv=uv, parts=broken)))])
+    assert scene["images"] == []
+    assert scene["surfaces"][0]["groups"][0]["material"]["image"] is None
+    assert scene["left_out"] == ["textures that cannot be read are left out: 1"]
 
 
 def test_split_files_are_smooth_across_their_seams():

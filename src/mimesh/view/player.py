@@ -74,7 +74,9 @@ def player_page(
     given = _download(download, room // 2)
     scene = pack_scene(shown, title=title, model=model, notes=notes, budget=room - len(given.get("data") or ""))
     scene["download"] = given or None
-    return PAGE.format(title=html.escape(title), style=style, scene=embedded(scene), script=script)
+    # Names of files may hold bytes that are no text.
+    plain = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    return PAGE.format(title=plain, style=style, scene=embedded(scene), script=script)
 
 
 def write_player(path: str | Path, shown: Sequence[Shown], **options: Any) -> Path:
@@ -172,4 +174,4 @@ def _download(download: Download | None, room: int) -> dict[str, Any]:
         data = text(zlib.compress(download.content, LEVEL))
         if len(data) <= room:
             return {"name": name, "bytes": len(download.content), "data": data}
-    return {"name": name, "href": quote(name)}
+    return {"name": name, "href": quote(os.fsencode(name))}
