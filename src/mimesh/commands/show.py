@@ -80,7 +80,7 @@ def render(
         sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background
     )
     wanted.check(output)
-    refuse_inputs(output, *files, *(path for path in (truth, stretch) if path))
+    refuse_inputs(output, *files, truth, stretch)
     clips = _cut(files, fps, animation, start, stop, step)
     names = [path.name for path in files]
     with progress("frames", quiet or json) as advance:
