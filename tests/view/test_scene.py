@@ -11,6 +11,7 @@ import pytest
 import zoo
 from PIL import Image
 
+from mimesh.geometry import vertex_normals
 from mimesh.mesh import Clip, InputError, Material, Mesh, Part
 from mimesh.view.facets import facets
 from mimesh.view.scene import Shown, pack_scene
@@ -114,6 +115,17 @@ def test_identity_and_result_share_one_surface():
     scene = pack_scene(shown)
     assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
     assert scene["panels"][0]["size"] == scene["panels"][2]["size"]
+
+
+def test_files_that_are_compared_keep_their_own_hard_edges():
+    flat, soft = zoo.cube(), zoo.cube()
+    normals = vertex_normals(soft.vertices, soft.faces)[soft.faces]
+    shown = [
+        Shown("mesh", Clip.still(mesh)) for mesh in (flat, dataclasses.replace(soft, corner_normals=normals), flat)
+    ]
+    scene = pack_scene(shown)
+    assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
+    assert [surface["origin"]["shape"] for surface in scene["surfaces"]] == [[24], [8]]
 
 
 def test_long_clips_are_thinned_to_the_budget_and_the_page_says_so():
