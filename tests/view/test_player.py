@@ -41,9 +41,14 @@ def test_the_bundle_is_built_from_the_sources_here():
         assert web_file(name).startswith(mark), "web/ has changed since the bundle was built: run make web"
 
 
-def test_the_bundle_keeps_the_licence_of_what_it_holds():
-    assert "three.js authors" in web_file("player.js")
-    assert "Permission is hereby granted" in web_file("player.js")
+def test_bundles_keep_the_licence_of_what_they_hold():
+    said = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
+    version = json.loads((WEB / "package.json").read_text())["dependencies"]["three"]
+    assert f"**three.js** {version} " in said
+    for path in sorted((WEB.parent / "src" / "mimesh" / "view" / "web").glob("*.js")):
+        assert "three.js authors" in web_file(path.name)
+        assert "Permission is hereby granted" in web_file(path.name)
+        assert f"`{path.relative_to(WEB.parent).as_posix()}`" in said
 
 
 def test_a_page_is_small_and_asks_for_nothing():
@@ -95,6 +100,13 @@ def test_results_write_their_page_and_show_themselves_in_notebooks(tmp_path):
     inner = html.unescape(re.search(r'srcdoc="([^"]*)"', frame).group(1))
     assert scene_of(inner)["model"] == "copy"
     assert "driving=" not in repr(result)
+
+
+def test_a_page_is_never_written_where_a_mesh_may_be(tmp_path):
+    (tmp_path / "hero.obj").write_text("v 0 0 0\n")
+    with pytest.raises(InputError, match=r"expected a name that ends in .html, found '.obj'"):
+        mimesh.transfer(zoo.cube(), zoo.cube(), "copy").player(tmp_path / "hero.obj")
+    assert (tmp_path / "hero.obj").read_text() == "v 0 0 0\n"
 
 
 def test_a_result_without_inputs_has_no_page(tmp_path):

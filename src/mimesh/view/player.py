@@ -80,7 +80,14 @@ def player_page(
 
 
 def write_player(path: str | Path, shown: Sequence[Shown], **options: Any) -> Path:
-    """Write `player_page` into a file, whole or not at all."""
+    """Write `player_page` into a file, whole or not at all.
+
+    Raises:
+        InputError: as `player_page`, a name that does not end in .html, or a path that cannot be written.
+    """
+    if Path(path).suffix.lower() != ".html":
+        found = Path(path).suffix
+        raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")
     page = player_page(shown, **options)
     with writing(Path(path)), whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
