@@ -44,7 +44,7 @@ def test_the_bundle_is_built_from_the_sources_here():
 def test_bundles_keep_the_licence_of_what_they_hold():
     said = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
     version = json.loads((WEB / "package.json").read_text())["dependencies"]["three"]
-    assert f"**three.js** {version} " in said
+    assert f"**three.js** {version}," in said
     for path in sorted((WEB.parent / "src" / "mimesh" / "view" / "web").glob("*.js")):
         assert "three.js authors" in web_file(path.name)
         assert "Permission is hereby granted" in web_file(path.name)
