@@ -23,9 +23,10 @@ from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.io.atomic import whole_file
 from mimesh.methods.samples import Samples
 from mimesh.view.camera import Camera, fit
+from mimesh.view.heat import heat_colors
 from mimesh.view.movie import clip_frames
 from mimesh.view.raster import render, render_mesh
-from mimesh.view.sheet import DRIVING_TINT, INK, heat_colors, page
+from mimesh.view.sheet import DRIVING_TINT, INK, page
 
 DOCS = Path(__file__).parents[1] / "docs"
 IMAGES, NOTES = DOCS / "images", DOCS / "trouble.json"

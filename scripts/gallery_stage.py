@@ -14,6 +14,7 @@ from mimesh.bodies.cast import Colour
 from mimesh.io import load_clip, load_mesh
 from mimesh.mesh import Clip, Material, Mesh, Part
 from mimesh.view import camera, movie, raster, sheet
+from mimesh.view.heat import heat_colors
 
 BLUE: Colour = (0.418, 0.553, 0.709)
 CLAY: Colour = (0.795, 0.709, 0.618)
@@ -92,7 +93,7 @@ def heat(folder: Path, files: Sequence[tuple[str, str]], truth: str, limit: floa
     shot = camera.fit(np.stack(points), tile)
     for (_, label), mesh, vertices in zip(files, meshes, points, strict=True):
         off = np.linalg.norm(vertices - true.vertices, axis=1)
-        picture = raster.render(vertices, mesh.faces, shot, tile, sheet.heat_colors(off / limit))
+        picture = raster.render(vertices, mesh.faces, shot, tile, heat_colors(off / limit))
         tiles.append(sheet.captioned(picture, f"{label}: {1000 * off.mean():.0f} mm"))
     return sheet.page(tiles, len(tiles))
 
