@@ -22,9 +22,6 @@ MARK = re.compile(r"<!-- insert: ([a-z]+)(?: ([\w-]+))? -->")
 DRAWN = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
 OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
 """Links that work in the repository and lead out of the site."""
-OPTIONAL = ("gallery", "examples")
-HERO = ("moving.webp", "demo.png")
-"""Pictures for the first page; the first that is there is taken."""
 
 
 def setup(app):
@@ -48,17 +45,6 @@ def filled(text: str) -> str:
 
 def _drawing(name: str) -> str:
     return f'<div class="drawn">\n{(DOCS / "images" / f"{name}.svg").read_text()}</div>\n'
-
-
-def hero() -> str:
-    """The picture of the first page."""
-    found = next(name for name in HERO if (DOCS / "images" / name).is_file())
-    return f"![An identity, what it imitates, and the result](images/{found})"
-
-
-def further() -> str:
-    """Names of pages that are there once their pictures are."""
-    return "\n".join(name for name in OPTIONAL if (DOCS / f"{name}.md").is_file())
 
 
 def models() -> str:
@@ -150,8 +136,6 @@ def helped(name: str) -> str:
 
 
 INSERTS = {
-    "hero": hero,
-    "further": further,
     "models": models,
     "card": card,
     "table": table,

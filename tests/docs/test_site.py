@@ -85,7 +85,7 @@ def test_marks_of_a_page_are_known_and_pictures_are_there(page, inserts):
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
 def test_commands_of_a_page_exist(page):
     used = set(re.findall(r"^\$ mimesh (\w+)", page.read_text(encoding="utf-8"), re.MULTILINE))
-    assert used <= {command.__name__ for command in COMMANDS} | {"studio"}
+    assert used <= {command.__name__ for command in COMMANDS}
 
 
 def test_every_picture_note_and_transcript_is_used():

@@ -6,11 +6,9 @@ import time
 
 import numpy as np
 import pytest
+from people import person, walk
 
-from mimesh import Clip, InputError, animate, load_clip, save_clip, save_mesh, transfer
-from mimesh.bodies import load_body
-from mimesh.demo import IDENTITY_SHAPE, person, played
-from mimesh.mesh import cut_clip
+from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.studio import make_desk
 from mimesh.studio.jobs import Dropped, Worker
 from mimesh.studio.state import described
@@ -18,16 +16,26 @@ from mimesh.studio.state import described
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A person to move and four frames of another who jumps."""
-    folder, body = tmp_path_factory.mktemp("given"), load_body()
-    save_mesh(person(body, IDENTITY_SHAPE), folder / "hero.obj")
-    save_clip(dataclasses.replace(cut_clip(played(body), 0, None, 9), fps=30.0), folder / "jump.glb")
+    """A small person to move, another in a pose, and three frames of a third who walks."""
+    folder = tmp_path_factory.mktemp("given")
+    save_mesh(person(0), folder / "hero.obj")
+    save_mesh(person(2, 1), folder / "pose.obj")
+    save_clip(walk(frames=3), folder / "walk.npz")
     return folder
 
 
 @pytest.fixture
 def desk(files):
-    desk = make_desk([files / "hero.obj", files / "jump.glb"], 2**20)
+    """With the model that is done at once."""
+    desk = make_desk([files / "hero.obj", files / "walk.npz"], 2**20, "copy")
+    yield desk
+    desk.close()
+
+
+@pytest.fixture(scope="module")
+def reader(files):
+    """With the model that reads both surfaces, which takes a second; for all tests that need it."""
+    desk = make_desk([files / "hero.obj", files / "walk.npz"], 2**20)
     yield desk
     desk.close()
 
@@ -49,30 +57,31 @@ def done(desk):
     return only(desk).outcome
 
 
-def test_results_are_those_of_animate(desk, files):
-    ours = animate(files / "hero.obj", files / "jump.glb")
-    result = done(desk).result
+def test_results_are_those_of_animate(reader, files):
+    ours = animate(files / "hero.obj", files / "walk.npz")
+    result = done(reader).result
     np.testing.assert_array_equal(result.clip.vertices, ours.clip.vertices)
     assert result.fps == ours.fps
     assert result.notes == ours.notes
-    pose = desk.pose(only(desk).number, 2).result(20)
+    pose = reader.pose(only(reader).number, 2).result(20)
     np.testing.assert_allclose(pose, ours.clip.vertices[2], atol=1e-5)
 
 
-@pytest.mark.parametrize("given", [{"root": "drop"}, {"refine": True}, {"model": "copy"}])
-def test_options_are_those_of_animate(desk, files, given):
-    clip = load_clip(files / "jump.glb")
-    if given.get("model") == "copy":
-        desk.set_driving(files / "hero.obj", "hero.obj")
-        clip = Clip.still(load_clip(files / "hero.obj").mesh)
-    desk.set_options(given)
-    ours = animate(files / "hero.obj", clip, **given)
+def test_options_are_those_of_animate(reader, files):
+    given = {"root": "drop", "refine": True, "smooth": 0.2}
+    reader.set_options(given)
+    ours = animate(files / "hero.obj", files / "walk.npz", **given)
+    np.testing.assert_allclose(done(reader).result.clip.vertices, ours.clip.vertices, atol=1e-6)
+
+
+def test_models_are_those_of_animate(desk, files):
+    ours = animate(files / "hero.obj", files / "walk.npz", "copy")
     np.testing.assert_allclose(done(desk).result.clip.vertices, ours.clip.vertices, atol=1e-6)
 
 
 def test_a_pose_is_that_of_transfer(desk, files):
-    desk.set_driving(files / "hero.obj", "hero.obj")
-    ours = transfer(files / "hero.obj", files / "hero.obj")
+    desk.set_driving(files / "pose.obj", "pose.obj")
+    ours = transfer(files / "hero.obj", files / "pose.obj", "copy")
     np.testing.assert_array_equal(done(desk).result.clip.vertices[0], ours.vertices)
 
 
@@ -99,7 +108,7 @@ def test_the_state_is_plain(desk):
 
     done(desk)
     state = json.loads(json.dumps(described(desk)))
-    assert state["driving"]["frames"] == 4
+    assert state["driving"]["frames"] == 3
     assert state["identities"][0]["outcome"]["state"] == "done"
 
 
@@ -143,7 +152,7 @@ def test_stopping_keeps_the_desk_working(desk, files):
 
 
 def test_joints_need_a_model_with_joints(desk, files):
-    desk.set_options({"model": "npt", "root": "keep"})
+    desk.set_options({"root": "keep"})
     outcome = done(desk)
     assert outcome.current, "options of joints are not asked of others"
     number = desk.export(".glb", [], True, None)
