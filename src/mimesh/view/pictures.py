@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ class Pictures:
         if content is None or content in self._damaged:
             return None
         if content not in self._contents:
-            if decoded(content) is None:
+            if not _readable(content):
                 self._damaged.append(content)
                 return None
             self._contents.append(content)
@@ -63,6 +64,11 @@ class Pictures:
         if contents != self._contents:
             left_out.append("textures are shown smaller than they are, to keep this page small")
         return [{"type": _kind(content), "data": text(content)} for content in contents]
+
+
+@functools.lru_cache(maxsize=16)  # the studio packs the same textures for every result
+def _readable(content: bytes) -> bool:
+    return decoded(content) is not None
 
 
 def _kind(content: bytes) -> str:
