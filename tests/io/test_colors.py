@@ -13,7 +13,7 @@ import trimesh
 import zoo
 
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.io.colors import linear_rgba, srgb_rgba
+from mimesh.io.colors import linear_rgba, srgb_rgba, with_alpha
 from mimesh.mesh import Clip, permute_vertices
 
 
@@ -120,3 +120,9 @@ def test_clips_have_them_too(name, tmp_path):
     colors = load_clip(tmp_path / name).mesh.vertex_colors
     rows = [{tuple(row) for row in np.round(values, 5)} for values in (colors, mesh.vertex_colors)]
     assert rows[0] == rows[1]
+
+
+def test_what_is_no_number_is_dark_and_what_is_too_much_is_full():
+    odd = np.array([[np.nan, np.inf, -np.inf, np.nan], [2.0, -1.0, 0.0, np.inf]])
+    assert np.array_equal(linear_rgba(odd), [[0, 1, 0, 0], [1, 0, 0, 1]])
+    assert np.array_equal(with_alpha(odd[:, :3]), [[0, 1, 0, 1], [1, 0, 0, 1]])

@@ -50,7 +50,7 @@ def render(
     strip: Annotated[bool, typer.Option("--strip", help="Frames of each clip side by side.")] = False,
     turntable: Annotated[bool, typer.Option("--turntable", help="One mesh from all sides.")] = False,
     truth: Annotated[
-        Path | None, typer.Option(help="Heat map of the distance to this mesh or clip; cut alike.")
+        Path | None, typer.Option(help="Heat map of the distance to this mesh or clip, in mm if files are in metres.")
     ] = None,
     stretch: Annotated[
         Path | None, typer.Option(metavar="REFERENCE", help="Heat map of how edges differ in length from this mesh's.")
