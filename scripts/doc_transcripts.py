@@ -42,10 +42,11 @@ def transcripts() -> dict[str, list[Said]]:
     """What all of SCRIPTS answer."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         _inputs()
-        return {name: [_said(command) for command in commands] for name, commands in SCRIPTS.items()}
+        return {name: [answered(command) for command in commands] for name, commands in SCRIPTS.items()}
 
 
-def _said(command: str) -> Said:
+def answered(command: str) -> Said:
+    """A command as it is run here, and its output."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         run(shlex.split(command)[1:])

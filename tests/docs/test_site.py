@@ -10,6 +10,7 @@ import pytest
 
 from mimesh.cli import COMMANDS
 from mimesh.evaluate.tables import TABLES, paper_table
+from mimesh.io import save_mesh
 from mimesh.methods import MODELS
 
 ROOT = Path(__file__).parents[2]
@@ -94,6 +95,23 @@ def test_every_picture_note_and_transcript_is_used():
     drawn = {name.replace("_", "-") for name in json.loads((DOCS / "trouble.json").read_text())}
     assert {path.stem.removeprefix("trouble-") for path in (DOCS / "images").glob("trouble-*")} == drawn
     assert all(f"(images/trouble-{name}.webp)" in text for name in drawn)
+
+
+def test_a_transcript_is_what_a_command_answers_today(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
+    monkeypatch.chdir(tmp_path)
+    import doc_transcripts
+
+    said = json.loads((DOCS / "transcripts.json").read_text(encoding="utf-8"))
+    assert {name: tuple(command for command, _ in lines) for name, lines in said.items()} == doc_transcripts.SCRIPTS
+    save_mesh(doc_transcripts.hero(), "hero.obj")
+    save_mesh(doc_transcripts.step(), "pose.obj")
+    for command, answer in said["first"]:
+        lines = [
+            re.sub(r"[\d.]+ s$", "", text, flags=re.MULTILINE)
+            for text in (doc_transcripts.answered(command).output, answer)
+        ]
+        assert lines[0] == lines[1], "run python scripts/draw_docs.py transcripts"
 
 
 def test_pictures_are_small():
