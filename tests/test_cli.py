@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -97,10 +98,13 @@ def test_animate_writes_a_glb_a_picture_and_a_page(files, capsys):
 
 def test_open_shows_the_page_in_the_browser(files, capsys, monkeypatch):
     opened = []
-    monkeypatch.setattr("webbrowser.open", opened.append)
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or len(opened) == 1)
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-q", "--open"]
     assert run(args) == 0
     assert opened == [(files / "hero-pose.preview.html").as_uri()]
+    assert capsys.readouterr() == ("", "")
+    assert run(args) == 0
+    assert "no browser was found" in capsys.readouterr().err
     assert run([*args, "--no-preview"]) == 2
     assert "--open: expected a page" in capsys.readouterr().err
 
@@ -137,6 +141,32 @@ def test_inputs_are_never_written_over(files, output, capsys):
     assert run(args) == 2
     assert "apart from the inputs" in capsys.readouterr().err
     assert (files / output).read_bytes() == before
+
+
+@pytest.mark.parametrize("given", ["--reference", "--markers"])
+@pytest.mark.parametrize("name", ["x.obj", "x.preview.png", "x.preview.html"])
+def test_nor_are_other_files_that_are_read_by_the_result_its_picture_and_its_page(files, given, name, capsys):
+    (files / name).write_text("0 0\n")
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "deformation-transfer"]
+    assert run([*args, given, str(files / name), "-o", str(files / "x.obj")]) == 2
+    assert "apart from the inputs" in capsys.readouterr().err
+    assert (files / name).read_text() == "0 0\n"
+
+
+def test_nor_is_an_input_by_another_of_its_names(files, capsys):
+    (files / "other.obj").hardlink_to(files / "hero.obj")
+    args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / "other.obj")]
+    assert run(args) == 2
+    assert "apart from the inputs" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text here")
+def test_names_that_are_no_text_are_printed_all_the_same(files):
+    odd = os.fsdecode(bytes(files) + b"/p\xe9.ply")
+    (files / "pose.ply").rename(odd)
+    done = subprocess.run([MIMESH, "transfer", files / "hero.obj", odd, "-m", "copy"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "p\\udce9" in done.stdout
 
 
 @pytest.mark.parametrize("output", ["walk", "walk/000.obj", "walk/new"])

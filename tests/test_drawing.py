@@ -88,6 +88,15 @@ def test_frames_are_chosen_by_start_stop_and_step(files, capsys):
     assert "within its 6 frames" in capsys.readouterr().err
 
 
+def test_the_truth_is_cut_as_the_clip_is(files, capsys):
+    for name in ("x.gif", "x.png"):
+        draw(capsys, "grow.glb", "--truth", "grow.glb", "--start", "2", "--step", "2", "-o", name)
+    assert frames("x.gif") == 2
+    assert run(["render", "grow", "--truth", "grow", "--start", "2", "--fps", "10", "-o", "x.html"]) == 0
+    clip, truth = json.loads(re.search(r'mimesh-scene">(.*?)</script>', (files / "x.html").read_text())[1])["panels"]
+    assert (clip["stream"], clip["fps"], clip["centre"]) == (truth["stream"], truth["fps"], truth["centre"])
+
+
 def test_an_animation_is_named_as_convert_has_it(files, capsys):
     assert draw(capsys, "grow.glb", "--animation", "0", "-o", "x.png") == "strip"
     assert run(["render", "cube.obj", "--animation", "Run", "-o", "x.png"]) == 2
@@ -116,7 +125,9 @@ def test_backgrounds_labels_and_width(files, capsys):
     [
         (["-o", "x.png", "--background", "beige"], "--background: expected paper, white, dark, none or #rrggbb"),
         (["-o", "x.jpg", "--background", "none"], "expected a .png for --background none"),
-        (["-o", "x.png", "--track"], "expected a movie with --track"),
+        (["-o", "x.png", "--track"], "expected a movie of a clip with --track"),
+        (["-o", "x.gif", "--track", "--turntable"], "found --turntable; leave it out"),
+        (["-o", "x.html"], "expected no --size with a page"),
         (["-o", "x.mp4", "--strip"], r"expected a picture \(.png or .jpg\) for --strip"),
         (["-o", "x.png", "--strip", "--stretch", "cube.obj"], "found --strip and --stretch"),
         (["-o", "x.png", "--truth", "other.obj"], "expected the truth to have 8 vertices, found 4"),

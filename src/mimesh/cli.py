@@ -6,6 +6,7 @@ imports NumPy or anything heavier before a command runs, so that `mimesh --help`
 
 from __future__ import annotations
 
+import io
 import os
 import signal
 import sys
@@ -71,6 +72,8 @@ def _options(
 def main(arguments: list[str] | None = None) -> None:
     """Run one command and leave with its exit code."""
     signal.signal(signal.SIGTERM, _end)
+    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may hold bytes that are no text; as stderr has it
+        sys.stdout.reconfigure(errors="backslashreplace")
     code = run(sys.argv[1:] if arguments is None else arguments)
     try:
         sys.stdout.flush()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .io import load_clip
-from .mesh import Clip, InputError
+from .mesh import Clip, InputError, cut_clip
 from .paging import Progress
 from .preview import save_picture
 from .view import heat, movie, sheet
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 PICTURES = (".png", ".jpg", ".jpeg")
 MOVIES = (".webp", ".gif", ".mp4")
 PAGE = ".html"
+FIXED = ("view", "size", "width", "clay", "labels", "background")
+"""Options that pictures and movies have, and pages not: whoever looks at them chooses."""
 TURN, TURN_RATE = 60, 20.0
 """Frames of a full turn, and how many of them there are in a second."""
 PAPERS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.125, 0.135), "none": None}
@@ -49,6 +52,8 @@ class Wanted:
     track: bool = False
     labels: bool = True
     background: str = "paper"
+    cut: tuple[int, int | None, int] = (0, None, 1)
+    """First frame, frame to stop before, and step: of a truth that moves, as the clips have been cut."""
 
     def kind(self, output: Path, clips: Sequence[Clip]) -> str:
         """What to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
@@ -76,13 +81,22 @@ class Wanted:
             raise InputError(f"{output}: expected {known}, found '{suffix}'; name another with -o")
         if len(given) > 1:
             raise InputError(f"render: expected one kind of picture, found {' and '.join(given)}; choose one")
-        if self.track and suffix not in MOVIES:
-            raise InputError(f"{output}: expected a movie with --track, found '{suffix}'; leave it out")
+        if self.track and (suffix not in MOVIES or self.turntable):
+            found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
+            raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
         none = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
         if suffix not in PICTURES and given and given[0] in none:
             raise InputError(f"{output}: expected a picture (.png or .jpg) for {given[0]}, found '{suffix}'; rename it")
-        if background_of(self.background) is None and suffix != ".png":
+        if suffix == PAGE:
+            self._check_page(output)
+        elif background_of(self.background) is None and suffix != ".png":
             raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
+
+    def _check_page(self, output: Path) -> None:
+        for field in dataclasses.fields(self):
+            if field.name in FIXED and getattr(self, field.name) != field.default:
+                option = "--no-labels" if field.name == "labels" else f"--{field.name}"
+                raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
 
     def _flags(self) -> list[str]:
         """Kinds of picture that are asked for, by the name of their option."""
@@ -146,7 +160,7 @@ def _write_page(wanted: Wanted, names: Sequence[str], clips: Sequence[Clip], out
     up, front = wanted.up, wanted.front
     shown = [Shown("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
     if wanted.truth is not None:
-        truth = load_clip(wanted.truth, fps=clips[-1].fps)
+        truth = _truth(wanted, wanted.truth, clips[-1].fps * wanted.cut[2])
         counts = len(clips[-1].mesh.vertices), len(truth.mesh.vertices)
         if counts[0] != counts[1]:
             raise InputError(
@@ -188,13 +202,19 @@ def _picture(kind, wanted, names, clips) -> Image.Image:
 
 def _heat(wanted: Wanted, clip: Clip) -> Iterator[Image.Image]:
     if wanted.truth is not None:
-        truth = load_clip(wanted.truth, fps=None)
+        truth = _truth(wanted, wanted.truth)
         points = truth.vertices if len(truth) > 1 else truth.mesh.vertices
         measure, unit = heat.distance_to(clip, np.asarray(points)), "mm"
     else:
         assert wanted.stretch is not None
         measure, unit = heat.stretch_of(clip, load_clip(wanted.stretch).mesh.vertices), "%"
     return heat.heat_frames(clip, measure, unit, wanted.tile(5 / 6), track=wanted.track, **wanted.look)
+
+
+def _truth(wanted: Wanted, path: Path, fps: float | None = None) -> Clip:
+    """The truth, cut as the clips are; a truth of one frame is that of all."""
+    truth = load_clip(path, fps=fps)
+    return cut_clip(truth, *wanted.cut) if len(truth) > 1 else truth
 
 
 def _first_frame(clip: Clip):

@@ -38,7 +38,8 @@ def transfer(
     identity stood and heads where the driving does.
 
     Args:
-        model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`).
+        model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`),
+            which is taken as it is: `ensemble`, `seed`, `reference` and `markers` are for names and paths alone.
         ensemble: average over this many random pairings (index-paired networks only).
         refine: smooth the result as the identity's surface allows; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).

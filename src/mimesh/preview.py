@@ -21,10 +21,15 @@ def beside(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
     """Write `output`.preview.png and `output`.preview.html, the page that plays it; returns their paths."""
     from .view.player import download_of, write_result
 
-    base = output.with_suffix("") if output.suffix else output
-    picture, page = (base.with_name(f"{base.name}.preview{suffix}") for suffix in (".png", ".html"))
+    picture, page = names_beside(output)
     save_picture(result_picture(result), picture)
     return picture, write_result(result, page, download_of(result, output))
+
+
+def names_beside(output: Path) -> tuple[Path, Path]:
+    """Paths of the picture and of the page that are written beside an output."""
+    base = output.with_suffix("") if output.suffix else output
+    return base.with_name(f"{base.name}.preview.png"), base.with_name(f"{base.name}.preview.html")
 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:

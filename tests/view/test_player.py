@@ -71,6 +71,13 @@ def test_names_and_notes_cannot_leave_their_place():
     assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (EVIL, [EVIL], EVIL)
 
 
+def test_names_that_are_no_text_are_shown_as_far_as_they_are(tmp_path):
+    name = "p\udce9"
+    download = Download(f"{name}.glb", None)
+    page = write_player(tmp_path / "x.html", [Shown("mesh", clip(), name)], title=name, download=download)
+    assert scene_of(page.read_text())["download"]["href"] == "p%E9.glb"
+
+
 def test_a_file_that_fits_lies_in_the_page_and_one_that_does_not_is_linked():
     noise = np.random.default_rng(0).bytes(200_000)
     options = {"title": "cube", "download": Download("my cube.glb", noise)}
@@ -90,8 +97,22 @@ def test_results_write_their_page_and_show_themselves_in_notebooks(tmp_path):
     assert "driving=" not in repr(result)
 
 
+def test_a_page_is_never_written_where_a_mesh_may_be(tmp_path):
+    (tmp_path / "hero.obj").write_text("v 0 0 0\n")
+    with pytest.raises(InputError, match=r"expected a name that ends in .html, found '.obj'"):
+        mimesh.transfer(zoo.cube(), zoo.cube(), "copy").player(tmp_path / "hero.obj")
+    assert (tmp_path / "hero.obj").read_text() == "v 0 0 0\n"
+
+
 def test_a_result_without_inputs_has_no_page(tmp_path):
     bare = Result(zoo.cube(), "copy", no_time_yet(), {})
     assert bare._repr_html_() is None
     with pytest.raises(InputError, match="without its inputs"):
         bare.player(tmp_path / "cube.html")
+
+
+def test_the_notice_names_the_version_that_is_held():
+    version = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["dependencies"]["three"]
+    said = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
+    assert f"**three.js** {version}," in said
+    assert "`src/mimesh/view/web/player.js`" in said

@@ -2,13 +2,16 @@
 
 import base64
 import dataclasses
+import io
 import json
 import zlib
 
 import numpy as np
 import pytest
 import zoo
+from PIL import Image
 
+from mimesh.geometry import vertex_normals
 from mimesh.mesh import Clip, InputError, Material, Mesh, Part
 from mimesh.view.facets import facets
 from mimesh.view.scene import Shown, pack_scene
@@ -41,6 +44,12 @@ def frames(panel):
     steps = np.cumsum(steps, axis=0, dtype=np.uint16).reshape(panel["frames"], 3, -1).transpose(0, 2, 1)
     centre = np.reshape(panel["centre"], (-1, 1, 3))
     return centre + np.array(panel["low"]) + panel["unit"] * steps
+
+
+def png():
+    content = io.BytesIO()
+    Image.new("RGB", (2, 2)).save(content, "PNG")
+    return content.getvalue()
 
 
 def moving(mesh, count=7, seed=0):
@@ -77,11 +86,21 @@ def test_vertices_are_split_where_texture_coordinates_part():
     sheet = zoo.grid(3)
     uv = sheet.vertices[sheet.faces][..., :2].astype(float)
     uv[0] += 5.0
-    painted = (Part("all", 0, len(sheet.faces), Material("paint", texture=b"\x89PNG not read here")),)
+    painted = (Part("all", 0, len(sheet.faces), Material("paint", texture=png())),)
     split = facets(dataclasses.replace(sheet, corner_uv=uv, parts=painted))
     assert len(split.origin) == 9 + 3
     np.testing.assert_allclose(split.uv[split.corners], uv)
     assert len(np.unique(split.smooth)) == 9  # a seam of the texture is no hard edge
+
+
+def test_pictures_that_cannot_be_read_are_left_out_and_counted():
+    cube = zoo.cube()
+    uv = np.zeros((len(cube.faces), 3, 2))
+    broken = (Part("all", 0, len(cube.faces), Material("paint", texture=b"\x89PNG broken")),)
+    scene = pack_scene([Shown("mesh", Clip.still(dataclasses.replace(cube, corner_uv=uv, parts=broken)))])
+    assert scene["images"] == []
+    assert scene["surfaces"][0]["groups"][0]["material"]["image"] is None
+    assert scene["left_out"] == ["textures that cannot be read are left out: 1"]
 
 
 def test_split_files_are_smooth_across_their_seams():
@@ -96,6 +115,17 @@ def test_identity_and_result_share_one_surface():
     scene = pack_scene(shown)
     assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
     assert scene["panels"][0]["size"] == scene["panels"][2]["size"]
+
+
+def test_files_that_are_compared_keep_their_own_hard_edges():
+    flat, soft = zoo.cube(), zoo.cube()
+    normals = vertex_normals(soft.vertices, soft.faces)[soft.faces]
+    shown = [
+        Shown("mesh", Clip.still(mesh)) for mesh in (flat, dataclasses.replace(soft, corner_normals=normals), flat)
+    ]
+    scene = pack_scene(shown)
+    assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
+    assert [surface["origin"]["shape"] for surface in scene["surfaces"]] == [[24], [8]]
 
 
 def test_long_clips_are_thinned_to_the_budget_and_the_page_says_so():

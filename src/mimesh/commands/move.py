@@ -80,8 +80,7 @@ def transfer(
     from ..pipeline import transfer as run
 
     output = output or output_beside(identity, driving, identity.suffix)
-    refuse_inputs(output, identity, driving)
-    _check_open(preview, open_it)
+    _check_outputs(output, preview, open_it, identity, driving, reference, markers)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
     _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
     result = run(
@@ -152,8 +151,7 @@ def animate(
     from ..pipeline import animate as run
 
     output = output or output_beside(identity, driving, ".glb")
-    refuse_inputs(output, identity, driving)
-    _check_open(preview, open_it)
+    _check_outputs(output, preview, open_it, identity, driving, reference, markers)
     if skinned and blendshapes:
         raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
     _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
@@ -267,9 +265,13 @@ def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: boo
     return {"pictures": [str(picture)], "page": str(page)}
 
 
-def _check_open(preview: bool, open_it: bool) -> None:
+def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None) -> None:
+    """Refuse to write over what is read, and to open a page that is not written."""
     from ..mesh import InputError
+    from ..preview import names_beside
 
+    for written in (output, *(names_beside(output) if preview else ())):
+        refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
 

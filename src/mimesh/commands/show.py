@@ -49,7 +49,9 @@ def render(
     sheet: Annotated[bool, typer.Option("--sheet", help="Each file once, in rows.")] = False,
     strip: Annotated[bool, typer.Option("--strip", help="Frames of each clip side by side.")] = False,
     turntable: Annotated[bool, typer.Option("--turntable", help="One mesh from all sides.")] = False,
-    truth: Annotated[Path | None, typer.Option(help="Heat map of the distance to this mesh or clip.")] = None,
+    truth: Annotated[
+        Path | None, typer.Option(help="Heat map of the distance to this mesh or clip; cut alike.")
+    ] = None,
     stretch: Annotated[
         Path | None, typer.Option(metavar="REFERENCE", help="Heat map of how edges differ in length from this mesh's.")
     ] = None,
@@ -77,10 +79,11 @@ def render(
     from ..drawing import Wanted, draw
 
     wanted = Wanted(
-        sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background
+        *(sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background),
+        cut=(start, stop, step),
     )
     wanted.check(output)
-    refuse_inputs(output, *files, *(path for path in (truth, stretch) if path))
+    refuse_inputs(output, *files, truth, stretch)
     clips = _cut(files, fps, animation, start, stop, step)
     names = [path.name for path in files]
     with progress("frames", quiet or json) as advance:

@@ -31,10 +31,11 @@ BlendShapes = Annotated[
 
 
 def open_page(page: str | Path) -> None:
-    """Show a page of ours in the browser."""
+    """Show a page of ours in the browser, or say where it is if there is none."""
     import webbrowser
 
-    webbrowser.open(Path(page).resolve().as_uri())
+    if not webbrowser.open(Path(page).resolve().as_uri()):
+        print(f"warning: no browser was found; open {page} in one", file=sys.stderr)
 
 
 class Stop(Exception):
@@ -85,8 +86,8 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     return identity.with_name(f"{identity.stem}-{played.name if played.is_dir() else played.stem}{suffix}")
 
 
-def refuse_inputs(output: Path, *inputs: Path) -> None:
-    """Stop before an input file, or a folder of input frames, would be written over.
+def refuse_inputs(output: Path, *inputs: Path | None) -> None:
+    """Stop before an input file, or a folder of input frames, would be written over; None is no input.
 
     Raises:
         InputError: the output is one of the inputs or lies in a folder that is one.
@@ -94,9 +95,11 @@ def refuse_inputs(output: Path, *inputs: Path) -> None:
     from ..mesh import InputError
 
     target = output.resolve()
-    for given in inputs:
+    for given in filter(None, inputs):
         source = given.resolve()
-        if target == source or (source.is_dir() and source in target.parents):
+        # The same file has other names where letters count alike in both cases.
+        same = target == source or (target.exists() and source.exists() and target.samefile(source))
+        if same or (source.is_dir() and source in target.parents):
             raise InputError(f"{output}: expected an output apart from the inputs, found {given}; give another with -o")
 
 

@@ -104,7 +104,7 @@ def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"], per_unit: float
     if truth.ndim == 3 and len(truth) not in (1, len(clip)):
         raise InputError(
             f"{clip.mesh.name}: expected the truth to have {len(clip)} frames, found {len(truth)}; "
-            "cut one of them with --start and --stop"
+            "compare clips of one length"
         )
     frames = truth.reshape(-1, *truth.shape[-2:])
     return lambda t, points: np.linalg.norm(points - frames[t % len(frames)], axis=1) * per_unit

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import io
 from collections.abc import Callable
 
 import numpy as np
@@ -13,6 +12,7 @@ from ..geometry import face_vectors, weld
 from ..mesh import Mesh
 from .camera import Camera
 from .light import to_linear
+from .pictures import decoded
 from .zbuffer import Hits
 
 CLAY = (0.80, 0.76, 0.715)
@@ -125,7 +125,7 @@ def _point_radius(points, camera) -> float:
 
 
 def _textures(mesh: Mesh) -> list[tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]]:
-    """Each texture once (see `_decode`), the faces (F,) that wear it, and the corners' UVs."""
+    """Each texture that can be read, once (see `_decode`), the faces (F,) that wear it, and the corners' UVs."""
     if mesh.corner_uv is None:
         return []
     layers: dict[bytes, np.ndarray] = {}
@@ -133,18 +133,20 @@ def _textures(mesh: Mesh) -> list[tuple[tuple[np.ndarray, ...], np.ndarray, np.n
         if part.material and part.material.texture:
             faces = layers.setdefault(part.material.texture, np.zeros(len(mesh.faces), bool))
             faces[part.start : part.stop] = True
-    return [(_decode(content), faces, mesh.corner_uv) for content, faces in layers.items()]
+    read = [(_decode(content), faces, mesh.corner_uv) for content, faces in layers.items()]
+    return [layer for layer in read if layer[0]]
 
 
 @functools.lru_cache(maxsize=8)  # the frames of a movie share their textures
 def _decode(content: bytes) -> tuple[np.ndarray, ...]:
-    """The picture in linear RGB (height, width, 3), then ever smaller ones of half the size, to where a side is 1."""
-    from PIL import Image
+    """The picture in linear RGB (height, width, 3), then ever smaller ones of half the size, to where a side is 1.
 
-    with Image.open(io.BytesIO(content)) as image:
-        images: list[np.ndarray] = [
-            to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image.convert("RGB"))]
-        ]
+    Nothing if it is damaged.
+    """
+    image = decoded(content)
+    if image is None:
+        return ()
+    images: list[np.ndarray] = [to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image)]]
     while min(images[-1].shape[:2]) > 1:
         even = images[-1][: images[-1].shape[0] // 2 * 2, : images[-1].shape[1] // 2 * 2]
         images.append((even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / 4)

@@ -1,34 +1,59 @@
-"""Textures of a page: each once, as its file has it, or smaller where there is no room for that."""
+"""Textures: read whatever their kind, and packed for a page, each once, smaller where there is no room for it."""
 
 from __future__ import annotations
 
 import io
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from .stream import text
+
+if TYPE_CHECKING:
+    from PIL import Image as Pillow
 
 JPEG_QUALITY = 86
 SMALLEST = 256
 """Pixels; sides of textures are not halved below it."""
 
 
+def decoded(content: bytes) -> Pillow.Image | None:
+    """A PNG or JPEG file as RGB of 8 bits, without its transparency; None if it is damaged, or past Pillow's limit."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content)) as image:
+            image.load()
+            if image.mode.startswith("I"):  # 16 bits of grey, which Pillow would clip
+                return Image.fromarray((np.asarray(image) // 257).astype(np.uint8)).convert("RGB")
+            return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):  # what Pillow raises on such files
+        return None
+
+
 class Pictures:
-    """Collects the textures of the panels, each once."""
+    """Collects the textures of the panels, each once; those that are damaged are left out, and counted."""
 
     def __init__(self) -> None:
         self._contents: list[bytes] = []
+        self._damaged: list[bytes] = []
 
     def number(self, content: bytes | None) -> int | None:
-        """The place of a texture among all; None where there is none."""
-        if content is None:
+        """The place of a texture among all; None where there is none that can be shown."""
+        if content is None or content in self._damaged:
             return None
         if content not in self._contents:
+            if decoded(content) is None:
+                self._damaged.append(content)
+                return None
             self._contents.append(content)
         return self._contents.index(content)
 
     def packed(self, room: int, left_out: list[str]) -> list[dict[str, Any]]:
         """All textures in about `room` letters, large ones halved again and again; words about that in `left_out`."""
         contents = list(self._contents)
+        if self._damaged:
+            left_out.append(f"textures that cannot be read are left out: {len(self._damaged)}")
         while 4 / 3 * sum(map(len, contents)) > room:
             largest = max(range(len(contents)), key=lambda k: len(contents[k]))
             smaller = _halved(contents[largest])
@@ -46,10 +71,8 @@ def _kind(content: bytes) -> str:
 
 def _halved(content: bytes) -> bytes:
     """A picture of half the width and height, as JPEG; the players paint no transparency."""
-    from PIL import Image
-
-    with Image.open(io.BytesIO(content)) as image:
-        size = [max(side // 2, min(side, SMALLEST)) for side in image.size]
-        written = io.BytesIO()
-        image.convert("RGB").resize((size[0], size[1])).save(written, "JPEG", quality=JPEG_QUALITY)
+    image, written = decoded(content), io.BytesIO()
+    assert image is not None
+    size = [max(side // 2, min(side, SMALLEST)) for side in image.size]
+    image.resize((size[0], size[1])).save(written, "JPEG", quality=JPEG_QUALITY)
     return written.getvalue()

@@ -74,11 +74,20 @@ def player_page(
     given = _download(download, room // 2)
     scene = pack_scene(shown, title=title, model=model, notes=notes, budget=room - len(given.get("data") or ""))
     scene["download"] = given or None
-    return PAGE.format(title=html.escape(title), style=style, scene=embedded(scene), script=script)
+    # Names of files may hold bytes that are no text.
+    plain = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    return PAGE.format(title=plain, style=style, scene=embedded(scene), script=script)
 
 
 def write_player(path: str | Path, shown: Sequence[Shown], **options: Any) -> Path:
-    """Write `player_page` into a file, whole or not at all."""
+    """Write `player_page` into a file, whole or not at all.
+
+    Raises:
+        InputError: as `player_page`, a name that does not end in .html, or a path that cannot be written.
+    """
+    if Path(path).suffix.lower() != ".html":
+        found = Path(path).suffix
+        raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")
     page = player_page(shown, **options)
     with writing(Path(path)), whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -172,4 +181,4 @@ def _download(download: Download | None, room: int) -> dict[str, Any]:
         data = text(zlib.compress(download.content, LEVEL))
         if len(data) <= room:
             return {"name": name, "bytes": len(download.content), "data": data}
-    return {"name": name, "href": quote(name)}
+    return {"name": name, "href": quote(os.fsencode(name))}

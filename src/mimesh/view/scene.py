@@ -64,7 +64,7 @@ def pack_scene(
     shown = [_lightened(panel, budget, left_out) for panel in shown]
     pictures, surfaces, owners = Pictures(), [], []
     for panel in shown:
-        owners.append(_surface_of(panel.clip.mesh, owners, shown, surfaces, pictures))
+        owners.append(_surface_of(panel, owners, shown, surfaces, pictures))
     images = pictures.packed(budget // 3, left_out)
     room = budget - sum(_size(value) for value in (*surfaces, *images))
     clips, boxes = thinned([panel.clip for panel in shown], room, left_out)
@@ -122,17 +122,22 @@ def _size(value: Any) -> int:
 
 
 def _surface_of(
-    mesh: Mesh, owners: list[int], shown: Sequence[Shown], surfaces: list[dict[str, Any]], pictures: Pictures
+    panel: Shown, owners: list[int], shown: Sequence[Shown], surfaces: list[dict[str, Any]], pictures: Pictures
 ) -> int:
-    """The number of a mesh's packed surface: that of a panel before it with the same faces and looks, or a new one."""
+    """The number of a panel's packed surface: that of a panel before it that is the same, or a new one.
+
+    Files that are merely compared keep their own: one may have hard edges where the other has none.
+    """
+    mesh = panel.clip.mesh
     for owner, other in zip(owners, shown, strict=False):
-        if _same_surface(mesh, other.clip.mesh):
+        if mesh is other.clip.mesh or ("mesh" not in (panel.role, other.role) and _same_surface(mesh, other.clip.mesh)):
             return owner
     surfaces.append(_surface(mesh, facets(mesh), pictures))
     return len(surfaces) - 1
 
 
 def _same_surface(a: Mesh, b: Mesh) -> bool:
+    """Whether one surface is enough for both: hard edges of a pose are those of the mesh that was posed."""
     same_looks = a.parts == b.parts and a.vertex_colors is b.vertex_colors and a.corner_uv is b.corner_uv
     same_normals = (a.corner_normals is None) == (b.corner_normals is None)
     same_faces = a.faces is b.faces or np.array_equal(a.faces, b.faces)
