@@ -12,7 +12,7 @@ import mimesh
 from mimesh import geometry
 from mimesh.evaluate.metrics import edge_score, mean_error_mm, pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.view import sheet
+from mimesh.view import heat, sheet
 
 
 def main(argv: list[str] | None = None) -> None:
@@ -37,9 +37,7 @@ def main(argv: list[str] | None = None) -> None:
         print("{:12} {:9.2f} {:6.1f} {:10.3f}".format(model, *figures))
         moved = result.vertices - result.vertices.mean(axis=0) + truth.vertices.mean(axis=0)
         picture = options.output / f"{Path(model).stem}.png"
-        sheet.heat_map(dataclasses.replace(result.mesh, vertices=moved), truth, limit=0.1, tile=(360, 440)).save(
-            picture
-        )
+        heat.heat_map(dataclasses.replace(result.mesh, vertices=moved), truth, limit=0.1, tile=(360, 440)).save(picture)
         print("wrote", picture)
     picture = options.output / "pair.png"
     sheet.transfer_sheet(identity, driving, truth).save(picture)

@@ -126,10 +126,10 @@ def test_the_token_is_a_cookie_that_no_script_reads(desk):
 
 def test_the_page_is_there_and_nothing_beside_it(client):
     assert "mimesh studio" in client.get("/").text
-    for name in ("studio.js", "studio.css"):
+    for name in ("player.js", "studio.js", "studio.css"):
         assert client.get(f"/static/{name}").status_code == 200
     for path in (
-        "/static/player.js",
+        "/static/player.css",
         "/static/..%2fscene.py",
         "/static/%2e%2e/scene.py",
         "/etc/passwd",

@@ -34,7 +34,7 @@ LOOKS = 0.02
 """Seconds between two looks at whether there is one."""
 LARGEST = 2**16
 """Bytes of a request that is not a file."""
-PAGE = ("studio.html", "studio.js", "studio.css")
+PAGE = ("studio.html", "player.js", "studio.js", "studio.css")
 
 Handler = Callable[[Request], Awaitable[Response]]
 
