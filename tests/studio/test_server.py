@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from mimesh import load_mesh, save_mesh, transfer
 from mimesh.bodies import load_body
 from mimesh.demo import IDENTITY_SHAPE, person
-from mimesh.studio import make_desk
+from mimesh.studio import make_desk, workplace
 from mimesh.studio.app import make_app
 from mimesh.studio.guard import Guard
 
@@ -73,6 +73,9 @@ def zipped(**files):
         for name, content in files.items():
             archive.writestr(name, content)
     return pack.getvalue()
+
+
+MANY = zipped(**{f"{k}.obj": b"" for k in range(99)})
 
 
 def everything(desk):
@@ -232,6 +235,15 @@ def test_archives_are_counted_as_they_are_unpacked(desk, client):
     assert desk.workplace.used == 0
 
 
+def test_archives_of_too_many_files_are_not_even_listed(desk, client, monkeypatch):
+    monkeypatch.setattr(workplace, "LARGEST_TABLE", 2000)
+    assert sent(client, "identity", few_zip=zipped(**{f"{k}.obj": TRIANGLE for k in range(9)})).status_code == 200
+    monkeypatch.setattr(zipfile, "ZipInfo", None)
+    answer = sent(client, "identity", many_zip=MANY)
+    assert answer.status_code == 422
+    assert "table of contents" in answer.json()["error"]
+
+
 def test_archives_that_are_none_are_said(desk, client):
     answer = sent(client, "identity", some_zip=b"PK\x03\x04 not really")
     assert answer.status_code == 422
@@ -270,7 +282,7 @@ def test_what_is_no_mesh_is_refused(desk, client, files):
 
 
 @pytest.mark.parametrize(
-    "body", [b"[]", b"{", b"\xff", b'{"model": 3}', b'{"nothing": 1}', b'{"smooth": NaN}', b"1" * 2**17]
+    "body", [b"[" * 2**15, b"[]", b"{", b"\xff", b'{"model": 3}', b'{"nothing": 1}', b'{"smooth": NaN}', b"1" * 2**17]
 )
 def test_bodies_that_are_no_options(client, body):
     answer = client.post("/api/options", content=body)
