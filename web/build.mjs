@@ -32,14 +32,8 @@ function fingerprint() {
 
 const notice = readFileSync(join(here, "node_modules/three/LICENSE"), "utf8").trim();
 const mark = `/* mimesh-web ${fingerprint()} */`;
-await build({
+const options = {
   absWorkingDir: here,
-  entryPoints: [
-    { in: "player/page.js", out: "player" },
-    { in: "style.css", out: "player" },
-    { in: "studio/studio.js", out: "studio" },
-    { in: "studio/studio.css", out: "studio" },
-  ],
   outdir: output,
   bundle: true,
   minify: true,
@@ -48,7 +42,23 @@ await build({
   charset: "utf8",
   legalComments: "inline",
   banner: { js: mark, css: mark },
-  footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
   logLevel: "info",
+};
+// The player, with three.js, is one script that offline pages hold and the studio's page loads: see studio/player.js.
+await build({
+  ...options,
+  entryPoints: [
+    { in: "player/page.js", out: "player" },
+    { in: "style.css", out: "player" },
+  ],
+  globalName: "mimeshPlayer",
+  footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
+});
+await build({
+  ...options,
+  entryPoints: [
+    { in: "studio/studio.js", out: "studio" },
+    { in: "studio/studio.css", out: "studio" },
+  ],
 });
 copyFileSync(join(here, "studio/studio.html"), join(output, "studio.html"));

@@ -8,7 +8,7 @@ import pytest
 import zoo
 from PIL import Image
 
-from mimesh.mesh import Clip, Material, Part
+from mimesh.mesh import Clip, Material, Mesh, Part
 from mimesh.view.player import Download, write_player
 from mimesh.view.scene import Shown
 
@@ -159,6 +159,26 @@ def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
     picture = watched.picture()
     left, right = np.array_split(picture, 2, axis=1)
     assert min(left.std(), right.std()) > 5
+
+
+def test_the_shadow_lies_under_its_subject(watch, tmp_path):
+    """A slab hangs on the left, a crumb lies on the right: what is dark on the floor is below the slab."""
+    slab, crumb = (zoo.cube(),) * 2
+    slab = slab.vertices * [0.6, 0.1, 0.6] + [-0.8, 0.5, 0]
+    vertices = np.concatenate([slab, crumb.vertices * 0.05 + [1, 0, 0]])
+    mesh = Mesh(vertices, np.concatenate([crumb.faces, crumb.faces + len(slab)]))
+    page = write_player(tmp_path / "shadow.html", [Shown("mesh", Clip.still(mesh), front="+z")], title="shadow")
+    watched = watch(page.as_uri())
+    pictures = [watched.picture()]
+    for name in ("subject", "shadow.floor"):
+        watched.page.evaluate(f"mimesh.stage.views[0].{name}.visible = false; mimesh.stage.render()")
+        pictures.append(watched.picture())
+    both, shadow, neither = pictures
+    subject, dark = (np.abs(a - b).sum(-1).sum(0) for a, b in ((both, shadow), (shadow, neither)))
+    columns = np.arange(len(dark))
+    middle, below = ((columns * weight).sum() / weight.sum() for weight in (subject, dark))
+    assert dark.sum() > 1000
+    assert abs(below - middle) < 0.1 * len(dark)
 
 
 def test_every_button_says_what_it_does(watched):

@@ -1,15 +1,13 @@
 """The studio's page used as a person would: from files that are chosen and dropped to a file that is downloaded."""
 
 import base64
-import dataclasses
 import threading
 
 import numpy as np
 import pytest
+from people import person, walk
 
-from mimesh import Clip, animate, load_clip, save_clip, save_mesh
-from mimesh.bodies import load_body
-from mimesh.demo import IDENTITY_SHAPE, person, played
+from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.studio import _listening, make_desk, make_server
 from mimesh.studio.guard import new_token
 
@@ -29,12 +27,11 @@ DROP = """([role, name, text]) => {
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A person as .glb and .obj, three frames of another who jumps, and what is no mesh."""
-    folder, body = tmp_path_factory.mktemp("files"), load_body()
-    hero, jump = person(body, IDENTITY_SHAPE), played(body)
-    save_mesh(hero, folder / "hero.glb")
-    save_mesh(hero, folder / "hero.obj")
-    save_clip(dataclasses.replace(jump, vertices=jump.vertices[::10], fps=10.0), folder / "jump.npz")
+    """A small person as .glb and .obj, three frames of another who walks, and what is no mesh."""
+    folder = tmp_path_factory.mktemp("files")
+    save_mesh(person(0), folder / "hero.glb")
+    save_mesh(person(0), folder / "hero.obj")
+    save_clip(walk(frames=3), folder / "walk.npz")
     (folder / "bad.glb").write_text("this is not a mesh")
     (folder / "flat.obj").write_text("v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 2 3\n")
     return folder
@@ -62,14 +59,15 @@ def seen(studio, watch_all):
     """The page, opened once: only this machine is asked, and nothing complains."""
     origin, token, _ = studio
     # Without motion, so that drawing in software leaves time for the rest.
-    options = {"viewport": {"width": 900, "height": 560}, "reduced_motion": "reduce"}
+    options = {"viewport": {"width": 760, "height": 480}, "reduced_motion": "reduce"}
     return watch_all(f"{origin}/?token={token}", allowed=(origin, "data:", "blob:"), **options)
 
 
 @pytest.fixture
 def fresh(studio, seen):
-    """The page with nothing on it but the options as they were."""
+    """The page with nothing on it, and the model that is done at once."""
     desk = studio[2]
+    desk.set_options({"model": "copy"})
     for number in [*desk.identities, *([desk.driving.number] if desk.driving else [])]:
         desk.remove(number)
     seen.page.wait_for_selector("#welcome:not([hidden])")
@@ -98,8 +96,9 @@ def moved(before, after):
 
 def test_from_files_to_a_download(fresh, files, tmp_path):
     page = fresh.page
+    page.select_option("#model select", "mime")
     choose(page, "identity", files / "hero.glb")
-    drop(page, "driving", files / "jump.npz")
+    drop(page, "driving", files / "walk.npz")
     page.wait_for_selector(HERO, timeout=30_000)
     at_rest(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
@@ -109,8 +108,8 @@ def test_from_files_to_a_download(fresh, files, tmp_path):
     with page.expect_download(timeout=30_000) as download:
         page.click("#write")
     download.value.save_as(tmp_path / "back.glb")
-    assert download.value.suggested_filename == "hero-jump.glb"
-    ours = animate(files / "hero.glb", files / "jump.npz")
+    assert download.value.suggested_filename == "hero-walk.glb"
+    ours = animate(files / "hero.glb", files / "walk.npz")
     ours.save(tmp_path / "ours.glb")
     back, written = load_clip(tmp_path / "back.glb"), load_clip(tmp_path / "ours.glb")
     np.testing.assert_allclose(back.vertices, written.vertices, atol=1e-6)
@@ -122,8 +121,6 @@ def test_another_model_shows_at_once_and_options_follow_it(fresh, files):
     choose(page, "identity", files / "hero.obj")
     choose(page, "driving", files / "hero.obj")
     page.wait_for_selector("#identities .row[data-state='done']", timeout=30_000)
-    page.select_option("#model select", "copy")
-    page.wait_for_function("() => mimesh.live.state.identities[0].outcome.model === 'copy'", timeout=20_000)
     assert page.locator("#model input[type=checkbox]").is_disabled()
     page.select_option("#model select", "mime")
     page.wait_for_function("() => mimesh.live.state.identities[0].outcome.model === 'mime'", timeout=20_000)
@@ -179,7 +176,7 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
 
     monkeypatch.setattr(acts, "result", held_up)
     choose(page, "identity", files / "hero.glb")
-    choose(page, "driving", files / "jump.npz")
+    choose(page, "driving", files / "walk.npz")
     page.wait_for_selector(".panel.waiting", timeout=30_000)
     at_rest(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
@@ -193,7 +190,11 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
     page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.held")
 
 
-def test_keyboard_theme_and_narrow_windows(fresh, files):
+def test_keyboard_theme_and_narrow_windows(fresh, monkeypatch):
+    from mimesh.studio import acts
+
+    monkeypatch.setattr(acts, "demo_person", lambda: person(0))
+    monkeypatch.setattr(acts, "demo_clip", lambda motion: walk(frames=2))
     page = fresh.page
     page.focus("#welcome button")
     page.keyboard.press("Enter")
@@ -205,10 +206,4 @@ def test_keyboard_theme_and_narrow_windows(fresh, files):
     page.keyboard.press("d")
     page.set_viewport_size({"width": 400, "height": 760})
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
-    page.set_viewport_size({"width": 900, "height": 560})
-
-
-def test_the_clip_of_the_test_is_one(files):
-    clip = load_clip(files / "jump.npz")
-    assert isinstance(clip, Clip)
-    assert len(clip) == 3
+    page.set_viewport_size({"width": 760, "height": 480})

@@ -12,7 +12,7 @@ from starlette.testclient import TestClient
 from mimesh import load_mesh, save_mesh, transfer
 from mimesh.bodies import load_body
 from mimesh.demo import IDENTITY_SHAPE, person
-from mimesh.studio import make_desk
+from mimesh.studio import make_desk, workplace
 from mimesh.studio.app import make_app
 from mimesh.studio.guard import Guard
 
@@ -75,6 +75,9 @@ def zipped(**files):
     return pack.getvalue()
 
 
+MANY = zipped(**{f"{k}.obj": b"" for k in range(99)})
+
+
 def everything(desk):
     return {str(path.relative_to(desk.workplace.folder)) for path in desk.workplace.folder.rglob("*") if path.is_file()}
 
@@ -126,10 +129,10 @@ def test_the_token_is_a_cookie_that_no_script_reads(desk):
 
 def test_the_page_is_there_and_nothing_beside_it(client):
     assert "mimesh studio" in client.get("/").text
-    for name in ("studio.js", "studio.css"):
+    for name in ("player.js", "studio.js", "studio.css"):
         assert client.get(f"/static/{name}").status_code == 200
     for path in (
-        "/static/player.js",
+        "/static/player.css",
         "/static/..%2fscene.py",
         "/static/%2e%2e/scene.py",
         "/etc/passwd",
@@ -232,6 +235,15 @@ def test_archives_are_counted_as_they_are_unpacked(desk, client):
     assert desk.workplace.used == 0
 
 
+def test_archives_of_too_many_files_are_not_even_listed(desk, client, monkeypatch):
+    monkeypatch.setattr(workplace, "LARGEST_TABLE", 2000)
+    assert sent(client, "identity", few_zip=zipped(**{f"{k}.obj": TRIANGLE for k in range(9)})).status_code == 200
+    monkeypatch.setattr(zipfile, "ZipInfo", None)
+    answer = sent(client, "identity", many_zip=MANY)
+    assert answer.status_code == 422
+    assert "table of contents" in answer.json()["error"]
+
+
 def test_archives_that_are_none_are_said(desk, client):
     answer = sent(client, "identity", some_zip=b"PK\x03\x04 not really")
     assert answer.status_code == 422
@@ -270,7 +282,7 @@ def test_what_is_no_mesh_is_refused(desk, client, files):
 
 
 @pytest.mark.parametrize(
-    "body", [b"[]", b"{", b"\xff", b'{"model": 3}', b'{"nothing": 1}', b'{"smooth": NaN}', b"1" * 2**17]
+    "body", [b"[" * 2**15, b"[]", b"{", b"\xff", b'{"model": 3}', b'{"nothing": 1}', b'{"smooth": NaN}', b"1" * 2**17]
 )
 def test_bodies_that_are_no_options(client, body):
     answer = client.post("/api/options", content=body)

@@ -37,13 +37,18 @@ def test_the_bundle_is_built_from_the_sources_here():
             content = (WEB / path).read_bytes()
             digest.update(f"{path}\n{len(content)}\n".encode() + content)
     mark = f"/* mimesh-web {digest.hexdigest()[:32]} */"
-    for name in ("player.js", "player.css"):
+    for name in ("player.js", "player.css", "studio.js", "studio.css"):
         assert web_file(name).startswith(mark), "web/ has changed since the bundle was built: run make web"
 
 
 def test_the_bundle_keeps_the_licence_of_what_it_holds():
     assert "three.js authors" in web_file("player.js")
     assert "Permission is hereby granted" in web_file("player.js")
+
+
+def test_three_is_held_once():
+    assert len(web_file("studio.js")) < 40_000
+    assert "WebGLRenderer" not in web_file("studio.js")
 
 
 def test_a_page_is_small_and_asks_for_nothing():

@@ -1,4 +1,5 @@
-// The offline page: reads the scene that lies in it, starts the stage, and offers the result's file.
+// The offline page: reads the scene that lies in it, starts the stage, and offers the result's file. Where no scene
+// lies in the page, as in the studio's, nothing is started: that page takes the parts from `mimeshPlayer`.
 import { Controls } from "./controls.js";
 import { make } from "./dom.js";
 import { ICONS } from "./icons.js";
@@ -73,7 +74,11 @@ async function start() {
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) controls.play();
 }
 
-start().catch((error) => {
-  refuse(document.getElementById("mimesh"), `This page could not be shown: ${error.message}`);
-  throw error;
-});
+if (document.getElementById("mimesh-scene")) {
+  start().catch((error) => {
+    refuse(document.getElementById("mimesh"), `This page could not be shown: ${error.message}`);
+    throw error;
+  });
+}
+
+export { Controls, Stage, make };

@@ -1,5 +1,5 @@
 // Small pieces of the side panel.
-import { make } from "../player/dom.js";
+import { make } from "./player.js";
 
 /** A labelled field in a grid; returns the field. */
 export function field(grid, label, control) {

@@ -1,5 +1,5 @@
 // The two forms of the side panel: the model with its options, and what to export.
-import { make } from "../player/dom.js";
+import { make } from "./player.js";
 import { allow, checkbox, choice, field, fill, showValue } from "./fields.js";
 
 const WORDS = {

@@ -1,5 +1,5 @@
 // Rows of the side panel: a mesh to move or what to imitate, and an export.
-import { make } from "../player/dom.js";
+import { make } from "./player.js";
 import { choice, field, fill, megabytes, say, showValue } from "./fields.js";
 
 const count = (number, word) => `${number.toLocaleString("en")} ${word}`;

@@ -1,8 +1,6 @@
 // The live page of `mimesh studio`: the side panel, the stage, and what goes between them and the server. The server
 // knows the state; the page shows it whenever it changes, so that nothing is lost when it is loaded again.
-import { Controls } from "../player/controls.js";
-import { Stage } from "../player/stage.js";
-import { make } from "../player/dom.js";
+import { Controls, Stage, make } from "./player.js";
 import { acceptDrops, chosen } from "./files.js";
 import { say, keep } from "./fields.js";
 import { Live } from "./live.js";

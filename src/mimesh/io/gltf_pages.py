@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import binascii
 import mmap
-import os
 import re
 import tempfile
 from pathlib import Path
@@ -13,6 +12,7 @@ from urllib.parse import unquote
 
 from ..mesh import InputError
 from ..paging import LARGE
+from .beside import is_there
 
 _PIECE = 2**22
 """Characters that are decoded at once; a multiple of four."""
@@ -51,7 +51,7 @@ class Pages:
                     f"{path}: expected base64 data in a data: URI, found {error}; export it again"
                 ) from error
         for name in (unquote(uri), uri):  # some exporters write names as they are
-            if uri and os.path.isfile(path.parent / name):
+            if uri and is_there(path.parent / name):
                 return self.read(path.parent / name)
         return None
 

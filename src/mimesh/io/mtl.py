@@ -9,6 +9,7 @@ from pathlib import Path
 
 from ..mesh import Material, Mesh
 from .atomic import whole_file
+from .beside import is_there
 from .text import decoded
 
 _SIGNED = "# written by mimesh\n"
@@ -30,7 +31,7 @@ def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Materi
     materials: dict[str, Material] = {}
     found: list[str] = []
     for name in names:
-        if not (folder / name).is_file():
+        if not is_there(folder / name):
             continue
         found.append(name)
         text = "\n".join(decoded(line) for line in (folder / name).read_bytes().splitlines())
@@ -153,6 +154,6 @@ def _find_image(text: str, folder: Path, inner: Path) -> str:
     for statement in (text, " ".join(words)):
         name = statement.replace("\\", "/")
         for candidate in (name, name.rpartition("/")[2]):
-            if candidate and (folder / inner / candidate).is_file():
+            if candidate and is_there(folder / inner / candidate):
                 return (inner / candidate).as_posix()
     return ""

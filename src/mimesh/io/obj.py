@@ -14,6 +14,7 @@ from ..geometry import unit_vectors, vertex_normals
 from ..mesh import InputError, Material, Mesh, Part
 from . import mtl
 from .atomic import whole_file
+from .beside import is_there
 from .colors import linear_rgba, srgb_rgba
 from .obj_source import ObjSource
 from .polygons import fan_corners, polygon_sizes, polygons_of
@@ -253,7 +254,7 @@ def _library_names(lines: Sequence[bytes], index: Sequence[int], folder: Path) -
     for number in index:
         rest = decoded(lines[number].strip()).split(None, 1)[1:]
         for name in (text.replace("\\", "/") for text in rest):
-            names += [name] if (folder / name).is_file() else name.split()
+            names += [name] if is_there(folder / name) else name.split()
     return names
 
 

@@ -22,6 +22,8 @@ def unpack(path: Path, folder: Path) -> list[str]:
     """
     try:
         with zipfile.ZipFile(path) as package:
+            if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
+                raise zipfile.BadZipFile("compressed files in it")
             package.extractall(folder)
             return [entry.filename for entry in package.infolist() if not entry.is_dir()]
     except zipfile.BadZipFile as error:

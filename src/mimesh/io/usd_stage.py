@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
-from pxr import Sdf, Usd, UsdGeom
+from pxr import Ar, Sdf, Usd, UsdGeom, UsdUtils
 
 from ..mesh import InputError
+from .beside import is_confined, may_be_read
 
 # usd-core tells type checkers nothing of what is in it.
 # pyright: reportAttributeAccessIssue=false
@@ -21,7 +23,13 @@ REST = Usd.TimeCode.Default()
 
 
 def open_stage(path: Path) -> Usd.Stage:
-    """The stage of a file with all its payloads; the file is only read."""
+    """The stage of a file with all its payloads; the file is only read.
+
+    Raises:
+        InputError: it is confined (see `beside`) and names files outside of its folder.
+    """
+    if is_confined():
+        _check_names(path)
     known = Sdf.Layer.Find(str(path))
     if known and not known.dirty:
         known.Reload()  # layers that somebody still holds would not show that the file was written again
@@ -93,6 +101,32 @@ def stands_by_default(prim: Usd.Prim) -> bool:
     mesh = UsdGeom.Mesh(prim)
     attributes += [mesh.GetPointsAttr(), mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()]
     return all(attribute.Get(REST) is not None for attribute in attributes)
+
+
+def _check_names(path: Path) -> None:
+    """Follow every layer, payload, clip and asset that a file names, before the first of them is opened.
+
+    What is named outside of the folder and is not there does no harm.
+    """
+    waiting, seen = [str(path)], set()
+    while waiting:
+        layer = Sdf.Layer.FindOrOpen(waiting.pop())
+        if layer is None or layer.identifier in seen:
+            continue
+        seen.add(layer.identifier)
+        for name in filter(None, itertools.chain(*UsdUtils.ExtractExternalReferences(layer.identifier))):
+            found = Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name)).GetPathString()
+            file = Ar.SplitPackageRelativePathOuter(found)[0] if found else ""
+            if file and not may_be_read(file):
+                raise InputError(
+                    f"{path}: expected the names of files that came with it, found {name[:80]!r}; give them together"
+                )
+            if file and _is_layer(found):
+                waiting.append(found)
+
+
+def _is_layer(name: str) -> bool:
+    return Sdf.FileFormat.FindByExtension(name.rstrip("]")) is not None
 
 
 def _visible(stage: Usd.Stage, time: Usd.TimeCode) -> Iterator[Usd.Prim]:

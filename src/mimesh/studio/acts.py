@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import re
 from pathlib import Path
@@ -14,6 +15,7 @@ from ..bodies import load_body
 from ..demo import IDENTITY_SHAPE, person, played
 from ..frame import Frame
 from ..io import load_clip, load_mesh
+from ..io.beside import confined
 from ..mesh import Clip, Mesh
 from ..methods import find_method
 from ..moving import Axes, Ready, Travel, play, posed, prepare
@@ -47,14 +49,16 @@ OPTION_WORDS = {
 """What the command line calls by its options, and the page by its fields."""
 
 
-def read_mesh(path: Path) -> Mesh:
-    """A mesh to move."""
-    return load_mesh(path)
+def read_mesh(path: Path, folder: Path | None) -> Mesh:
+    """A mesh to move; of an upload, what it names is read from its folder alone."""
+    with _within(folder):
+        return load_mesh(path)
 
 
-def read_clip(path: Path, name: str, fps: float | None, animation: str | None) -> Clip:
-    """What to imitate; a mesh is a clip of one frame, and a folder is called `name`."""
-    clip = load_clip(path, fps, animation)
+def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, animation: str | None) -> Clip:
+    """What to imitate; a mesh is a clip of one frame, and a folder is called `name`. As for `read_mesh`."""
+    with _within(folder):
+        clip = load_clip(path, fps, animation)
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
@@ -98,6 +102,10 @@ def result(ready: Ready, options: Options, progress: Progress) -> ClipResult:
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
     shown = Clip(ready.identity.with_vertices(first), moved.vertices, clip.fps)
     return ClipResult(shown, ready.method.name, seconds, moved.report, moved.notes, moved.skeleton)
+
+
+def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:
+    return contextlib.nullcontext() if folder is None else confined(folder)
 
 
 def for_page(text: str, folder: Path) -> str:

@@ -34,7 +34,7 @@ LOOKS = 0.02
 """Seconds between two looks at whether there is one."""
 LARGEST = 2**16
 """Bytes of a request that is not a file."""
-PAGE = ("studio.html", "studio.js", "studio.css")
+PAGE = ("studio.html", "player.js", "studio.js", "studio.css")
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -242,7 +242,7 @@ async def _json(request: Request) -> dict[str, Any]:
             raise TooLarge(f"request: expected {LARGEST} bytes or fewer, found more; send less")
     try:
         given = json.loads(body or b"{}")
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InputError(f"request: expected JSON, found '{error}'; send an object") from error
     if not isinstance(given, dict):
         raise InputError("request: expected a JSON object, found something else; send an object")

@@ -62,13 +62,13 @@ class Desk:
             item = Item(self.next_number(), path.name, path, upload)
             self.identities[item.number] = item
             added.append(item.number)
-            self._read(item, partial(acts.read_mesh, path))
+            self._read(item, partial(acts.read_mesh, path, self._folder(upload)))
         return added
 
     def set_driving(self, path: Path, name: str, upload: int | None = None) -> int:
         """Read what to imitate, a file or a folder of frames, in place of what was there."""
         item = self._new_driving(name, path, upload)
-        self._read(item, partial(acts.read_clip, path, name, None, None))
+        self._read(item, partial(acts.read_clip, path, self._folder(upload), name, None, None))
         return item.number
 
     def use_demo(self, what: str, motion: str) -> None:
@@ -118,7 +118,9 @@ class Desk:
         if item is self.driving and given.keys() & {"animation", "fps"} and item.path is not None:
             item.animation = given.get("animation", item.animation) or None
             item.fps = rate(given.get("fps", item.fps))
-            self._read(item, partial(acts.read_clip, item.path, item.name, item.fps, item.animation))
+            self._read(
+                item, partial(acts.read_clip, item.path, self._folder(item.upload), item.name, item.fps, item.animation)
+            )
         self.refresh()
 
     def set_options(self, given: dict[str, Any]) -> None:
@@ -194,6 +196,9 @@ class Desk:
         """End all work and take the files away."""
         self.worker.close()
         self.workplace.close()
+
+    def _folder(self, upload: int | None) -> Path | None:
+        return None if upload is None else self.workplace.upload(upload).folder
 
     def _new_driving(self, name: str, path: Path | None = None, upload: int | None = None) -> Item:
         if self.driving is not None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import os
 import re
 import shutil
 import tempfile
@@ -22,6 +24,8 @@ LONGEST = 120
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))}
 """Names that are no files on some systems, whatever their suffix."""
 CHUNK = 2**20
+LARGEST_TABLE = MOST_FILES * 256
+"""Bytes of the table of contents of an archive."""
 
 
 class TooLarge(InputError):
@@ -135,7 +139,7 @@ class Workplace:
             InputError: not an archive, an encrypted one, or one with too many files or bytes.
         """
         try:
-            with zipfile.ZipFile(archive) as pack:
+            with _Frugal(archive) as file, zipfile.ZipFile(file) as pack:
                 entries = [entry for entry in pack.infolist() if not entry.is_dir() and not _litter(entry.filename)]
                 for entry in entries:
                     self._unpack(upload, pack, entry)
@@ -160,6 +164,16 @@ class Workplace:
     def _next(self) -> int:
         self._last += 1
         return self._last
+
+
+class _Frugal(io.FileIO):
+    """A file that is not read whole: the table of contents of an archive is, and each entry takes much memory."""
+
+    def read(self, size: int | None = -1) -> bytes:
+        whole = os.fstat(self.fileno()).st_size - self.tell()
+        if (whole if size is None or size < 0 else min(size, whole)) > LARGEST_TABLE:
+            raise zipfile.BadZipFile(f"a table of contents of far more than {MOST_FILES:,} files")
+        return super().read(size)
 
 
 def safe_name(name: str) -> str:
