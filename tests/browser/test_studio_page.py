@@ -181,6 +181,7 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
     at_rest(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
     page.wait_for_function("() => mimesh.stage.views.at(-1).panel.held")
+    assert page.locator(".panel-result.waiting.posed").count() == 1, "the caption says that it is but a pose"
     first = fresh.picture(".panel-result")
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
     page.wait_for_function("() => mimesh.live.asking.size === 0")
