@@ -181,6 +181,7 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
     at_rest(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
     page.wait_for_function("() => mimesh.stage.views.at(-1).panel.held")
+    assert page.locator(".panel-result.waiting.posed").count() == 1, "the caption says that it is but a pose"
     first = fresh.picture(".panel-result")
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
     page.wait_for_function("() => mimesh.live.asking.size === 0")
@@ -191,14 +192,16 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
 
 
 def test_keyboard_theme_and_narrow_windows(fresh, monkeypatch):
-    from mimesh.studio import acts
+    from mimesh.studio import acts, desk
 
-    monkeypatch.setattr(acts, "demo_person", lambda: person(0))
+    monkeypatch.setattr(desk, "character", lambda name: person(0))
     monkeypatch.setattr(acts, "demo_clip", lambda motion: walk(frames=2))
     page = fresh.page
     page.focus("#welcome button")
     page.keyboard.press("Enter")
     page.wait_for_selector("#identities .row[data-state=done]", timeout=30_000)
+    page.select_option("#character", "imp")
+    page.wait_for_selector("#identities .row[data-state=done]:has-text('imp')", timeout=30_000)
     at_rest(page)
     light = fresh.picture("#side")
     page.keyboard.press("d")

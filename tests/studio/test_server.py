@@ -290,6 +290,28 @@ def test_bodies_that_are_no_options(client, body):
     assert "expected" in answer.json()["error"]
 
 
+def test_the_cast_is_offered_by_name(client):
+    assert {"imp", "dancer"} < set(client.get("/api/state").json()["characters"])
+    assert client.post("/api/demo", json={"what": "identity", "character": "/etc/passwd"}).status_code == 422
+    assert client.post("/api/demo", json={"what": "driving", "motion": "/etc/passwd"}).status_code == 422
+    for name in ("imp", "stork"):
+        client.post("/api/demo", json={"what": "identity", "character": name})
+    found = settled(client)["identities"]
+    assert [(mesh["name"], mesh["shipped"], mesh["state"]) for mesh in found] == [
+        ("imp", True, "ready"),
+        ("stork", True, "ready"),
+    ]
+
+
+def test_a_desk_has_an_end(desk, client, monkeypatch):
+    monkeypatch.setattr("mimesh.studio.items.MOST_IDENTITIES", 1)
+    assert sent(client, "identity", a_obj=TRIANGLE).status_code == 200
+    answer = sent(client, "identity", b_obj=TRIANGLE)
+    assert answer.status_code == 422
+    assert "remove some" in answer.json()["error"]
+    assert len(everything(desk)) == 1
+
+
 def test_numbers_of_nothing(client):
     for method, path in (
         ("DELETE", "/api/meshes/99"),

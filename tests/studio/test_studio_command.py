@@ -41,6 +41,21 @@ def test_ends_within_a_second_and_leaves_nothing(program, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_what_a_killed_studio_left_goes_with_the_next(tmp_path):
+    from mimesh.studio.workplace import remove_leftovers
+
+    gone = subprocess.Popen([sys.executable, "-c", ""])
+    gone.wait()
+    names = [f"mimesh-studio-{gone.pid}-x", f"mimesh-studio-{os.getpid()}-x", "mimesh-studio-old", "other-1-x"]
+    for name in names:
+        (tmp_path / name / "uploads").mkdir(parents=True)
+    target = tmp_path / f"mimesh-studio-{gone.pid}-link"
+    target.symlink_to(tmp_path / "other-1-x")
+    remove_leftovers(tmp_path)
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names[1:], target.name])
+    assert (tmp_path / "other-1-x" / "uploads").is_dir()
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -58,6 +58,7 @@ export class Live {
     for (const [number, view] of this.results()) {
       const waiting = !this.current(number);
       view.box.classList.toggle("waiting", waiting);
+      view.box.classList.toggle("posed", Boolean(view.panel.held));
       if (!waiting && view.panel.held && !this.asking.has(number)) {
         this.stage.hold(view, null);
       }
@@ -81,6 +82,7 @@ export class Live {
         const points = await askPose(number, this.frame(), stop.signal);
         if (!points || stop.signal.aborted || points.length !== 3 * view.panel.vertices) break;
         this.stage.hold(view, points);
+        this.mark();
       }
     } catch (error) {
       if (error.name !== "AbortError") this.failed(error.message);

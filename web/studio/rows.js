@@ -90,7 +90,7 @@ function facing(row, mesh, act) {
     animation.hidden = animation.words.hidden = now.animations.length < 2;
     fill(animation, [["", "the first"], ...now.animations.map((name) => [name, name])]);
     showValue(animation, now.animation ?? "");
-    fps.hidden = fps.words.hidden = !(now.frames > 1) || !now.own;
+    fps.hidden = fps.words.hidden = !(now.frames > 1) || now.shipped;
     fps.placeholder = `${+now.fps.toFixed(3)}`;
     showValue(fps, now.given_fps ?? "");
   };

@@ -52,8 +52,7 @@ async function take(role, files) {
 
 function showRows() {
   if (!state) return;
-  const own = (mesh) => ({ ...mesh, own: !state.motions.includes(mesh.name) });
-  const given = { identity: state.identities.map(own), driving: state.driving ? [own(state.driving)] : [] };
+  const given = { identity: state.identities, driving: state.driving ? [state.driving] : [] };
   for (const role of ["identity", "driving"]) {
     const things = [...given[role], ...uploads[role].values()];
     keep(sectionOf[role].querySelector(".rows"), things, (row, mesh) => meshRow(row, mesh, act));
@@ -75,6 +74,18 @@ function refuse() {
   at("stage").append(make("p", "refusal", {
     textContent: "The studio draws with WebGL 2, which this browser has not. Meshes can be moved and exported all the same.",
   }));
+}
+
+/** A menu of what is shipped; what is chosen is laid on the desk. Gives what fills it. */
+function offerDemo(what, kind) {
+  const menu = at(kind);
+  menu.addEventListener("change", () => {
+    const given = { what, [kind]: menu.value };
+    menu.value = "";
+    attempt(sectionOf[what], () => call("POST", "/api/demo", given));
+  });
+  const option = (name) => make("option", "", { value: name, textContent: name });
+  return (now) => menu.append(...now[`${kind}s`].map(option));
 }
 
 function start() {
@@ -102,19 +113,11 @@ function start() {
       take(input.dataset.role, files);
     });
   }
-  for (const button of document.querySelectorAll("[data-demo]")) {
-    const what = button.dataset.demo;
-    button.addEventListener("click", () => attempt(sectionOf[what], () => call("POST", "/api/demo", { what })));
-  }
-  const motion = at("motion");
-  motion.addEventListener("change", () => {
-    const given = { what: "driving", motion: motion.value };
-    motion.value = "";
-    attempt(sectionOf.driving, () => call("POST", "/api/demo", given));
-  });
+  at("demo").addEventListener("click", () => attempt(sectionOf.both, () => call("POST", "/api/demo", { what: "both" })));
+  const offers = [offerDemo("identity", "character"), offerDemo("driving", "motion")];
 
   const seen = (now) => {
-    if (!state) motion.append(...now.motions.map((name) => make("option", "", { value: name, textContent: name })));
+    if (!state) for (const offer of offers) offer(now);
     state = now;
     say(at("doing"), doing());
     at("welcome").hidden = Boolean(now.driving) || now.identities.length > 0;

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..demo import IDENTITY_SHAPE, person, played
+from ..demo import played
 from ..frame import Frame
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
@@ -28,7 +28,6 @@ from .options import Options
 __all__ = [
     "animations",
     "demo_clip",
-    "demo_person",
     "for_page",
     "posed",
     "prepared",
@@ -62,13 +61,8 @@ def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, ani
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
-def demo_person() -> Mesh:
-    """The shipped person that `mimesh demo` moves."""
-    return person(load_body(), IDENTITY_SHAPE)
-
-
 def demo_clip(motion: str) -> Clip:
-    """Another shipped person in a shipped motion."""
+    """The shipped person in a shipped motion."""
     return played(load_body(), motion)
 
 

@@ -34,6 +34,7 @@ LOOKS = 0.02
 """Seconds between two looks at whether there is one."""
 LARGEST = 2**16
 """Bytes of a request that is not a file."""
+DEMO = {"what": "both", "character": "dancer", "motion": "jump"}
 PAGE = ("studio.html", "player.js", "studio.js", "studio.css")
 
 Handler = Callable[[Request], Awaitable[Response]]
@@ -120,12 +121,15 @@ class Routes:
         return JSONResponse({})
 
     async def demo(self, request: Request) -> Response:
+        from ..bodies.cast import CAST
         from ..motions import load_motion
 
         given = await _json(request)
-        what, motion = str(given.get("what", "both")), str(given.get("motion", "jump"))
+        what, name, motion = (str(given.get(key, usual)) for key, usual in DEMO.items())
+        if name not in CAST:
+            raise InputError(f"character: expected one of {', '.join(CAST)}, found {name[:60]!r}; choose one")
         await run_in_threadpool(load_motion, motion)
-        self._desk.use_demo(what, motion)
+        self._desk.use_demo(what, name, motion)
         return JSONResponse({})
 
     async def options(self, request: Request) -> Response:

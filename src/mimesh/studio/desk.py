@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.cast import character
 from ..frame import parse_axis
 from ..mesh import Clip, InputError, Mesh
 from ..moving import Ready
@@ -24,7 +25,7 @@ from ..paging import Progress
 from ..result import ClipResult
 from . import acts
 from .exports import KEPT, Export, write
-from .items import Item, Outcome, finished, wants
+from .items import Item, Outcome, check_room, finished, wants
 from .jobs import Dropped, Worker, words
 from .options import Options, rate
 from .workplace import Workplace
@@ -56,7 +57,12 @@ class Desk:
             return self._last
 
     def add_identities(self, paths: list[Path], upload: int | None = None) -> list[int]:
-        """Read meshes to move; each becomes an item at once."""
+        """Read meshes to move; each becomes an item at once.
+
+        Raises:
+            InputError: more than can lie there.
+        """
+        check_room(len(self.identities) + len(paths))
         added = []
         for path in paths:
             item = Item(self.next_number(), path.name, path, upload)
@@ -71,12 +77,13 @@ class Desk:
         self._read(item, partial(acts.read_clip, path, self._folder(upload), name, None, None))
         return item.number
 
-    def use_demo(self, what: str, motion: str) -> None:
-        """Lay the shipped person on the desk ("identity"), the shipped motion ("driving"), or "both"."""
+    def use_demo(self, what: str, name: str, motion: str) -> None:
+        """Lay a character of the shipped cast on the desk ("identity"), a shipped motion ("driving"), or "both"."""
         if what in ("identity", "both"):
-            item = Item(self.next_number(), "demo-person")
+            check_room(len(self.identities) + 1)
+            item = Item(self.next_number(), name)
             self.identities[item.number] = item
-            self._read(item, acts.demo_person)
+            self._read(item, partial(character, name))
         if what in ("driving", "both"):
             self._read(self._new_driving(motion), partial(acts.demo_clip, motion))
 
@@ -233,7 +240,7 @@ class Desk:
         """Have the result of a mesh made, if it can be and is not there."""
         if not isinstance(item.content, Mesh) or self.driving is None or not isinstance(self.driving.content, Clip):
             self.worker.drop(("result", item.number))
-            item.outcome = None
+            item.outcome = item.ready = None
             return
         wanted = (*wants(item, self.driving, self.options), self.options)
         if getattr(item.outcome, "wanted", None) == wanted:

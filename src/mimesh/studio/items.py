@@ -11,6 +11,9 @@ from ..moving import Ready
 from ..result import ClipResult
 from .options import Options
 
+MOST_IDENTITIES = 32
+"""Each is kept with its result."""
+
 
 @dataclass(eq=False)
 class Item:
@@ -57,6 +60,12 @@ class Outcome:
     """Whether the result is that of now."""
     wanted: tuple = ()
     """What it is made of."""
+
+
+def check_room(count: int) -> None:
+    """Raises InputError where so many meshes to move cannot lie on one desk."""
+    if count > MOST_IDENTITIES:
+        raise InputError(f"meshes to move: expected {MOST_IDENTITIES} or fewer, found {count}; remove some")
 
 
 def finished(item: Item) -> ClipResult:

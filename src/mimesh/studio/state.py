@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from ..bodies.cast import CAST
 from ..frame import AXES
 from ..mesh import Clip, Mesh
 from ..methods import ALONE, MODELS
@@ -34,6 +35,7 @@ def described(desk: Desk) -> dict[str, Any]:
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
+        "characters": tuple(CAST),
         "formats": formats(frames != 1),
         "moving": frames != 1,
         "exports": [_export(export) for export in list(desk.exports.values())],
@@ -100,6 +102,7 @@ def _mesh(desk: Desk, item: Item) -> dict[str, Any]:
     return {
         "number": item.number,
         "name": item.name,
+        "shipped": item.path is None,
         "read": item.read,
         "state": "failed" if item.error else "reading" if mesh is None else "ready",
         "error": item.error,

@@ -23,6 +23,7 @@ LONGEST = 120
 """Bytes of a file name."""
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))}
 """Names that are no files on some systems, whatever their suffix."""
+PREFIX = "mimesh-studio-"
 CHUNK = 2**20
 LARGEST_TABLE = MOST_FILES * 256
 """Bytes of the table of contents of an archive."""
@@ -47,7 +48,8 @@ class Workplace:
 
     def __init__(self, limit: int, sum_limit: int) -> None:
         self.limit, self.sum_limit = limit, sum_limit
-        self.folder = Path(tempfile.mkdtemp(prefix="mimesh-studio-"))
+        remove_leftovers(Path(tempfile.gettempdir()))
+        self.folder = Path(tempfile.mkdtemp(prefix=f"{PREFIX}{os.getpid()}-"))
         self._uploads: dict[int, Upload] = {}
         self._last = 0
 
@@ -164,6 +166,24 @@ class Workplace:
     def _next(self) -> int:
         self._last += 1
         return self._last
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Take away workplaces of our own user whose process, whose number is in their name, was killed.
+
+    Where processes cannot be asked for (Windows), nothing is done.
+    """
+    if not hasattr(os, "getuid"):
+        return
+    for left in folder.glob(f"{PREFIX}*-*"):
+        number = left.name.removeprefix(PREFIX).partition("-")[0]
+        if number.isdigit() and not left.is_symlink() and left.is_dir() and left.stat().st_uid == os.getuid():
+            try:
+                os.kill(int(number), 0)
+            except ProcessLookupError:
+                shutil.rmtree(left, ignore_errors=True)
+            except (PermissionError, OverflowError):
+                continue
 
 
 class _Frugal(io.FileIO):
