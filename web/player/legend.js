@@ -38,7 +38,7 @@ function stretched({ limit, mean, most }) {
   return {
     title: "Edge lengths, against the identity",
     ends: [`−${percent(1 - 1 / limit)}`, `+${percent(limit - 1)}`],
-    words: `mean change ${percent(mean)}, largest ${percent(most)}`,
+    words: `at a vertex: mean change ${percent(mean)}, largest ${percent(most)}`,
   };
 }
 

@@ -4,6 +4,8 @@ import { errorScale, stretchScale } from "./palette.js";
 /** Edges that are so many times as long as at rest, or as short, have the deepest colours. */
 const MOST = 1.5;
 const LIMIT = Math.log(MOST);
+/** Frames, evenly spread, that the scale of errors is taken from. */
+const LOOKS = 24;
 
 export class Meter {
   constructor(subjects) {
@@ -66,21 +68,30 @@ export class Meter {
     return { what: "error", limit: this.limit, css: errorScale.css, mean, most, size };
   }
 
-  distances() {
+  /** Of every vertex of the result, as it stands or at these points, to the truth. */
+  distances(a = this.result.points, b = this.truth.points) {
     const { result, truth } = this;
     this.far ??= new Float32Array(result.panel.vertices);
     const [dx, dy, dz] = [0, 1, 2].map((k) => result.panel.anchor[k] - truth.panel.anchor[k]);
-    const [a, b] = [result.points, truth.points];
     for (let v = 0, o = 0; v < this.far.length; v++, o += 3) {
       this.far[v] = Math.hypot(a[o] - b[o] + dx, a[o + 1] - b[o + 1] + dy, a[o + 2] - b[o + 2] + dz);
     }
     return this.far;
   }
 
-  /** The distance that 99 of 100 vertices stay below in the frame first looked at: one scale for the whole clip. */
+  /** The distance that 99 of 100 vertices stay below over the clip: one scale for all of it. */
   findLimit() {
-    const sorted = Float32Array.from(this.distances()).sort();
-    return sorted[Math.floor(0.99 * (sorted.length - 1))] || this.truth.panel.size / 1000;
+    const { panel } = this.result;
+    const count = this.result.panel.vertices;
+    const looks = Math.min(LOOKS, panel.frames);
+    const all = new Float32Array(looks * count);
+    const [a, b] = [new Float32Array(3 * count), new Float32Array(3 * count)];
+    for (let k = 0; k < looks; k++) {
+      const seconds = looks > 1 ? (k / (looks - 1)) * panel.duration : 0;
+      all.set(this.distances(panel.sample(seconds, a), this.truth.panel.sample(seconds, b)), k * count);
+    }
+    all.sort();
+    return all[Math.floor(0.99 * (all.length - 1))] || this.truth.panel.size / 1000;
   }
 }
 

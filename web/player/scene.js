@@ -102,7 +102,7 @@ export class Panel {
   /** Show these points (3 V: x, y, z, x ..., as the file has them) at all times, until null is held. */
   hold(points) {
     this.held = points;
-    if (points) this.heldMiddle = [0, 1, 2].map((axis) => middle(points, axis));
+    if (points) this.heldMiddle = [0, 1, 2].map((axis) => mean(points, axis));
   }
 
   writeHeld(out) {
@@ -124,14 +124,11 @@ export class Panel {
   }
 }
 
-/** Middle between the least and the largest of every third number. */
-function middle(points, axis) {
-  let [low, high] = [Infinity, -Infinity];
-  for (let k = axis; k < points.length; k += 3) {
-    low = Math.min(low, points[k]);
-    high = Math.max(high, points[k]);
-  }
-  return (low + high) / 2;
+/** Mean of every third number: the middle that a packed frame has, too. */
+function mean(points, axis) {
+  let sum = 0;
+  for (let k = axis; k < points.length; k += 3) sum += points[k];
+  return (3 * sum) / points.length;
 }
 
 /** Frames of 16-bit numbers: low bytes, high bytes; differences from the frame before (the first: from its neighbour). */

@@ -251,12 +251,14 @@ function drawsInSoftware() {
 }
 
 /** A PNG or JPEG as a texture, v counted from the lower edge. */
+/** Null where the browser cannot read the image: its surface is then plain. */
 async function readTexture({ type, bytes }) {
   const image = new Image();
   const url = URL.createObjectURL(new Blob([bytes], { type }));
   image.src = url;
-  await image.decode();
+  const read = await image.decode().then(() => true, () => false);
   URL.revokeObjectURL(url);
+  if (!read) return null;
   const texture = new THREE.Texture(image);
   Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping });
   Object.assign(texture, { anisotropy: 4, needsUpdate: true });

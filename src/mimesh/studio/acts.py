@@ -104,7 +104,7 @@ def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:
 
 def for_page(text: str, folder: Path) -> str:
     """Words of an error or a note that fit the page: files by the names they were given, fields instead of options."""
-    text = re.sub(rf"{re.escape(str(folder))}/(uploads|exports)/\d+/?", "", text)
+    text = re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?", "", text)
     for ours, theirs in OPTION_WORDS.items():
         text = text.replace(ours, theirs)
     return text

@@ -7,7 +7,6 @@ Whatever goes wrong is answered as {"error": one line}: 404 nothing of that name
 from __future__ import annotations
 
 import asyncio
-import mimetypes
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from importlib import resources
@@ -35,7 +34,9 @@ LOOKS = 0.02
 LARGEST = 2**16
 """Bytes of a request that is not a file."""
 DEMO = {"what": "both", "character": "dancer", "motion": "jump"}
-PAGE = ("studio.html", "player.js", "studio.js", "studio.css")
+PAGE = "studio.html"
+TYPES = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+SERVED = (PAGE, "player.js", "studio.js", "studio.css")
 
 Handler = Callable[[Request], Awaitable[Response]]
 
@@ -75,11 +76,11 @@ class Routes:
         self._desk, self._closing = desk, closing
 
     async def page(self, request: Request) -> Response:
-        name = request.path_params.get("name", PAGE[0])
-        if name not in PAGE:
+        name = request.path_params.get("name", PAGE)
+        if name not in SERVED:
             raise LookupError(name)
         file = resources.files("mimesh.view") / "web" / name
-        return Response(file.read_bytes(), media_type=mimetypes.guess_type(name)[0])
+        return Response(file.read_bytes(), media_type=TYPES[Path(name).suffix])
 
     async def state(self, request: Request) -> Response:
         """Everything the page shows, once its version is another than `?since=`."""

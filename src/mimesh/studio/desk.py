@@ -279,11 +279,14 @@ class Desk:
         driving, mesh = self.driving, item.content
         if driving is None or not isinstance(mesh, Mesh) or not isinstance(driving.content, Clip):
             raise Dropped
-        wanted = wants(item, driving, self.options)
-        if item.ready is None or item.ready[0] != wanted:
+        wanted, options, kept = wants(item, driving, self.options), self.options, item.ready
+        if kept is None or kept[0] != wanted:
             axes = (*item.axes, *driving.axes)
-            item.ready = (wanted, acts.prepared(mesh, driving.content, self.options.model, axes))
-        return item.ready[1].refined(self.options.refine)
+            kept = (wanted, False, acts.prepared(mesh, driving.content, options.model, axes))
+        if kept[1] != options.refine:
+            kept = (wanted, options.refine, kept[2].refined(options.refine))
+        item.ready = kept
+        return kept[2]
 
     def _drop(self, item: Item) -> None:
         for what in ("read", "pose", "result"):

@@ -36,7 +36,7 @@ class Item:
     read: int = 0
     """Grows with every reading, so that what was made from an older one is known."""
     outcome: Outcome | None = None
-    ready: tuple[tuple, Ready] | None = None
+    ready: tuple[tuple, bool | None, Ready] | None = None
     """What was prepared last, and for what."""
 
     @property
