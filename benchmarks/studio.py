@@ -23,6 +23,7 @@ from mimesh.bodies.cast import character
 from mimesh.demo import played
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
+from mimesh.mesh import Clip
 from mimesh.provenance import commit, libraries, machine
 from mimesh.studio import make_desk
 from mimesh.studio.desk import Desk
@@ -64,13 +65,15 @@ def latency(hero: Path, jump: Path) -> dict[str, float]:
     for _ in range(2):
         desk, begin = make_desk([], LIMIT), time.perf_counter()
         item = laid(desk, hero, jump)
-        until(lambda item=item, desk=desk: item.content is not None and desk.driving.content is not None)
+        driving = desk.driving
+        assert driving is not None
+        until(lambda item=item, driving=driving: item.content is not None and driving.content is not None)
         read = time.perf_counter() - begin
         desk.pose(item.number, 0).result()
         first = time.perf_counter() - begin
         until(lambda item=item: item.outcome is not None and item.outcome.current)
         whole = time.perf_counter() - begin
-        frames = len(desk.driving.content)
+        frames = len(driving.content) if isinstance(driving.content, Clip) else 1
         begin = time.perf_counter()
         packed = scene(desk)
         pack = time.perf_counter() - begin

@@ -158,6 +158,19 @@ def test_a_package_is_not_unpacked_beyond_its_size(tmp_path):
         unpack(tmp_path / "bomb.usdz", tmp_path / "out")
 
 
+def test_a_few_letters_do_not_take_all_memory(tmp_path):
+    document = {
+        "asset": {"version": "2.0"},
+        "accessors": [{"componentType": 5126, "count": 2 * 10**9, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    with pytest.raises(InputError, match="without any"):
+        load_mesh(tmp_path / "a.gltf")
+
+
 def test_the_end_of_a_context_is_the_end_of_its_rule(places):
     ours, secret = places
     with confined(ours):

@@ -21,6 +21,8 @@ from .gltf_pages import Pages
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 LANES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+MOST_ZEROS = 2**30
+"""Bytes of an accessor without data: it stands for zeros, and a few letters could ask for any amount of memory."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 
 
@@ -67,13 +69,18 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
     """The bytes of each element of an accessor, one element a row: strides undone and sparse entries filled in.
 
     Raises:
-        InputError: the accessor has an unknown type or reaches beyond its data.
+        InputError: the accessor has an unknown type, reaches beyond its data, or is large and has none.
     """
     accessor = document.gltf["accessors"][index]
     count, size = accessor["count"], element_size(accessor, index, document.path)
     if "bufferView" in accessor:
         rows = _view_rows(document, accessor, count, size, f"accessor {index}")
     else:
+        if count * size > MOST_ZEROS:
+            raise InputError(
+                f"{document.path}: expected data behind accessor {index}, found {count:,} elements without any; "
+                "the file is damaged, export it again"
+            )
         rows = np.zeros((count, size), np.uint8)
     if "sparse" not in accessor:
         return rows

@@ -89,6 +89,7 @@ class Worker:
                 job = self._next(urgent=any(each.urgent for each in self._waiting))
             if job is not None:
                 self._do(job)
+                del job  # with all that it made, while there is no other
 
     def _next(self, urgent: bool) -> Job | None:
         """Take the first waiting job of a kind off the queue."""
@@ -125,8 +126,10 @@ class Worker:
 
 
 def words(error: BaseException) -> str:
-    """An error as the page shows it: InputError's own line, else that it is a bug of ours."""
+    """An error as the page shows it: InputError's own line, that memory ran out, else that it is a bug of ours."""
     if isinstance(error, InputError):
         return " ".join(str(error).split())
+    if isinstance(error, MemoryError):
+        return "expected enough memory for this, found that it ran out; remove other meshes, or give a smaller file"
     kind = f"{type(error).__name__}: {error}".splitlines()[0]
     return f"{kind}. This is a bug of mimesh: please report it with what the terminal shows."
