@@ -168,8 +168,8 @@ def test_still_with_seams_comes_back_corner_for_corner(tmp_path):
     np.testing.assert_allclose(again.corner_uv, mesh.corner_uv, atol=1e-6)
     np.testing.assert_allclose(again.corner_normals, mesh.corner_normals, atol=1e-6)
     assert [(part.start, part.stop) for part in again.parts] == [(0, 4), (4, 6), (6, 12)]
-    red, default, again_red = (part.material for part in again.parts)
-    assert (red, again_red, default) == (mesh.parts[0].material, red, Material("default"))
+    red, bare, again_red = (part.material for part in again.parts)
+    assert (red, again_red, bare) == (mesh.parts[0].material, red, None)
     assert len(Twin(tmp_path / "b.glb").file.images) == 1
     assert any(np.allclose(vertex, [0.5, 0.5, 2.0]) for vertex in again.vertices)  # the loose one too
 

@@ -11,14 +11,11 @@ from ..mesh import Material, Mesh, Part
 from .gltf_document import image_type
 from .gltf_draft import VERTEX_DATA, Draft
 from .gltf_primitives import Placed
-from .gltf_read import POINTS
+from .gltf_read import BARE, POINTS
 from .usd import stage_axes
 
-GREY = Material("default")
-"""For parts without a material: glTF's own default is a bare metal, which looks black in most viewers."""
-
 WHITE = Material("default", (1.0, 1.0, 1.0, 1.0))
-"""The same where vertices have colours, which it multiplies."""
+"""BARE where vertices have colours, which it multiplies."""
 
 
 def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
@@ -31,7 +28,7 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
     primitives, placed = [], []
     materials: dict[Material, int] = {}
-    bare = GREY if mesh.vertex_colors is None else WHITE
+    bare = BARE if mesh.vertex_colors is None else WHITE
     for part, vertex_of, corner_of, indices in _split_parts(mesh):
         primitive = _primitive(draft, moved, vertex_of, corner_of)
         if len(indices):

@@ -28,6 +28,9 @@ from .gltf_scene import (
 from .polygons import joined_corners, with_face_normals
 
 POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
+BARE = Material("default")
+"""Written for parts without a material, and read as none: glTF's own default is a bare metal, which looks black in most
+viewers."""
 Shown = tuple[int, int]
 """A node and the number of one of its mesh's primitives."""
 
@@ -243,12 +246,13 @@ def _parts(document: Document, rest: Rest) -> tuple[Part, ...]:
     return tuple(parts)
 
 
-def _read_material(document: Document, index: int) -> Material:
+def _read_material(document: Document, index: int) -> Material | None:
     entry = document.gltf["materials"][index]
     gloss = entry.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
     color = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor") or gloss.get("diffuseFactor") or [1, 1, 1, 1]
     r, g, b, a = (float(value) for value in color)
-    return Material(entry.get("name", f"material{index}"), (r, g, b, a), _texture(document, _base_texture(entry)))
+    material = Material(entry.get("name", f"material{index}"), (r, g, b, a), _texture(document, _base_texture(entry)))
+    return None if material == BARE else material
 
 
 def _material_entry(document: Document, primitive: dict[str, Any]) -> dict[str, Any]:
