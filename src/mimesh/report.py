@@ -112,10 +112,16 @@ def doubt_notes(doubt: Doubt, name: str) -> tuple[str, ...]:
     if doubt.undecided > STRANGE_UNDECIDED:
         why.append("much of its surface belongs to no limb in particular")
     if lacking:
-        why.append(f"no whole {' and no whole '.join(lacking)} was found")
+        why.append(f"{_listed('no whole', lacking)} was found")
     if lost and not lacking:
-        why.append(f"there is no surface where the {' and the '.join(lost)} should be")
+        why.append(f"there is no surface where {_listed('the', lost)} should be")
     return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
+
+
+def _listed(article: str, limbs: list[str]) -> str:
+    """Limbs as a sentence has them: the head, the left arm and the right arm."""
+    *others, last = (f"{article} {limb}" for limb in limbs)
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _lacks(limb: str, doubt: Doubt) -> bool:
