@@ -214,7 +214,7 @@ def test_notes_say_what_will_be_left_out(tmp_path):
     source = read_gltf(sample.glb(tmp_path / "a.glb")).source
     assert isinstance(source, GltfSource)
     assert source.notes == (
-        "dropped the skin and 3 animations: the points now carry the pose",
+        "dropped the skin and 3 animations that the file had",
         "kept the reference to image 'lost.png', which is not there",
         "kept the data of extension ACME_fur as it is: it does not follow the new shape",
     )

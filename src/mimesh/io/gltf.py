@@ -129,7 +129,7 @@ def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
         found = [_count(skins, "skin"), _count(animations, "animation")]
-        notes.append(f"dropped {' and '.join(text for text in found if text)}: the points now carry the pose")
+        notes.append(f"dropped {' and '.join(text for text in found if text)} that the file had")
     nodes = list(dict.fromkeys(run.node for run in rest.runs))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
     if len(meshes) < len(nodes):
