@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.convert import MOVIES, convert
+from mimesh.convert import LARGE, MOVIES, convert, size_note
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
 from mimesh.mesh import Clip, InputError
 
@@ -132,6 +132,16 @@ def test_a_lost_frame_rate_is_said(name, tmp_path):
     assert f"read {name} with --fps 24" in " ".join(done.notes)
     assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
     assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, fps=30.0).notes)
+
+
+def test_large_files_say_how_they_get_smaller(tmp_path):
+    for name in ("a.glb", "a.abc"):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(LARGE)  # a hole: it takes no room
+    assert "256 MiB: --step takes fewer frames, and --skinned" in size_note(tmp_path / "a.glb")[0]
+    assert "--skinned" not in size_note(tmp_path / "a.abc")[0]
+    (tmp_path / "b.glb").write_bytes(b"small")
+    assert size_note(tmp_path / "b.glb") == size_note(tmp_path) == ()
 
 
 def test_the_rest_of_what_moves_is_said(tmp_path):

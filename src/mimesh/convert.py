@@ -17,6 +17,8 @@ MOVIES = (".gif", ".mp4", ".webp")
 """Written as pictures, to be looked at."""
 RATELESS = (".npy", ".pc2")
 """Formats whose files, as folders of frames, do not say how fast they are."""
+LARGE = 256 * 2**20
+"""Bytes of a clip from which on a user is told how it gets smaller."""
 MOVIE_SIZE = (640, 720)
 POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
@@ -147,6 +149,14 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     }
     lost = [name for name in LACKS.get(suffix, ()) if has[name]]
     return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
+
+
+def size_note(path: Path) -> tuple[str, ...]:
+    """What to say of a clip whose file is large."""
+    if not path.is_file() or (size := path.stat().st_size) < LARGE:
+        return ()
+    joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
+    return (f"{path.name} has {size / 2**20:,.0f} MiB: --step takes fewer frames{joints}",)
 
 
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:

@@ -207,9 +207,9 @@ def _finish(
     fps: float | None,
     further: tuple[str, ...] = (),
 ) -> None:
-    from ..convert import blend_note, not_kept, rate_note
+    from ..convert import blend_note, not_kept, rate_note, size_note
 
-    rate = () if fps is None else rate_note(fps, output)
+    rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
     notes = [*result.notes, *not_kept(_mesh(result), output), *rate, *blended, *further]
     facts: dict[str, Any] = {
