@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.convert import LARGE, MOVIES, convert, size_note
+from mimesh.convert import LARGE, MOVIES, convert, size_note, taken_rate_note
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
 from mimesh.mesh import Clip, InputError
 
@@ -132,6 +132,13 @@ def test_a_lost_frame_rate_is_said(name, tmp_path):
     assert f"read {name} with --fps 24" in " ".join(done.notes)
     assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
     assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, fps=30.0).notes)
+
+
+def test_a_frame_rate_that_nobody_named_is_said(tmp_path):
+    moving = clip()
+    assert "--fps" in taken_rate_note(moving, tmp_path)[0]
+    assert "--fps" in taken_rate_note(moving, tmp_path / "a.pc2")[0]
+    assert taken_rate_note(moving, tmp_path / "a.glb") == taken_rate_note(Clip.still(moving.mesh), tmp_path) == ()
 
 
 def test_large_files_say_how_they_get_smaller(tmp_path):

@@ -167,6 +167,18 @@ def rate_note(fps: float, path: Path) -> tuple[str, ...]:
     return (f"{suffix or 'folders of'} files know no frame rate: read {path.name} with --fps {fps:g}",)
 
 
+def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
+    """What to say of a clip that is played at a rate which neither its files nor the user named."""
+    if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
+        return ()
+    return (f"{path.name} knows no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
+
+
+def frames_at(frames: int, fps: float) -> str:
+    """How long a clip is, in words."""
+    return f"{frames} {'frame' if frames == 1 else 'frames'} at {fps:g} per second"
+
+
 def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     """Which animation of several is taken where none is named."""
     names = getattr(mesh.source, "animations", ())  # glTF alone has several

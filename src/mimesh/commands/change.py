@@ -28,7 +28,7 @@ def convert(
 
     What moves stays moving where OUT can; .gif, .webp and .mp4 are pictures of it. Formats: see docs/formats.md.
     """
-    from ..convert import MOVIES
+    from ..convert import MOVIES, frames_at
     from ..convert import convert as run
 
     refuse_inputs(target, source)
@@ -50,7 +50,7 @@ def convert(
     if json:
         print_json({**facts, "notes": list(done.notes)})
     elif not quiet:
-        length = "" if done.fps is None else f", {done.frames} frames at {done.fps:g} per second"
+        length = "" if done.fps is None else f", {frames_at(done.frames, done.fps)}"
         print(f"{target}: {done.vertices} vertices{length}")
         print("".join(f"note: {note}\n" for note in done.notes), end="")
         if target.suffix.lower() not in MOVIES:

@@ -145,7 +145,7 @@ def animate(
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
-    from ..convert import MOVIES, animations_note
+    from ..convert import MOVIES, animations_note, taken_rate_note
     from ..io import clip_suffixes, load_clip, load_mesh
     from ..mesh import InputError
     from ..pipeline import animate as run
@@ -191,7 +191,10 @@ def animate(
         vertices=len(mesh.vertices),
         frames=len(result.clip),
         fps=result.fps,
-        further=animations_note(clip.mesh, driving) if animation is None else (),
+        further=(
+            *(animations_note(clip.mesh, driving) if animation is None else ()),
+            *(taken_rate_note(clip, driving) if fps is None else ()),
+        ),
     )
 
 
@@ -234,9 +237,9 @@ def _mesh(result: Result | ClipResult) -> Mesh:
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
-    from ..convert import MOVIES
+    from ..convert import MOVIES, frames_at
 
-    length = "" if facts["fps"] is None else f", {facts['frames']} frames at {facts['fps']:g} per second"
+    length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())
     print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
     for note in facts["report"]["notes"]:
