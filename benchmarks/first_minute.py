@@ -10,6 +10,7 @@ and the clock stops when its picture has changed. Needs Chromium, and Playwright
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import shutil
@@ -17,6 +18,8 @@ import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+from PIL import Image
 
 from mimesh.io.atomic import whole_file
 from mimesh.provenance import commit, machine
@@ -32,7 +35,7 @@ def main() -> None:
     """Print the times and keep them if asked to."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
-    parser.add_argument("--picture", type=Path, help="a screenshot of the page")
+    parser.add_argument("--picture", type=Path, help="a screenshot of the page, .webp or .png")
     parser.add_argument("--browser", default=os.environ.get("MIMESH_CHROMIUM", "chromium"))
     args = parser.parse_args()
     report = {"commit": commit(), "machine": machine()} | first_minute(args.browser, args.picture)
@@ -79,7 +82,8 @@ def open_page(page: Path, browser: str, picture: Path | None) -> tuple[float, st
         seconds = time.perf_counter() - begin
         if picture:
             window.wait_for_timeout(700)
-            window.screenshot(path=picture)
+            with whole_file(picture) as temporary:
+                Image.open(io.BytesIO(window.screenshot())).convert("RGB").save(temporary, quality=85)
         return seconds, f"Chromium {chromium.version}"
 
 

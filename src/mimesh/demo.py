@@ -55,7 +55,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
 
 def person(body: RiggedBody, shape: tuple[float, ...]) -> Mesh:
     """A person of the given shape at rest."""
-    return dataclasses.replace(body.mesh(body.shaped(np.array(shape))[0]), name="identity")
+    return dataclasses.replace(body.mesh(body.shaped(np.array(shape))[0]), name="person")
 
 
 def played(body: RiggedBody, name: str = MOTION) -> Clip:
