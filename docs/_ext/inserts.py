@@ -135,7 +135,18 @@ def helped(name: str) -> str:
     return notes(name, "helped")
 
 
+def minute() -> str:
+    """How long it takes from a clone to the demo on the screen."""
+    found = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
+    return (
+        f"From `git clone` to this person moving in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
+        f"cores, all downloads included, {found['seconds']['install']:.0f} of them for the installation "
+        "(`benchmarks/first_minute.py`)."
+    )
+
+
 INSERTS = {
+    "minute": minute,
     "models": models,
     "card": card,
     "table": table,
