@@ -7,6 +7,7 @@ Whatever goes wrong is answered as {"error": one line}: 404 nothing of that name
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Awaitable, Callable
 from concurrent.futures import Future
 from importlib import resources
@@ -15,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
@@ -75,6 +75,28 @@ class Routes:
     def __init__(self, desk: Desk, closing: Callable[[], bool]) -> None:
         self._desk, self._closing = desk, closing
 
+    async def _unless_closing(self, future: Awaitable[Any]) -> Any:
+        """What a future gives; Dropped as soon as the server ends, which then need not wait for it."""
+        waiting = asyncio.ensure_future(future)
+        while not waiting.done():
+            if self._closing():
+                raise Dropped
+            await asyncio.wait([waiting], timeout=LOOKS)
+        return waiting.result()
+
+    async def _in_thread(self, work: Callable[..., Any], *args: Any) -> Any:
+        """What a function gives that takes its time; its thread does not keep the server from ending."""
+        future: Future = Future()
+
+        def done() -> None:
+            try:
+                future.set_result(work(*args))
+            except Exception as error:
+                future.set_exception(error)
+
+        threading.Thread(target=done, daemon=True).start()
+        return await self._unless_closing(asyncio.wrap_future(future))
+
     async def page(self, request: Request) -> Response:
         name = request.path_params.get("name", PAGE)
         if name not in SERVED:
@@ -108,7 +130,7 @@ class Routes:
             raise LookupError(role)
         upload = self._desk.workplace.upload(number)
         try:
-            added = await run_in_threadpool(_laid, self._desk, upload, role)
+            added = await self._in_thread(_laid, self._desk, upload, role)
         except InputError:
             self._desk.workplace.remove_upload(number)
             raise
@@ -129,7 +151,7 @@ class Routes:
         what, name, motion = (str(given.get(key, usual)) for key, usual in DEMO.items())
         if name not in CAST:
             raise InputError(f"character: expected one of {', '.join(CAST)}, found {name[:60]!r}; choose one")
-        await run_in_threadpool(load_motion, motion)
+        await self._in_thread(load_motion, motion)
         self._desk.use_demo(what, name, motion)
         return JSONResponse({})
 
@@ -154,12 +176,14 @@ class Routes:
         frame = (await _json(request)).get("frame", 0)
         if isinstance(frame, bool) or not isinstance(frame, int):
             raise InputError(f"frame: expected a whole number, found {frame!r}; give one")
-        vertices = await _waited(self._desk.pose(request.path_params["number"], frame))
+        vertices = await self._unless_closing(
+            asyncio.wrap_future(self._desk.pose(request.path_params["number"], frame))
+        )
         return Response(np.asarray(vertices, "<f4").tobytes(), media_type="application/octet-stream")
 
     async def scene(self, request: Request) -> Response:
         """What the stage shows, packed for the player."""
-        return JSONResponse(await run_in_threadpool(scene, self._desk))
+        return JSONResponse(await self._in_thread(scene, self._desk))
 
     async def export(self, request: Request) -> Response:
         given = await _json(request)
@@ -252,7 +276,3 @@ async def _json(request: Request) -> dict[str, Any]:
     if not isinstance(given, dict):
         raise InputError("request: expected a JSON object, found something else; send an object")
     return given
-
-
-async def _waited(future: Future) -> Any:
-    return await asyncio.wrap_future(future)
