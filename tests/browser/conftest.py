@@ -22,8 +22,9 @@ def found_browser() -> str:
     """The path of Chromium; a skip where there is none and none was named."""
     named = os.environ.get("MIMESH_CHROMIUM")
     if named:
-        assert shutil.which(named), f"MIMESH_CHROMIUM: expected a browser, found nothing at {named}"
-        return named
+        path = shutil.which(named)
+        assert path, f"MIMESH_CHROMIUM: expected a browser, found nothing at {named}"
+        return path
     path = next(filter(None, map(shutil.which, NAMES)), None)
     if path is None:
         pytest.skip("no Chromium on PATH: apt-get install chromium, or set MIMESH_CHROMIUM to its path")
