@@ -100,5 +100,5 @@ def test_a_clip_keeps_looks_and_names(key, tmp_path):
     if mesh.vertex_colors is not None:
         colors = clip.mesh.vertex_colors[clip.mesh.faces]
         assert np.allclose(colors, mesh.vertex_colors[mesh.faces], atol=1e-6)
-    names = [(p.material.name if p.material else "default", p.start, p.stop) for p in mesh.parts]
-    assert not names or [(p.material.name, p.start, p.stop) for p in clip.mesh.parts] == names
+    names, again = ([(p.material and p.material.name, p.start, p.stop) for p in one.parts] for one in (mesh, clip.mesh))
+    assert not names or again == names
