@@ -11,7 +11,7 @@ from .io import clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
 from .io.formats import FRAMES_ONLY, MESH_WRITERS, MOTIONS
 from .io.timing import DEFAULT_FPS
 from .mesh import Clip, InputError, Mesh, cut_clip
-from .paging import Progress
+from .paging import Progress, counted
 
 MOVIES = (".gif", ".mp4", ".webp")
 """Written as pictures, to be looked at."""
@@ -123,7 +123,7 @@ def write_clip(
 
     stands = Frame.fit(clip.mesh)
     pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=stands.up, front=stands.front)
-    save_movie(_counted(pictures, len(clip), progress), path, clip.fps)
+    save_movie(counted(pictures, len(clip), progress), path, clip.fps)
     return None
 
 
@@ -218,10 +218,3 @@ def _convert_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, .
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():
         notes += tuple(getattr(mesh.source, "notes", ()))
     return Converted(len(mesh.vertices), 1, None, notes)
-
-
-def _counted(pictures, count: int, progress: Progress | None):
-    for done, picture in enumerate(pictures, 1):
-        yield picture
-        if progress is not None:
-            progress(done, count)

@@ -12,7 +12,7 @@ import numpy as np
 
 from .io import load_clip
 from .mesh import Clip, InputError, cut_clip
-from .paging import Progress
+from .paging import Progress, counted
 from .preview import save_picture
 from .view import heat, movie, sheet
 from .view.light import BACKGROUND
@@ -149,7 +149,7 @@ def draw(
         _write_page(wanted, names, clips, output)
     elif kind in ("movie", "turning movie", "heat movie"):
         frames, count, rate = _movie(kind, wanted, names, clips)
-        movie.save_movie(_counted(frames, count, progress), output, rate)
+        movie.save_movie(counted(frames, count, progress), output, rate)
     else:
         save_picture(_picture(kind, wanted, names, clips), output)
     return kind
@@ -226,10 +226,3 @@ def _only(names: Sequence[str], clips: Sequence[Clip]) -> Clip:
     if len(clips) != 1:
         raise InputError(f"render: expected one file for this picture, found {len(names)}; draw them one by one")
     return clips[0]
-
-
-def _counted(frames: Iterator[Image.Image], count: int, progress: Progress | None) -> Iterator[Image.Image]:
-    for done, frame in enumerate(frames, 1):
-        yield frame
-        if progress is not None:
-            progress(done, count)

@@ -6,10 +6,12 @@ import mmap
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
+T = TypeVar("T")
 LARGE = 64 * 2**20
 """Bytes from which on frames lie on disk."""
 
@@ -87,3 +89,11 @@ def each_frame(
             let_go(vertices)
         if progress is not None:
             progress(t + 1, len(vertices))
+
+
+def counted(items: Iterable[T], count: int, progress: Progress | None) -> Iterator[T]:
+    """The items, each told to `progress` once it has been taken care of."""
+    for done, item in enumerate(items, 1):
+        yield item
+        if progress is not None:
+            progress(done, count)
