@@ -21,13 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from mimesh.bodies import load_body
+from mimesh.core.mesh import Clip
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.mesh import Clip
-from mimesh.methods import find_method
-from mimesh.methods.sequence import OVERLAP, Sequence
+from mimesh.methods.aniformer import OVERLAP, Sequence
+from mimesh.methods.find import find_method
 from mimesh.motions import motion_clip, walk_motion
-from mimesh.provenance import commit, libraries, machine
 
 VERTICES = 6890
 REPEATS = 3

@@ -25,8 +25,8 @@ import numpy as np
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.mesh import Clip
-from mimesh.provenance import commit, machine
+from mimesh.core.mesh import Clip
+from mimesh.evaluate.provenance import commit, machine
 
 ROOT = Path(__file__).parents[1]
 BASELINE = Path(__file__).with_name("baseline.json")
@@ -67,7 +67,7 @@ def command() -> dict[str, float]:
 
 def picture() -> dict[str, float]:
     """One 512 x 512 picture of the shipped body."""
-    from mimesh.view.raster import render_mesh
+    from mimesh.render.raster import render_mesh
 
     mesh = load_body().mesh()
     return {"raster_s": seconds(lambda: render_mesh(mesh, (512, 512)), 5)}
@@ -75,7 +75,7 @@ def picture() -> dict[str, float]:
 
 def networks() -> dict[str, float]:
     """Milliseconds a frame of each shipped network at 6,890 vertices, without reading and writing."""
-    from mimesh.methods import find_method
+    from mimesh.methods.find import find_method
 
     body = load_body()
     posed = body.mesh(body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0))))

@@ -21,8 +21,8 @@ from pathlib import Path
 
 from PIL import Image
 
+from mimesh.evaluate.provenance import commit, machine
 from mimesh.io.atomic import whole_file
-from mimesh.provenance import commit, machine
 
 ROOT = Path(__file__).parents[1]
 STEPS = {"install": ".venv/.base", "demo": "demo"}

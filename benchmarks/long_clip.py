@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
+from mimesh.core.frame_buffer import stored
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import CLIP_WRITERS, save_clip
 from mimesh.io.atomic import whole_file
-from mimesh.mesh import Clip, Mesh
-from mimesh.paging import stored
-from mimesh.provenance import commit, libraries, machine
 
 SIDES = (200, 100)
 FOLDER = "folder of .ply"

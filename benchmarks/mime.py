@@ -18,14 +18,14 @@ from bench import seconds
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
+from mimesh.core.geometry import edges
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.rig import Rig
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.remesh import split_faces
-from mimesh.geometry import edges
 from mimesh.io.atomic import whole_file
-from mimesh.mesh import Clip, Mesh
-from mimesh.methods import find_method
+from mimesh.methods.find import find_method
 from mimesh.motions import motion_clip, walk_motion
-from mimesh.provenance import commit, libraries, machine
-from mimesh.rig import Rig
 
 REPEATS = 5
 FRAMES = 16

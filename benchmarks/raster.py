@@ -18,12 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from mimesh.bodies import load_body
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io.atomic import whole_file
-from mimesh.provenance import commit, libraries, machine
-from mimesh.view import paint, shadow
-from mimesh.view.camera import Camera, fit
-from mimesh.view.raster import render
-from mimesh.view.zbuffer import visible_faces
+from mimesh.render import shadow
+from mimesh.render import textures as paint
+from mimesh.render.camera import Camera, fit
+from mimesh.render.raster import render
+from mimesh.render.zbuffer import visible_faces
 
 SIZE = (512, 512)
 REPEATS = 9

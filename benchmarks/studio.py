@@ -19,16 +19,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 from mimesh.bodies import load_body
-from mimesh.bodies.cast import character
-from mimesh.demo import played
+from mimesh.bodies.characters import character
+from mimesh.core.mesh import Clip
+from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.mesh import Clip
-from mimesh.provenance import commit, libraries, machine
 from mimesh.studio import make_desk
-from mimesh.studio.desk import Desk
 from mimesh.studio.items import Item
+from mimesh.studio.session import Desk
 from mimesh.studio.state import described, scene
+from mimesh.tools.demo import played
 
 ROUNDS = 10
 LIMIT = 2**29

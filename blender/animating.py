@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 if TYPE_CHECKING:
-    from mimesh.rig import Skeleton
+    from mimesh.core.rig import Skeleton
 
 
 def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:

@@ -14,7 +14,7 @@ from .reading import Identity, rest
 
 if TYPE_CHECKING:
     from mimesh import ClipResult
-    from mimesh.rig import Skeleton
+    from mimesh.core.rig import Skeleton
 
 SHORTEST = 0.01
 """Length of a bone over the size of the mesh, at least."""

@@ -101,7 +101,7 @@ def sample(context: bpy.types.Context, source: bpy.types.Object, frames: range) 
         InputError: no frames, nothing visible, or vertices that come and go.
     """
     from mimesh import Clip, InputError, Mesh
-    from mimesh.paging import PAGED, let_go, new_frames
+    from mimesh.core.frame_buffer import PAGED, let_go, new_frames
 
     if not frames:
         raise InputError("frames: expected a first frame before the last, found none between them; change the range")

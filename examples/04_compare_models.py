@@ -9,10 +9,10 @@ import dataclasses
 from pathlib import Path
 
 import mimesh
-from mimesh import geometry
+from mimesh.core import geometry
 from mimesh.evaluate.metrics import edge_score, mean_error_mm, pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.view import heat, sheet
+from mimesh.render import heat, sheet
 
 
 def main(argv: list[str] | None = None) -> None:

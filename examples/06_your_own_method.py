@@ -18,7 +18,8 @@ import numpy as np
 import mimesh
 from mimesh.evaluate.measure import measure
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.methods import Drive, Method, find_method
+from mimesh.methods.base import Drive, Method
+from mimesh.methods.find import find_method
 
 FLIP = np.array([-1.0, 1.0, 1.0])
 

@@ -25,10 +25,10 @@ from build_human import dense_weights, sample_people, t_pose
 from scipy import sparse
 from scipy.cluster.hierarchy import fclusterdata
 
+from mimesh.bodies.body_model import RiggedBody, load_body
 from mimesh.bodies.dress import GARMENTS
-from mimesh.bodies.rigged import RiggedBody, load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.geometry import at_barycentric, closest_on_mesh, edges, vertex_normals
+from mimesh.core.geometry import at_barycentric, closest_on_mesh, edges, vertex_normals
 from mimesh.io.atomic import whole_file
 
 GAP = {"skirt": 0.014, "tights": 0.005, "hair": 0.012}

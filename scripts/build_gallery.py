@@ -20,7 +20,7 @@ from PIL import Image
 
 from mimesh.cli import run
 from mimesh.io.atomic import whole_file
-from mimesh.view import sheet
+from mimesh.render import sheet
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "gallery.md"

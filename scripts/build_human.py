@@ -20,8 +20,8 @@ import fast_simplification
 import numpy as np
 import torch
 
-from mimesh.bodies.rigged import RiggedBody, save_body
-from mimesh.geometry import closest_on_mesh, rotate_between
+from mimesh.bodies.body_model import RiggedBody, save_body
+from mimesh.core.geometry import closest_on_mesh, rotate_between
 
 FACES = 13776
 ADULT = {

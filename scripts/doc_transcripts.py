@@ -14,7 +14,7 @@ from trouble_cases import BODY, hero, shield, step
 
 from mimesh import animate, save_clip, save_mesh
 from mimesh.cli import run
-from mimesh.demo import played
+from mimesh.tools.demo import played
 
 
 class Said(NamedTuple):

@@ -20,13 +20,13 @@ from trouble_cases import BODY, CASES, OWN, THEIRS, Case, hero, step
 
 from mimesh import Clip, Mesh, Result, animate, transfer
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.core.surface_points import Samples
 from mimesh.io.atomic import whole_file
-from mimesh.methods.samples import Samples
-from mimesh.view.camera import Camera, fit
-from mimesh.view.heat import heat_colors
-from mimesh.view.movie import clip_frames
-from mimesh.view.raster import render, render_mesh
-from mimesh.view.sheet import DRIVING_TINT, INK, page
+from mimesh.render.camera import Camera, fit
+from mimesh.render.heat import heat_colors
+from mimesh.render.movie import clip_frames
+from mimesh.render.raster import render, render_mesh
+from mimesh.render.sheet import DRIVING_TINT, INK, page
 
 DOCS = Path(__file__).parents[1] / "docs"
 IMAGES, NOTES = DOCS / "images", DOCS / "trouble.json"

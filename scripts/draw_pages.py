@@ -21,10 +21,10 @@ from pathlib import Path
 
 from PIL import Image
 
-from mimesh.bodies.cast import character
-from mimesh.demo import run_demo
+from mimesh.bodies.characters import character
 from mimesh.io import save_mesh
 from mimesh.io.atomic import whole_file
+from mimesh.tools.demo import run_demo
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE = {"width": 1280, "height": 720}

@@ -1,4 +1,4 @@
-"""Fit the detector of up and front that `mimesh.frame` ships: python scripts/fit_orientation.py [--check MESH...]
+"""Fit the shipped detector of up and front: python scripts/fit_orientation.py [--check MESH...]
 
 A two-layer network scores the coarse occupancy of a person as each of the 24 axis rotations would show it; the right
 one must win (24-way softmax). People, poses and headings are drawn from the shipped body; ten minutes on one core.
@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mimesh import frame
 from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_pose
-from mimesh.geometry import sample_surface
+from mimesh.core import normalization as frame
+from mimesh.core.geometry import sample_surface
 
 HIDDEN = 64
 POINTS = 1200

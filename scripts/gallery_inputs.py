@@ -11,10 +11,10 @@ from gallery_stage import FPS
 
 from mimesh.bodies import CAST, RiggedBody, character, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.evaluate import remesh
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import save_bvh, save_clip, save_mesh
-from mimesh.mesh import Clip, Material, Mesh, Part
 from mimesh.motions import load_motion, motion_clip, resample, spline_motion, walk_motion
 
 ACTOR = np.array((0.8, -0.6, -0.4, 0.7))

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from mimesh.bodies.cast import Colour
+from mimesh.bodies.characters import Colour
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io import load_clip, load_mesh
-from mimesh.mesh import Clip, Material, Mesh, Part
-from mimesh.view import camera, movie, raster, sheet
-from mimesh.view.heat import heat_colors
+from mimesh.render import camera, movie, raster, sheet
+from mimesh.render.heat import heat_colors
 
 BLUE: Colour = (0.418, 0.553, 0.709)
 CLAY: Colour = (0.795, 0.709, 0.618)

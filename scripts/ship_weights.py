@@ -17,6 +17,7 @@ from pathlib import Path
 
 import write_results
 
+from mimesh.core.errors import InputError
 from mimesh.evaluate.measure import measure
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import fingerprint
@@ -24,7 +25,6 @@ from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
 from mimesh.learn.batches import DataConfig
 from mimesh.learn.export import export_command, test_set
-from mimesh.mesh import InputError
 
 COMMON = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)
 PAIRS = 8

@@ -16,8 +16,8 @@ from mimesh.bodies import load_body
 from mimesh.bodies.contacts import touching
 from mimesh.bodies.dress import dressed_body
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
-from mimesh.demo import DRIVING_SHAPE, IDENTITY_SHAPE
 from mimesh.evaluate import remesh
+from mimesh.tools.demo import DRIVING_SHAPE, IDENTITY_SHAPE
 
 BODY = load_body()
 OWN, THEIRS = np.array(IDENTITY_SHAPE), np.array(DRIVING_SHAPE)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.mesh import Clip, Mesh
+from mimesh.core.mesh import Clip, Mesh
 
 
 @cache

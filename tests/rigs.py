@@ -10,7 +10,7 @@ from people import _thin
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
-from mimesh.io.gltf_draft import Draft
+from mimesh.io.gltf.draft import Draft
 
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
 """The world from a z-up armature in hundredths of a unit."""

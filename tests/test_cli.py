@@ -211,7 +211,7 @@ def test_render_draws_a_turning_movie(files, capsys):
 
 
 def test_models_lists_all_that_can_be_asked_for(capsys):
-    from mimesh.methods import MODELS
+    from mimesh.methods.find import MODELS
 
     assert run(["models", "--json"]) == 0
     assert [m["name"] for m in json.loads(capsys.readouterr().out)["models"]] == list(MODELS)
@@ -227,14 +227,14 @@ def test_doctor_finds_this_installation_well(capsys):
 
 
 def test_doctor_reports_what_is_broken(capsys, monkeypatch):
-    monkeypatch.setattr("mimesh.doctor._transfer", lambda: 1 / 0)
+    monkeypatch.setattr("mimesh.tools.doctor._transfer", lambda: 1 / 0)
     assert run(["doctor"]) == 1
     assert "FAIL  self check          ZeroDivisionError" in capsys.readouterr().out
 
 
 def test_demo_writes_its_files(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("mimesh.demo.FRAMES", 2)
-    monkeypatch.setattr("mimesh.preview.TILE", (90, 110))
+    monkeypatch.setattr("mimesh.tools.demo.FRAMES", 2)
+    monkeypatch.setattr("mimesh.tools.preview.TILE", (90, 110))
     assert run(["demo", "-o", str(tmp_path / "demo"), "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["frames"] == 2
@@ -279,7 +279,7 @@ def test_a_bug_says_that_it_is_one(files, capsys, monkeypatch):
     def broken(path):
         raise RuntimeError("no luck")
 
-    monkeypatch.setattr("mimesh.look.look", broken)
+    monkeypatch.setattr("mimesh.tools.inspect.look", broken)
     assert run(["look", str(files / "hero.obj")]) == 1
     error = capsys.readouterr().err
     assert "RuntimeError: no luck" in error
@@ -291,7 +291,7 @@ def test_stopping_is_no_bug(files, capsys, monkeypatch):
     def stopped(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mimesh.look.look", stopped)
+    monkeypatch.setattr("mimesh.tools.inspect.look", stopped)
     assert run(["look", str(files / "hero.obj")]) == 130
     assert capsys.readouterr().err == "mimesh: stopped\n"
 

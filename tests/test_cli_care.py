@@ -14,8 +14,8 @@ import pytest
 import zoo
 
 from mimesh.cli import run
+from mimesh.core.mesh import Clip, Material, Part
 from mimesh.io import save_clip, save_mesh
-from mimesh.mesh import Clip, Material, Part
 
 
 @pytest.fixture

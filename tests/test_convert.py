@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.convert import LARGE, MOVIES, convert, size_note, taken_rate_note
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip, InputError
+from mimesh.tools.convert import LARGE, MOVIES, convert, size_note, taken_rate_note
 
 CLIPS = sorted({*CLIP_WRITERS, ""})
 MESHES = sorted(MESH_WRITERS)

@@ -9,8 +9,8 @@ import zoo
 from PIL import Image
 
 from mimesh.cli import run
+from mimesh.core.mesh import Clip
 from mimesh.io import save_clip, save_mesh
-from mimesh.mesh import Clip
 
 
 @pytest.fixture
@@ -62,7 +62,7 @@ def test_every_file_gets_what_suits_it(files, args, kind, capsys):
 
 
 def test_a_mesh_as_a_movie_turns(files, capsys, monkeypatch):
-    monkeypatch.setattr("mimesh.drawing.TURN", 3)
+    monkeypatch.setattr("mimesh.tools.draw.TURN", 3)
     assert draw(capsys, "cube.obj", "-o", "x.gif") == "turning movie"
     assert frames("x.gif") == 3
 

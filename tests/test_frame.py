@@ -5,8 +5,18 @@ import pytest
 from people import person
 from zoo import ZOO
 
-from mimesh.frame import GRID, ORIENTATIONS, ROTATIONS, TURNED_CELLS, Frame, bbox_centre, occupancy, parse_axis
-from mimesh.mesh import InputError, Mesh, permute_vertices
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh, permute_vertices
+from mimesh.core.normalization import (
+    GRID,
+    ORIENTATIONS,
+    ROTATIONS,
+    TURNED_CELLS,
+    Frame,
+    bbox_centre,
+    occupancy,
+    parse_axis,
+)
 
 MESHES = [make() for make in ZOO]
 

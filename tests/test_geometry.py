@@ -5,8 +5,8 @@ import pytest
 import zoo
 from scipy.spatial.transform import Rotation
 
-from mimesh import geometry
 from mimesh.bodies import load_body
+from mimesh.core import geometry
 
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.look import facts_of, look
-from mimesh.mesh import Clip, InputError, Material, Mesh, Part
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.tools.inspect import facts_of, look
 
 GOLDEN = {
     # vertices, positions, faces, components, watertight, boundary, non-manifold, consistent, inside out

@@ -70,6 +70,6 @@ def test_names_of_the_reference_are_there():
 
 def test_a_name_that_has_moved_is_found():
     assert unknown("from mimesh.view import sheet\nsheet.heat_map()\nfrom mimesh.view.sheet import page, nothing") == [
-        "mimesh.view.sheet.nothing",
-        "mimesh.view.sheet.heat_map",
+        "mimesh.render.sheet.nothing",
+        "mimesh.render.sheet.heat_map",
     ]

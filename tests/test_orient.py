@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from people import person
 
-from mimesh.frame import Frame
-from mimesh.methods import find_method
-from mimesh.methods.doubt import Doubt
-from mimesh.orient import known
+from mimesh.core.normalization import Frame
+from mimesh.methods.find import find_method
+from mimesh.methods.mime.confidence import Doubt
+from mimesh.pipeline.reorient import known
 
 MESH = person(0, pose=3)
 MIME = find_method("mime")

@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from mimesh import paging
+from mimesh.core import frame_buffer as paging
+from mimesh.core.frame_buffer import LARGE, let_go, new_frames
+from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, save_mesh
-from mimesh.mesh import Mesh
-from mimesh.paging import LARGE, let_go, new_frames
 
 TRIANGLE = np.array([[0, 1, 2]])
 

@@ -6,10 +6,11 @@ from networks import write_network
 from people import person, walk
 from zoo import cube, tetrahedron
 
-from mimesh.mesh import Clip, InputError, Mesh
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Mesh
 from mimesh.methods.copy import Copy
 from mimesh.pipeline import animate, transfer
-from mimesh.report import edge_stretch, flipped_share, quality
+from mimesh.pipeline.report import edge_stretch, flipped_share, quality
 
 
 def stand(vertices):

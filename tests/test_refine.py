@@ -8,11 +8,11 @@ import zoo
 from people import person
 from scipy.spatial.transform import Rotation
 
+from mimesh.core.geometry import edges
+from mimesh.core.mesh import Mesh
 from mimesh.evaluate.metrics import pmd_of_pair
-from mimesh.geometry import edges
-from mimesh.mesh import Mesh
-from mimesh.refine import Refinement
-from mimesh.report import edge_stretch
+from mimesh.pipeline.refine import Refinement
+from mimesh.pipeline.report import edge_stretch
 
 IDENTITY, POSED = person(0), person(0, pose=2)
 

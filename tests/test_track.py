@@ -8,10 +8,10 @@ from people import person, walk
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
+from mimesh.core.joint_tracks import Feet, Track, grounded, skate, soles, straight
+from mimesh.core.rig import Rig, Skinned, leg_length
 from mimesh.pipeline import animate
-from mimesh.rig import Rig, Skinned, leg_length
-from mimesh.track import Feet, Track, grounded, skate, soles, straight
 
 BODY = load_body()
 LEGS = tuple(tuple(BODY.joint(f"{side}{name}") for name in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))

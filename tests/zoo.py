@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimesh.mesh import Mesh
+from mimesh.core.mesh import Mesh
 
 
 def tetrahedron() -> Mesh:

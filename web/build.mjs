@@ -1,4 +1,4 @@
-// Bundles each page of this folder into src/mimesh/view/web, with the licence notices of what it holds.
+// Bundles each page of this folder into src/mimesh/player/web, with the licence notices of what it holds.
 //   npm ci && node build.mjs
 // The first line of each bundle carries a fingerprint of all sources here and of the lock; a test compares it, so that
 // a bundle and its sources cannot part.
@@ -9,7 +9,7 @@ import { fileURLToPath } from "node:url";
 import { build } from "esbuild";
 
 const here = fileURLToPath(new URL(".", import.meta.url));
-const output = join(here, "../src/mimesh/view/web");
+const output = join(here, "../src/mimesh/player/web");
 
 /** All sources below a folder, as paths with forward slashes, sorted. */
 function sources(folder) {

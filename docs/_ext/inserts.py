@@ -14,7 +14,7 @@ from commands import command_reference
 
 from mimesh.commands.about import WHAT
 from mimesh.evaluate.tables import grid, paper_table
-from mimesh.methods import MODELS, SHIPPED_NETWORKS
+from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
 
 DOCS = Path(__file__).parents[1]

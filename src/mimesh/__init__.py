@@ -9,10 +9,11 @@ import importlib
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from .core.errors import InputError
+    from .core.mesh import Clip, Mesh
     from .io import load_clip, load_mesh, save_clip, save_mesh
-    from .mesh import Clip, InputError, Mesh
     from .pipeline import animate, transfer
-    from .result import ClipResult, Result
+    from .pipeline.result import ClipResult, Result
 
 __version__ = "0.1.0"
 __all__ = [

@@ -108,7 +108,7 @@ def _failed(error: Exception) -> int:
         return _tell("stopped", STOPPED)
     if hasattr(error, "format_message"):
         return _usage(error)
-    from .mesh import InputError
+    from .core.errors import InputError
 
     if isinstance(error, InputError):
         return _tell(" ".join(str(error).split()), 2)

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import CAST, character, load_body
-from mimesh.bodies.cast import proportioned
+from mimesh.bodies.characters import proportioned
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
-from mimesh.mesh import InputError, check_mesh
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import check_mesh
 
 BODY = load_body()
 

@@ -11,8 +11,9 @@ from scipy.sparse.csgraph import connected_components
 from mimesh.bodies import load_body
 from mimesh.bodies.dress import GARMENTS, dressed_body, load_garment
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, vertex_normals
-from mimesh.mesh import InputError, check_mesh
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, vertex_normals
+from mimesh.core.mesh import check_mesh
 
 WEARERS = 6
 

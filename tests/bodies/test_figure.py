@@ -7,8 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.bodies.figure import Figure, Posed, Stance, kinds_of_bones
-from mimesh.geometry import closest_on_mesh, sample_surface
+from mimesh.bodies.sampled_body import Figure, Posed, Stance, kinds_of_bones
+from mimesh.core.geometry import closest_on_mesh, sample_surface
 
 BODY = load_body()
 FIGURE = Figure.of(BODY, 400)

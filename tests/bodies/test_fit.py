@@ -9,9 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.bodies.cloud import chamfer, cloud_of
-from mimesh.bodies.fit import GOOD, fit_points
-from mimesh.bodies.fitted import (
+from mimesh.bodies.body_parameters import (
     Fit,
     _levels,
     descendants,
@@ -21,10 +19,12 @@ from mimesh.bodies.fitted import (
     thin_body,
     unknowns_of,
 )
+from mimesh.bodies.chamfer_fit import GOOD, fit_points
+from mimesh.bodies.point_distance import chamfer, cloud_of
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
-from mimesh.frame import Frame
-from mimesh.geometry import at_barycentric, sample_surface
-from mimesh.mesh import permute_vertices
+from mimesh.core.geometry import at_barycentric, sample_surface
+from mimesh.core.mesh import permute_vertices
+from mimesh.core.normalization import Frame
 
 COMPONENTS = 4
 
@@ -165,7 +165,7 @@ def test_a_frame_that_was_lost_is_fitted_anew():
 def test_points_that_worsen_little_by_little_are_fitted_anew_and_the_better_fit_counts(monkeypatch):
     body = thin(100)
     anew = dataclasses.replace(some_fit(), error=np.inf, lost=7.0)
-    monkeypatch.setattr("mimesh.bodies.fit._fitted_anew", lambda *_: anew)
+    monkeypatch.setattr("mimesh.bodies.chamfer_fit._fitted_anew", lambda *_: anew)
     rest = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), lost=5e-3)
     noise = np.random.default_rng(0).normal(size=body.vertices.shape)
     clip = [rest.points(body) + 0.04 * np.sqrt(2) ** t * noise for t in range(4)]

@@ -5,8 +5,8 @@ import pytest
 
 from mimesh.bodies import load_body, save_body
 from mimesh.bodies.sampling import JOINT_LIMITS, TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.geometry import edges
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import edges
 
 
 @pytest.fixture(scope="module")

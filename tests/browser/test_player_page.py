@@ -8,9 +8,9 @@ import pytest
 import zoo
 from PIL import Image
 
-from mimesh.mesh import Clip, Material, Mesh, Part
-from mimesh.view.player import Download, write_player
-from mimesh.view.scene import Shown
+from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.player.pack import Shown
+from mimesh.player.page import Download, write_player
 
 CONTENT = np.random.default_rng(0).bytes(3000)
 

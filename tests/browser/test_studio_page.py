@@ -9,7 +9,7 @@ from people import person, walk
 
 from mimesh import animate, load_clip, save_clip, save_mesh
 from mimesh.studio import _listening, make_desk, make_server
-from mimesh.studio.guard import new_token
+from mimesh.studio.security import new_token
 
 HERO = ".row[data-state='done']:has-text('hero.glb')"
 DROP = """([role, name, text]) => {
@@ -165,7 +165,7 @@ def test_two_meshes_at_once(fresh, files, studio):
 
 def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, monkeypatch):
     """The clip is held up; what stands under the slider is shown nevertheless."""
-    from mimesh.studio import acts
+    from mimesh.studio import operations as acts
 
     page, go, made = fresh.page, threading.Event(), acts.result
 
@@ -192,7 +192,8 @@ def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, 
 
 
 def test_keyboard_theme_and_narrow_windows(fresh, monkeypatch):
-    from mimesh.studio import acts, desk
+    from mimesh.studio import operations as acts
+    from mimesh.studio import session as desk
 
     monkeypatch.setattr(desk, "character", lambda name: person(0))
     monkeypatch.setattr(acts, "demo_clip", lambda motion: walk(frames=2))

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 from gltf_samples import png
 
+from mimesh.core.mesh import Clip
 from mimesh.io import load_mesh
-from mimesh.mesh import Clip
 
 AROUND, ALONG = 12, 10
 

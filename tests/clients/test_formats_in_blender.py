@@ -18,9 +18,9 @@ from people import person, walk
 from scipy.spatial import cKDTree
 
 import mimesh
-from mimesh.convert import convert
+from mimesh.evaluate.provenance import commit, libraries
 from mimesh.io import load_clip, save_clip, save_mesh
-from mimesh.provenance import commit, libraries
+from mimesh.tools.convert import convert
 
 pytestmark = pytest.mark.client
 CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".pc2", ".mdd", ".obj", ".ply")

@@ -10,8 +10,8 @@ from dressed import dressed_clip
 from people import person, walk
 
 import mimesh
+from mimesh.core.mesh import Clip
 from mimesh.io import load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip
 
 pytestmark = pytest.mark.client
 

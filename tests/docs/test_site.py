@@ -11,7 +11,7 @@ import pytest
 from mimesh.cli import COMMANDS
 from mimesh.evaluate.tables import TABLES, paper_table
 from mimesh.io import save_mesh
-from mimesh.methods import MODELS
+from mimesh.methods.find import MODELS
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"

@@ -7,10 +7,10 @@ import pytest
 from deepmimic_files import write_folder
 
 from mimesh.bodies.sampling import sample_shape
+from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, SEEN, clips_aniformer
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.evaluate.pairs import human
-from mimesh.mesh import InputError
 from mimesh.motions import load_motion
 from mimesh.motions.clips import SPLITS
 from mimesh.motions.deepmimic import CLIPS

@@ -14,16 +14,9 @@ from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import named_joints
 from mimesh.bodies.landmarks import landmarks
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
-from mimesh.evaluate.cross_body import (
-    check_person,
-    cross_body,
-    landmarks_on,
-    load_rig,
-    pose_at_rest,
-    pose_on_rig,
-)
+from mimesh.core.errors import InputError
+from mimesh.evaluate.cross_body import check_person, cross_body, landmarks_on, load_rig, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_of_pair, resized
-from mimesh.mesh import InputError
 from mimesh.motions.retarget import BONES, to_local
 
 MADE = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")

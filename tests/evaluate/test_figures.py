@@ -6,9 +6,9 @@ from networks import write_network, write_sequence_network
 from PIL import Image
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.evaluate.figures import FIGURES, by_number, figure_command, vertex_orders
 from mimesh.io import save_mesh
-from mimesh.mesh import InputError
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import zoo
 
+from mimesh.core.geometry import edges
 from mimesh.evaluate.metrics import (
     chamfer,
     edge_score,
@@ -15,7 +16,6 @@ from mimesh.evaluate.metrics import (
     pmd_of_pair,
     pmd_public,
 )
-from mimesh.geometry import edges
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])

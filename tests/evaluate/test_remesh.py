@@ -5,9 +5,9 @@ import pytest
 from scipy.spatial import KDTree
 
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.core.geometry import edges, face_areas
 from mimesh.evaluate import remesh
 from mimesh.evaluate.pairs import human
-from mimesh.geometry import edges, face_areas
 
 BODY = human()
 POSED = BODY.posed(np.ones(3), rotvec_to_rotmat(sample_pose(BODY, 0, 0)))

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from mimesh.core.errors import InputError
 from mimesh.evaluate.results import one_page, results_page
 from mimesh.evaluate.run import fingerprint
-from mimesh.mesh import InputError
 
 DOCS = Path(__file__).parents[2] / "docs"
 

@@ -9,6 +9,8 @@ import pytest
 from deepmimic_files import write_folder
 from networks import write_network, write_sequence_network
 
+from mimesh.core.errors import InputError
+from mimesh.core.normalization import bbox_centre, radius
 from mimesh.evaluate.clip_measure import measure_clip, moved_clip
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
@@ -18,10 +20,8 @@ from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
 from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
-from mimesh.frame import bbox_centre, radius
 from mimesh.io import load_mesh
-from mimesh.mesh import InputError
-from mimesh.methods import ALONE, MODELS, ROWS
+from mimesh.methods.find import ALONE, MODELS, ROWS
 from mimesh.pipeline import transfer
 
 

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 import zoo
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import (
     CLIP_WRITERS,
     MESH_READERS,
@@ -21,7 +23,6 @@ from mimesh.io import (
     save_clip,
     save_mesh,
 )
-from mimesh.mesh import Clip, InputError
 
 OURS = (".npz", ".obj", ".off", ".ply", ".stl")
 ASCII_PLY = (

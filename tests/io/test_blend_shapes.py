@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.io import blend_shapes, load_clip, save_clip
-from mimesh.io.blend_shapes import fit_blend
-from mimesh.mesh import Clip, InputError
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
+from mimesh.io import load_clip, save_clip
+from mimesh.io.gltf import blend_shapes
+from mimesh.io.gltf.blend_shapes import fit_blend
 
 
 def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.io import load_clip, save_bvh
-from mimesh.mesh import InputError
 from mimesh.motions import load_bvh, load_motion, motion_clip, window
 
 BODY, MOTION = load_body(), window(load_motion("turn"), 0.0, 0.3)

@@ -12,9 +12,9 @@ import pytest
 import trimesh
 import zoo
 
+from mimesh.core.mesh import Clip, permute_vertices
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.colors import linear_rgba, srgb_rgba, with_alpha
-from mimesh.mesh import Clip, permute_vertices
 
 
 def encoded(linear: float) -> float:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from zoo import grid
 
-from mimesh import paging
-from mimesh.convert import write_clip
+from mimesh.core import frame_buffer as paging
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import save_clip
-from mimesh.mesh import Clip, InputError
-from mimesh.view.movie import save_movie
+from mimesh.render.movie import save_movie
+from mimesh.tools.convert import write_clip
 
 ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
 

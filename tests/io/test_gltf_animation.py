@@ -8,10 +8,11 @@ import pytest
 import zoo
 from scipy.spatial.transform import Rotation, Slerp
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
-from mimesh.io.gltf_animation import Channel, frame_rate
-from mimesh.mesh import Clip, InputError
+from mimesh.io.gltf.animation import Channel, frame_rate
 
 TURNS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
 """What the hero's hip does from 0 to 1 s."""

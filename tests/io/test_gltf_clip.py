@@ -11,8 +11,8 @@ import pytest
 import zoo
 from gltf_twin import Twin
 
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io.gltf import read_gltf, write_gltf, write_gltf_clip
-from mimesh.mesh import Clip, Material, Mesh, Part
 
 
 def frames_of(vertices: np.ndarray, count: int = 5) -> np.ndarray:

@@ -11,8 +11,8 @@ from typing import Any
 import gltf_samples as samples
 import pytest
 
+from mimesh.core.errors import InputError
 from mimesh.io.gltf import read_gltf
-from mimesh.mesh import InputError
 
 Change = Callable[[dict[str, Any]], Any]
 

@@ -12,19 +12,19 @@ from people import person
 from rigs import kept
 from scipy.spatial.transform import Rotation
 
-from mimesh import paging
 from mimesh.bodies import load_body
+from mimesh.core import frame_buffer as paging
+from mimesh.core.errors import InputError
+from mimesh.core.rig import Rig, Skeleton
 from mimesh.io import load_clip, load_mesh, save_skinned
-from mimesh.io.gltf_document import open_document
-from mimesh.io.gltf_motion import gltf_joints, read_skeleton
-from mimesh.io.gltf_skin import read_skin
-from mimesh.look import look
-from mimesh.mesh import InputError
+from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.motion import gltf_joints, read_skeleton
+from mimesh.io.gltf.skin import read_skin
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import on_body
 from mimesh.motions.retarget import BONES
-from mimesh.rig import Rig, Skeleton
+from mimesh.tools.inspect import look
 
 ARMATURES = {
     "none": {},

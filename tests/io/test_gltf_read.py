@@ -10,7 +10,7 @@ import pytest
 from gltf_twin import Twin
 
 from mimesh.io.gltf import read_gltf, write_gltf
-from mimesh.io.gltf_edit import GltfSource
+from mimesh.io.gltf.edit import GltfSource
 
 
 @pytest.fixture(params=["hero", "props"])
@@ -248,8 +248,8 @@ def test_large_files_are_the_same_when_paged_in(suffix, tmp_path, monkeypatch):
     path = sample.glb(tmp_path / "a.glb")
     write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
     whole = read_gltf(tmp_path / f"b{suffix}")
-    monkeypatch.setattr("mimesh.io.gltf_pages.LARGE", 100)
-    monkeypatch.setattr("mimesh.io.gltf_pages._PIECE", 8)
+    monkeypatch.setattr("mimesh.io.gltf.pages.LARGE", 100)
+    monkeypatch.setattr("mimesh.io.gltf.pages._PIECE", 8)
     paged = read_gltf(tmp_path / f"b{suffix}")
     assert paged.source.document.pages.maps
     assert not whole.source.document.pages.maps

@@ -8,9 +8,9 @@ import pytest
 import zoo
 from gltf_twin import Twin
 
+from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_mesh
-from mimesh.io.gltf_skin import read_skin
-from mimesh.mesh import InputError
+from mimesh.io.gltf.skin import read_skin
 
 
 def body_of(sample: samples.Sample) -> dict:

@@ -8,10 +8,11 @@ import pytest
 from networks import write_mime_network
 from people import person, walk
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import load_mesh, save_mesh, save_skinned
-from mimesh.io.gltf_document import open_document, read_accessor
-from mimesh.io.gltf_read import read_rest
-from mimesh.mesh import Clip, InputError
+from mimesh.io.gltf.document import open_document, read_accessor
+from mimesh.io.gltf.read import read_rest
 from mimesh.pipeline import animate
 
 pytest.importorskip("onnx")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from gltf_twin import Twin, json_of
 
+from mimesh.core.mesh import Mesh
 from mimesh.io.gltf import read_gltf, write_gltf
-from mimesh.mesh import Mesh
 
 MOVED = ("POSITION", "NORMAL", "TANGENT")
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from nasty import naive_obj, triangles_of
 
+from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip, Mesh
 
 FILES = {
     (suffix, name): text

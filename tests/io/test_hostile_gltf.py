@@ -13,8 +13,9 @@ import numpy as np
 import pytest
 from gltf_twin import Twin, json_of
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip, InputError
 
 MOVED = ("POSITION", "NORMAL", "TANGENT", "JOINTS_0", "WEIGHTS_0")
 BYTES_OF = ("accessors", "bufferViews", "buffers", "images", "skins", "animations")

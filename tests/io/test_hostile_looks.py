@@ -12,8 +12,8 @@ import trimesh
 import zoo
 from nasty import triangle_soup
 
+from mimesh.core.mesh import Material, Mesh, Part
 from mimesh.io import load_mesh, save_mesh
-from mimesh.mesh import Material, Mesh, Part
 
 POINTS = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 FOLDER = "Größe & 大小 #1 %20"

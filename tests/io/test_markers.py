@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mimesh.core.errors import InputError
 from mimesh.io.markers import load_markers
-from mimesh.mesh import InputError
 
 
 def test_pairs_and_comments(tmp_path):

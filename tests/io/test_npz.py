@@ -7,8 +7,9 @@ import pytest
 import zoo
 from nasty import bent
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip, InputError
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)

@@ -21,9 +21,9 @@ from nasty import (
 )
 from PIL import Image
 
-from mimesh.geometry import face_vectors, vertex_normals
+from mimesh.core.geometry import face_vectors, vertex_normals
+from mimesh.core.mesh import Material, Part, permute_vertices
 from mimesh.io import load_mesh, save_mesh
-from mimesh.mesh import Material, Part, permute_vertices
 
 FILES = {"nasty": NASTY_OBJ, "cube": CUBE_SHARED_NORMALS, "sheets": SHEETS_SHARED_NORMALS}
 

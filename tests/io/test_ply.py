@@ -12,7 +12,7 @@ import zoo
 from nasty import bent, fan_triangles, rotation, triangle_soup
 from PIL import Image
 
-from mimesh.geometry import vertex_normals
+from mimesh.core.geometry import vertex_normals
 from mimesh.io import load_mesh, save_mesh
 
 ENCODINGS = ("ascii", "binary_little_endian", "binary_big_endian")

@@ -5,10 +5,10 @@ import struct
 import numpy as np
 import pytest
 
+from mimesh.core.mesh import Mesh
 from mimesh.io import load_mesh, save_mesh
 from mimesh.io.obj import write_obj
 from mimesh.io.polygons import fan_corners, polygon_corners, polygon_sizes, polygons_of
-from mimesh.mesh import Mesh
 
 
 @pytest.mark.parametrize("seed", range(5))

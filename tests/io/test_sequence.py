@@ -14,9 +14,10 @@ import zoo
 from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bent
 from PIL import Image
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Material, Part, permute_vertices
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io import obj as obj_module
-from mimesh.mesh import Clip, InputError, Material, Part, permute_vertices
 
 FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
 

@@ -9,8 +9,9 @@ import pytest
 import zoo
 from nasty import bent, rotation
 
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, load_mesh, save_mesh
-from mimesh.mesh import InputError, Mesh
 
 
 def write_text(path, mesh: Mesh) -> None:

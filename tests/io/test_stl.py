@@ -10,8 +10,8 @@ import trimesh
 import zoo
 from nasty import bent, rotation
 
+from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.io import load_mesh, save_mesh
-from mimesh.mesh import Mesh, permute_vertices
 
 
 def binary(mesh: Mesh, header: bytes = b"solid but binary", tail: bytes = b"") -> bytes:

@@ -11,9 +11,10 @@ import usd_stages as stages
 import zoo
 from pxr import Gf, Usd, UsdGeom, UsdShade
 
-from mimesh.geometry import face_normals
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import face_normals
+from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, load_mesh, save_mesh
-from mimesh.mesh import InputError, Mesh
 
 CUBE = zoo.cube().vertices
 

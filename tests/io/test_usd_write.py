@@ -12,9 +12,10 @@ import usd_stages as stages
 import zoo
 from pxr import Sdf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 
-from mimesh.geometry import face_normals, vertex_normals
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import face_normals, vertex_normals
+from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
-from mimesh.mesh import Clip, InputError, Material, Mesh, Part
 
 SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 PNG = b"\x89PNG and so on"

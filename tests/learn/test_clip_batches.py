@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.evaluate.clip_protocols import on_template
 from mimesh.learn import clip_batches
 from mimesh.learn.aniformer import AniFormerConfig
@@ -18,7 +19,6 @@ from mimesh.learn.limp import LIMPConfig
 from mimesh.learn.npt import NPTConfig
 from mimesh.learn.train import Run, train
 from mimesh.learn.validation import make_validation
-from mimesh.mesh import InputError
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]
 TINY = TrainConfig(

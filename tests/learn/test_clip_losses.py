@@ -4,8 +4,8 @@ import pytest
 import torch
 from people import person, walk
 
-from mimesh.frame import bbox_centre, radius
-from mimesh.geometry import edges
+from mimesh.core.geometry import edges
+from mimesh.core.normalization import bbox_centre, radius
 from mimesh.learn import clip_losses
 from mimesh.learn.clip_losses import (
     STILL,

@@ -11,12 +11,12 @@ import torch
 from test_train import TINY
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.export import POINTS, export_command, infer_onnx, smaller, to_onnx
 from mimesh.learn.mime import Mime, MimeConfig
 from mimesh.learn.npt import NPT, NPTConfig
 from mimesh.learn.train import Run
-from mimesh.mesh import InputError
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])

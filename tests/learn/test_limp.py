@@ -10,16 +10,16 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
 from mimesh.bodies import load_body  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.core.geometry import edges  # noqa: E402
 from mimesh.evaluate.clip_measure import measure_clip  # noqa: E402
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, on_template  # noqa: E402
 from mimesh.evaluate.remesh import template  # noqa: E402
-from mimesh.geometry import edges  # noqa: E402
 from mimesh.learn.config import config_from, load_config  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402
 from mimesh.learn.limp import LIMP, LIMPConfig, LIMPLossConfig, _growth, limp_loss  # noqa: E402
 from mimesh.learn.train import train  # noqa: E402
 from mimesh.learn.validation import make_source  # noqa: E402
-from mimesh.mesh import InputError  # noqa: E402
 from mimesh.pipeline import transfer  # noqa: E402
 
 COUNT = 2100

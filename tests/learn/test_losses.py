@@ -3,8 +3,8 @@
 import pytest
 import torch
 
+from mimesh.core.geometry import edges
 from mimesh.evaluate.protocols import HUMAN_NPT
-from mimesh.geometry import edges
 from mimesh.learn.losses import edge_paper, edge_ratio, npt_loss, reconstruction
 
 

@@ -6,12 +6,12 @@ import json
 import pytest
 import torch
 
+from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.batches import DataConfig
 from mimesh.learn.config import TrainConfig, load_config
 from mimesh.learn.npt import NPTConfig
 from mimesh.learn.train import Run, schedule, train, train_command
-from mimesh.mesh import InputError
 
 TINY = TrainConfig(
     model=NPTConfig(encoder=(8, 16, 16), decoder=(16, 8, 8)),

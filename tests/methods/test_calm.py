@@ -6,8 +6,8 @@ import zoo
 from people import person
 
 from mimesh.bodies import load_body
-from mimesh.mesh import Mesh
-from mimesh.methods.calm import NOISY, Calm
+from mimesh.core.mesh import Mesh
+from mimesh.methods.mime.denoise import NOISY, Calm
 
 BODY = load_body().mesh()
 

@@ -10,10 +10,10 @@ import pytest
 from networks import write_mime_network, write_network, write_sequence_network
 from people import person, walk
 
-from mimesh.frame import ROTATIONS
-from mimesh.mesh import Clip, Mesh, permute_vertices
-from mimesh.methods import MODELS, find_method
-from mimesh.methods.sequence import OVERLAP
+from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.core.normalization import ROTATIONS
+from mimesh.methods.aniformer import OVERLAP
+from mimesh.methods.find import MODELS, find_method
 from mimesh.pipeline import animate, transfer
 
 IDENTITY = person(0)

@@ -6,9 +6,11 @@ import zoo
 from people import person
 from scipy.spatial.transform import Rotation
 
-from mimesh.frame import bbox_centre, radius
-from mimesh.geometry import closest_barycentric, face_normals
-from mimesh.mesh import InputError, Mesh
+from mimesh.core.canonical_order import canonical_faces
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import closest_barycentric, face_normals
+from mimesh.core.mesh import Mesh
+from mimesh.core.normalization import bbox_centre, radius
 from mimesh.methods import correspondence
 from mimesh.methods.correspondence import (
     REST,
@@ -25,7 +27,6 @@ from mimesh.methods.correspondence import (
     sound_faces,
     vertex_pairs,
 )
-from mimesh.methods.pairing import canonical_faces
 
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 

@@ -10,11 +10,12 @@ import zoo
 from people import person
 from scipy.spatial.transform import Rotation
 
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import edges, face_areas, weld
+from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.core.normalization import bbox_centre, radius
 from mimesh.evaluate.metrics import pmd_of_pair, resized
-from mimesh.frame import bbox_centre, radius
-from mimesh.geometry import edges, face_areas, weld
-from mimesh.mesh import Clip, InputError, Mesh, permute_vertices
-from mimesh.methods import Method
+from mimesh.methods.base import Method
 from mimesh.methods.deformation_transfer import (
     DeformationTransfer,
     component_ties,

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
+from mimesh.core.mesh import Mesh
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.mesh import Mesh
-from mimesh.methods.doubt import Doubt
+from mimesh.methods.mime.confidence import Doubt
 from mimesh.pipeline import transfer
-from mimesh.report import doubt_notes
+from mimesh.pipeline.report import doubt_notes
 
 BODY = load_body()
 AXES = {"up": "+y", "front": "+z"}

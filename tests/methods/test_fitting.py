@@ -6,12 +6,12 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_pose, sample_shape
+from mimesh.core.geometry import at_barycentric, face_normals, sample_surface
+from mimesh.core.mesh import permute_vertices
 from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.geometry import at_barycentric, face_normals, sample_surface
-from mimesh.mesh import permute_vertices
-from mimesh.methods.fitting import Cloud, Fit, fitted
+from mimesh.methods.mime.body_fit import Cloud, Fit, fitted
 from mimesh.pipeline import transfer
 
 BODY = load_body()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from zoo import ZOO, grid
 
-from mimesh.geometry import face_areas
-from mimesh.mesh import Mesh
+from mimesh.core.geometry import face_areas
+from mimesh.core.mesh import Mesh
 from mimesh.methods.heat_weights import (
     HEAT,
     closest_on_segment,

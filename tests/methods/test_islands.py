@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.methods.islands import FAR, bones_apart, without_islands
+from mimesh.methods.mime.weight_cleanup import FAR, bones_apart, without_islands
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])

@@ -9,13 +9,15 @@ from networks import write_mime_network
 from people import person, walk
 from scipy.spatial.transform import Rotation
 
-from mimesh.mesh import Clip, InputError, Mesh
-from mimesh.methods import Method, find_method
-from mimesh.methods import mime as module
-from mimesh.methods.calm import Calm
-from mimesh.methods.samples import Samples
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.rig import leg_length
+from mimesh.core.surface_points import Samples
+from mimesh.methods.base import Method
+from mimesh.methods.find import find_method
+from mimesh.methods.mime import drive as module
+from mimesh.methods.mime.denoise import Calm
 from mimesh.pipeline import animate, transfer
-from mimesh.rig import leg_length
 
 pytest.importorskip("onnx")
 IDENTITY, DRIVING = person(0), person(1, pose=1, faces=600)

@@ -7,13 +7,14 @@ from networks import write_network
 from people import person, walk
 from zoo import point_cloud, two_parts
 
-from mimesh.frame import ROTATIONS
-from mimesh.geometry import edges
-from mimesh.mesh import Clip, InputError, Mesh
-from mimesh.methods import SHIPPED_NETWORKS, find_method
-from mimesh.methods.loading import load_network
-from mimesh.methods.network import POOLED_POINTS, Lengths
-from mimesh.methods.pairing import rank_vertices, surface_points
+from mimesh.core.canonical_order import rank_vertices, surface_points
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import edges
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.normalization import ROTATIONS
+from mimesh.methods.find import SHIPPED_NETWORKS, find_method
+from mimesh.methods.npt import POOLED_POINTS, Lengths
+from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
 
 onnx = pytest.importorskip("onnx")

@@ -7,12 +7,13 @@ import pytest
 from networks import write_sequence_network
 from people import person, walk
 
-from mimesh.geometry import edges
-from mimesh.mesh import Clip, InputError, Mesh, permute_vertices
-from mimesh.methods import find_method
-from mimesh.methods.network import Lengths
-from mimesh.methods.pairing import rank_vertices
-from mimesh.methods.sequence import OVERLAP, Sequence, blended, middles, windows
+from mimesh.core.canonical_order import rank_vertices
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import edges
+from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.methods.aniformer import OVERLAP, Sequence, blended, middles, windows
+from mimesh.methods.find import find_method
+from mimesh.methods.npt import Lengths
 from mimesh.pipeline import animate, transfer
 
 HEADS = ["frames", "regression"]

@@ -9,12 +9,12 @@ from people import person, walk
 from zoo import ZOO
 
 from mimesh.bodies import load_body
-from mimesh.bodies.fitted import Fit, thin_body
+from mimesh.bodies.body_parameters import Fit, thin_body
+from mimesh.core.canonical_order import rank_vertices
+from mimesh.core.mesh import Clip, Mesh, permute_vertices
+from mimesh.core.normalization import Frame
 from mimesh.evaluate.metrics import pmd_of_pair
-from mimesh.frame import Frame
-from mimesh.mesh import Clip, Mesh, permute_vertices
-from mimesh.methods import Method
-from mimesh.methods.pairing import rank_vertices
+from mimesh.methods.base import Method
 from mimesh.methods.skeleton import Skeleton, bind, bone_segments, bone_transforms, surface_sampler
 
 BODY = thin_body(load_body(), 500, 8)

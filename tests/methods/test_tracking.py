@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.geometry import nearest_rotation
-from mimesh.methods.tracking import Parts, mean_rotation
+from mimesh.core.geometry import nearest_rotation
+from mimesh.methods.mime.part_tracking import Parts, mean_rotation
 
 BODY = load_body()
 SOME = np.random.default_rng(0).permutation(len(BODY.vertices))[:3000]

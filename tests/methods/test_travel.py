@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mimesh.mesh import InputError
-from mimesh.methods.travel import travelling
+from mimesh.core.errors import InputError
+from mimesh.methods.root_motion import travelling
 
 SHAPE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 

@@ -5,8 +5,8 @@ import pytest
 from motion_files import OURS, PARENTS, Z_UP, write_amass
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh
-from mimesh.mesh import InputError
 from mimesh.motions import load_motion, window
 from mimesh.motions.amass import JOINTS, is_amass, load_amass
 from mimesh.motions.motion import joint_tracks

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
 from mimesh.motions import load_bvh, retarget
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.retarget import BONES

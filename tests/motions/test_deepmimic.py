@@ -7,7 +7,7 @@ import pytest
 from deepmimic_files import QUATERNIONS, still_rows, swaying_rows, write_folder, write_rows
 
 from mimesh.bodies import load_body
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
 from mimesh.motions.deepmimic import CLIPS, deepmimic_folder, load_deepmimic, read_deepmimic
 from mimesh.motions.motion import joint_tracks, leg_length, lowest
 from mimesh.motions.retarget import BONES

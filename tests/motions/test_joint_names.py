@@ -6,7 +6,7 @@ from foreign_names import SCHEMES, renamed, spelt
 
 from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import named_joints, require_joints
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
 from mimesh.motions.retarget import BONES, NEEDED
 
 OURS = load_body()

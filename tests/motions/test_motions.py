@@ -7,7 +7,7 @@ import pytest
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_shape
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
 from mimesh.motions import (
     DEMO,
     load_motion,

@@ -8,16 +8,17 @@ from foreign_names import SCHEMES, renamed
 from motion_files import X_FRONT, Z_UP, rest_pose, write_bvh
 from scipy.spatial.transform import Rotation
 
-from mimesh import paging
 from mimesh.bodies import load_body
+from mimesh.core import frame_buffer as paging
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import cut_clip
 from mimesh.io import load_clip, load_mesh
-from mimesh.look import look
-from mimesh.mesh import InputError, cut_clip
 from mimesh.motions import load_bvh, load_motion, motion_clip, resample, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
+from mimesh.tools.inspect import look
 
 STANDS = ("t", "a", "hanging")
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from mimesh import InputError, load_mesh, save_mesh
 from mimesh.io.beside import confined, is_there
-from mimesh.studio.acts import read_clip, read_mesh
+from mimesh.studio.operations import read_clip, read_mesh
 
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl a\nf 1/1 2/1 3/1\n"
 MATERIAL = "newmtl a\nKd 0.5 0.25 0.125\nmap_Kd {}\n"
@@ -150,7 +150,7 @@ def test_what_came_along_is_read(places):
 
 def test_a_package_is_not_unpacked_beyond_its_size(tmp_path):
     pytest.importorskip("pxr")
-    from mimesh.io.usd_package import unpack
+    from mimesh.io.usd.package import unpack
 
     with zipfile.ZipFile(tmp_path / "bomb.usdz", "w", zipfile.ZIP_DEFLATED) as pack:
         pack.writestr("a.usda", bytes(2**20))

@@ -11,10 +11,11 @@ from starlette.testclient import TestClient
 
 from mimesh import load_mesh, save_mesh, transfer
 from mimesh.bodies import load_body
-from mimesh.demo import IDENTITY_SHAPE, person
-from mimesh.studio import make_desk, workplace
+from mimesh.studio import make_desk
+from mimesh.studio import uploads as workplace
 from mimesh.studio.app import make_app
-from mimesh.studio.guard import Guard
+from mimesh.studio.security import Guard
+from mimesh.tools.demo import IDENTITY_SHAPE, person
 
 TOKEN, PORT = "secret", 8123
 HOST = f"127.0.0.1:{PORT}"

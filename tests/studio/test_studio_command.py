@@ -42,7 +42,7 @@ def test_ends_within_a_second_and_leaves_nothing(program, tmp_path):
 
 
 def test_what_a_killed_studio_left_goes_with_the_next(tmp_path):
-    from mimesh.studio.workplace import remove_leftovers
+    from mimesh.studio.uploads import remove_leftovers
 
     gone = subprocess.Popen([sys.executable, "-c", ""])
     gone.wait()

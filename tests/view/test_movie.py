@@ -7,8 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image, features
 
-from mimesh.mesh import Clip, InputError
-from mimesh.view import movie
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
+from mimesh.render import movie
 
 SIZE = (48, 40)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mimesh.view.pictures import Pictures, decoded
+from mimesh.player.pictures import Pictures
+from mimesh.render.textures import decoded
 
 RAMP = np.arange(256, dtype=np.uint8).reshape(16, 16)
 

@@ -11,10 +11,11 @@ import pytest
 import zoo
 
 import mimesh
-from mimesh.mesh import Clip, InputError
-from mimesh.result import Result, no_time_yet
-from mimesh.view.player import Download, player_page, web_file, write_player
-from mimesh.view.scene import Shown
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
+from mimesh.pipeline.result import Result, no_time_yet
+from mimesh.player.pack import Shown
+from mimesh.player.page import Download, player_page, web_file, write_player
 
 WEB = Path(__file__).parents[2] / "web"
 SOURCES = (".js", ".mjs", ".css", ".html", ".json")

@@ -8,10 +8,12 @@ import pytest
 import zoo
 from PIL import Image
 
-from mimesh.mesh import InputError, Material, Mesh, Part, permute_vertices
-from mimesh.view import light, paint
-from mimesh.view.camera import VIEWS, extremes, fit, follow, orbit, turned
-from mimesh.view.raster import render, render_mesh
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Material, Mesh, Part, permute_vertices
+from mimesh.render import shading as light
+from mimesh.render import textures as paint
+from mimesh.render.camera import VIEWS, extremes, fit, follow, orbit, turned
+from mimesh.render.raster import render, render_mesh
 
 SIZE = (72, 64)
 SOLID = [m for m in zoo.ZOO if m is not zoo.point_cloud]

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from mimesh.bodies import load_body
-from mimesh.view.camera import fit
-from mimesh.view.raster import render
+from mimesh.render.camera import fit
+from mimesh.render.raster import render
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))
 import raster as benchmark

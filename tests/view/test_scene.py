@@ -11,11 +11,12 @@ import pytest
 import zoo
 from PIL import Image
 
-from mimesh.geometry import vertex_normals
-from mimesh.mesh import Clip, InputError, Material, Mesh, Part
-from mimesh.view.facets import facets
-from mimesh.view.scene import Shown, pack_scene
-from mimesh.view.thinning import DENSE, simplified
+from mimesh.core.errors import InputError
+from mimesh.core.geometry import vertex_normals
+from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.player.pack import Shown, pack_scene
+from mimesh.player.split_vertices import facets
+from mimesh.player.thinning import DENSE, simplified
 
 
 def inflated(text):

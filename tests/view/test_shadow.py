@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.view import shadow
-from mimesh.view.camera import fit
+from mimesh.render import shadow
+from mimesh.render.camera import fit
 
 
 def corners_of(*triangle):

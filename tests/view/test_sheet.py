@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import zoo
 
-from mimesh.mesh import Clip, InputError
-from mimesh.view import heat, sheet
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip
+from mimesh.render import heat, sheet
 
 TILE = (60, 72)
 

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from .. import geometry
-from ..rig import hanging
-from .rigged import RiggedBody
+from ..core import geometry
+from ..core.rig import hanging
+from .body_model import RiggedBody
 from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
 
 ARM, LEG = ("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg")

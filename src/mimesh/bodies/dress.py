@@ -12,8 +12,8 @@ from importlib import resources
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..mesh import InputError
-from .rigged import RiggedBody
+from ..core.errors import InputError
+from .body_model import RiggedBody
 
 GARMENTS = ("skirt", "tights", "hair")
 """A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair leave room for tights."""

@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 
-from ..mesh import InputError
+from ..core.errors import InputError
 
 PARTS = {
     "HipJoint": "hipjoint",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from .rigged import RiggedBody
+from .body_model import RiggedBody
 
 EXTREMES = {
     "head": ("Head", (0.0, 1.0, 0.0)),

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from .rigged import RiggedBody
+from .body_model import RiggedBody
 
 Range = tuple[int, int]
 

@@ -20,7 +20,7 @@ def demo(
 
     Writes the inputs, an animated GLB, a picture and a page that plays it into a folder; needs no network.
     """
-    from ..demo import run_demo
+    from ..tools.demo import run_demo
 
     with progress("frames", quiet or json) as advance:
         facts = run_demo(output, advance)
@@ -38,7 +38,7 @@ def demo(
 
 def models(json: Json = False) -> None:
     """List what -m takes, with figures."""
-    from ..methods import MODELS, SHIPPED_NETWORKS
+    from ..methods.find import MODELS, SHIPPED_NETWORKS
     from ..zoo import cards
 
     shipped = {card["name"]: card for card in cards()}
@@ -78,7 +78,7 @@ def doctor(json: Json = False) -> None:
 
     Versions, shipped files, and one transfer from end to end; exit 0 if all is well, else 1.
     """
-    from ..doctor import examine
+    from ..tools.doctor import examine
 
     checks = examine()
     healthy = all(check.ok for check in checks)

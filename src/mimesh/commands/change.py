@@ -28,8 +28,8 @@ def convert(
 
     What moves stays moving where OUT can; .gif, .webp and .mp4 are pictures of it. Formats: see docs/formats.md.
     """
-    from ..convert import MOVIES, frames_at
-    from ..convert import convert as run
+    from ..tools.convert import MOVIES, frames_at
+    from ..tools.convert import convert as run
 
     refuse_inputs(target, source)
     with progress("frames", quiet or json) as advance:

@@ -25,8 +25,8 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..mesh import Mesh
-    from ..result import ClipResult, Result
+    from ..core.mesh import Mesh
+    from ..pipeline.result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
@@ -145,10 +145,10 @@ def animate(
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
-    from ..convert import MOVIES, animations_note, taken_rate_note
+    from ..core.errors import InputError
     from ..io import clip_suffixes, load_clip, load_mesh
-    from ..mesh import InputError
     from ..pipeline import animate as run
+    from ..tools.convert import MOVIES, animations_note, taken_rate_note
 
     output = output or output_beside(identity, driving, ".glb")
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
@@ -210,7 +210,7 @@ def _finish(
     fps: float | None,
     further: tuple[str, ...] = (),
 ) -> None:
-    from ..convert import blend_note, not_kept, rate_note, size_note
+    from ..tools.convert import blend_note, not_kept, rate_note, size_note
 
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
@@ -231,13 +231,13 @@ def _finish(
 
 
 def _mesh(result: Result | ClipResult) -> Mesh:
-    from ..result import Result
+    from ..pipeline.result import Result
 
     return result.mesh if isinstance(result, Result) else result.clip.mesh
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
-    from ..convert import MOVIES, frames_at
+    from ..tools.convert import MOVIES, frames_at
 
     length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())
@@ -258,7 +258,7 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
 def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
     """Write the picture and the page beside the output, if wanted, and open the page; their paths for the report."""
-    from ..preview import beside
+    from ..tools.preview import beside
 
     if not preview:
         return {"pictures": [], "page": None}
@@ -270,8 +270,8 @@ def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: boo
 
 def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None) -> None:
     """Refuse to write over what is read, and to open a page that is not written."""
-    from ..mesh import InputError
-    from ..preview import names_beside
+    from ..core.errors import InputError
+    from ..tools.preview import names_beside
 
     for written in (output, *(names_beside(output) if preview else ())):
         refuse_inputs(written, *inputs)
@@ -281,7 +281,7 @@ def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | N
 
 def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     """Refuse a format that cannot be written before the work is done, not after it."""
-    from ..mesh import InputError
+    from ..core.errors import InputError
 
     if output.suffix.lower() not in suffixes:
         known = " ".join(sorted({suffix for suffix in suffixes if suffix}))

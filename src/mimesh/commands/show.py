@@ -11,15 +11,15 @@ import typer
 from .terminal import Animation, Json, Quiet, print_json, print_next, progress, refuse_inputs
 
 if TYPE_CHECKING:
-    from ..mesh import Clip
+    from ..core.mesh import Clip
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, clips or folders of numbered meshes.")]
 
 
 def look(files: Files, json: Json = False) -> None:
     """Tell what mesh files hold and what may spoil a transfer."""
-    from ..look import look as examine
-    from ..mesh import InputError
+    from ..core.errors import InputError
+    from ..tools.inspect import look as examine
 
     facts, errors = {}, []
     for path in files:
@@ -76,7 +76,7 @@ def render(
 
     By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
     """
-    from ..drawing import Wanted, draw
+    from ..tools.draw import Wanted, draw
 
     wanted = Wanted(
         *(sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background),
@@ -99,8 +99,8 @@ def _cut(
     files: list[Path], fps: float | None, animation: str | None, start: int, stop: int | None, step: int
 ) -> list[Clip]:
     """The clips, each cut alike; a file of one mesh stays whole beside one that moves."""
+    from ..core.mesh import cut_clip
     from ..io import load_clip
-    from ..mesh import cut_clip
 
     clips = [load_clip(path, fps, animation) for path in files]
     alone = all(len(clip) == 1 for clip in clips)

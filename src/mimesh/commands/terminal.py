@@ -77,7 +77,7 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     Raises:
         InputError: the identity is not a file.
     """
-    from ..mesh import InputError
+    from ..core.errors import InputError
 
     if not identity.is_file():
         found = "a folder" if identity.is_dir() else "nothing of that name"
@@ -92,7 +92,7 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
     Raises:
         InputError: the output is one of the inputs or lies in a folder that is one.
     """
-    from ..mesh import InputError
+    from ..core.errors import InputError
 
     target = output.resolve()
     for given in filter(None, inputs):
@@ -111,7 +111,7 @@ def require(extra: str, *modules: str) -> None:
     """
     from importlib.util import find_spec
 
-    from ..mesh import InputError
+    from ..core.errors import InputError
 
     for module in modules:
         if find_spec(module) is None:

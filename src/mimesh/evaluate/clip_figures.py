@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.mesh import Clip, Mesh
 from ..io import load_mesh
-from ..mesh import Clip, Mesh
 from ..pipeline import animate
 from .clip_measure import as_known, moved_clip
 from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer

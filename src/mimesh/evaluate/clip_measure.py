@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..frame import radius
-from ..geometry import edges
-from ..mesh import Clip
-from ..methods import find_method
+from ..core.geometry import edges
+from ..core.mesh import Clip
+from ..core.normalization import radius
+from ..methods.find import find_method
 from ..methods.limp import Limp
 from ..pipeline import animate
 from .clip_metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm

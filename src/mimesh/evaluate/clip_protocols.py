@@ -21,7 +21,8 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from ..mesh import Clip, InputError, Mesh
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
 from ..motions import Motion, load_deepmimic, mirror, motion_clip, resample, spline_motion, walk_motion
 from ..motions.clips import split_windows
 from ..motions.deepmimic import CLIPS, deepmimic_folder

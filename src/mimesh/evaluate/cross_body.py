@@ -21,11 +21,12 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
-from ..bodies.gltf_rig import GltfRig
 from ..bodies.joint_names import named_joints, require_joints
 from ..bodies.landmarks import landmarks
-from ..io.gltf_skin import read_skin
-from ..mesh import InputError, Mesh
+from ..bodies.skinned_character import GltfRig
+from ..core.errors import InputError
+from ..core.mesh import Mesh
+from ..io.gltf.skin import read_skin
 from ..motions.retarget import BONES, NEEDED, alignments, to_local
 from .pairs import Pair, Pose, human
 from .protocols import Wide

@@ -56,8 +56,8 @@ def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Fl
 
 def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
     """Identity, driving, result and truth in a row; below it the result's heat map in mm of a 1.7 m person."""
-    from ..view.heat import heat_map
-    from ..view.sheet import stack, transfer_sheet
+    from ..render.heat import heat_map
+    from ..render.sheet import stack, transfer_sheet
 
     sized, truth = in_unit_sphere_of(pair.truth, result, pair.truth)
     metres = np.linalg.norm(pair.truth - pair.truth.mean(axis=0), axis=1).max() * 1.7 / pair.height

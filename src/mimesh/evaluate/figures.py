@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from ..core.mesh import Mesh
 from ..io import load_mesh
-from ..mesh import InputError, Mesh
-from ..paging import Progress
 from ..pipeline import transfer
 from .clip_figures import clips_compared, clips_noisy, others_in_motion
 from .measure import moved
@@ -46,8 +47,8 @@ def figure_command(
     progress: Progress | None = None,
 ) -> int:
     """What `mimesh figure` does: draw a figure of the paper into a picture; gives how many rows it has."""
-    from ..preview import save_picture
-    from ..view.sheet import stack
+    from ..render.sheet import stack
+    from ..tools.preview import save_picture
 
     if name not in FIGURES:
         raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another; check the name")

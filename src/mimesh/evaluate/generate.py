@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from ..core.mesh import Mesh
 from ..io import save_mesh
 from ..io.atomic import whole_file
-from ..mesh import InputError, Mesh
-from ..paging import Progress
 from .clip_protocols import ClipsAniformer
 from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
 from .run import find_protocol

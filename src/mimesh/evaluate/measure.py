@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .. import geometry
-from ..frame import Frame, bbox_centre, radius
-from ..mesh import Clip, InputError, Mesh
-from ..methods import Method, find_method, weights_path
+from ..core import geometry
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Frame, bbox_centre, radius
+from ..methods.base import Method
+from ..methods.find import find_method, weights_path
 from ..pipeline import transfer
 from .metrics import (
     chamfer,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..frame import bbox_centre
-from ..geometry import face_vectors
+from ..core.geometry import face_vectors
+from ..core.normalization import bbox_centre
 
 
 def pmd(

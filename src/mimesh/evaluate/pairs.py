@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.landmarks import landmarks
-from ..mesh import Mesh, permute_vertices
+from ..core.mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
 LOST = 0.08

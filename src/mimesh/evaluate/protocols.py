@@ -21,13 +21,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.contacts import CONTACTS, touching
 from ..bodies.dress import GARMENTS, dressed_body
-from ..bodies.sampling import (
-    JOINT_LIMITS,
-    lowered_arms,
-    rotvec_to_rotmat,
-    sample_pose,
-    sample_shape,
-)
+from ..bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions import pose_bank
 from . import remesh
 from .pairs import Pair, Person, Pose, human, remeshed, shuffled, stage

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..geometry import at_barycentric, closest_on_mesh, edges, face_vectors, sample_surface, spatial_order
+from ..core.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, sample_surface, spatial_order
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from ..mesh import InputError
+from ..core.errors import InputError
 from .tables import TABLES, grid, markdown, paper_table
 
 COLUMNS = {

@@ -9,17 +9,17 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..mesh import InputError
-from ..methods import ALONE, MODELS, ROWS, check_row, weights_path
-from ..paging import Progress
-from ..provenance import code_fingerprint, commit, libraries, machine
+from ..methods.find import ALONE, MODELS, ROWS, check_row, weights_path
 from .clip_measure import measure_clip
 from .clip_protocols import ClipPair, clips_aniformer
 from .cross_body import cross_body
 from .measure import GIVEN, measure, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
+from .provenance import code_fingerprint, commit, libraries, machine
 
 FOLDERS = ("cross-body", "clips-aniformer")
 """Protocols that read a folder."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..mesh import InputError
-from ..paging import Progress
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from .run import evaluate_command
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import InputError, Mesh
+from ..core.errors import InputError
+from ..core.mesh import Mesh
 from .cross_body import SUFFIXES
 
 if TYPE_CHECKING:
@@ -27,9 +28,9 @@ class Tile(NamedTuple):
 
 def drawn(tiles: list[Tile]) -> Image.Image:
     """One row of a page."""
-    from ..view.camera import fit
-    from ..view.raster import render, render_mesh
-    from ..view.sheet import captioned, page
+    from ..render.camera import fit
+    from ..render.raster import render, render_mesh
+    from ..render.sheet import captioned, page
 
     pictures = []
     for tile in tiles:

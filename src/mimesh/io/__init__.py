@@ -14,28 +14,20 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..mesh import Clip, InputError, Mesh, check_clip, check_mesh
-from ..paging import Progress
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
+from ..core.mesh import Clip, Mesh, check_clip, check_mesh
 from .atomic import whole_file, writing
 from .bvh_write import save_bvh as save_bvh
-from .formats import (
-    ANIMATED,
-    CACHES,
-    CLIP_READERS,
-    CLIP_WRITERS,
-    FRAME_SUFFIXES,
-    MESH_READERS,
-    MESH_WRITERS,
-    MOTIONS,
-)
+from .formats import ANIMATED, CACHES, CLIP_READERS, CLIP_WRITERS, FRAME_SUFFIXES, MESH_READERS, MESH_WRITERS, MOTIONS
+from .frame_folder import read_sequence, write_sequence
 from .mtl import copy_companions
 from .obj_source import ObjSource
 from .ply import PlySource
-from .sequence import read_sequence, write_sequence
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
-    from ..rig import Skeleton
+    from ..core.rig import Skeleton
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -199,7 +191,7 @@ def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
     Raises:
         InputError: another format, or a place that cannot be written to.
     """
-    from .gltf_skinned import write_gltf_skinned
+    from .gltf.skinned import write_gltf_skinned
 
     path = Path(path)
     if path.suffix.lower() not in (".glb", ".gltf"):

@@ -9,7 +9,7 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from ..mesh import InputError
+from ..core.errors import InputError
 
 SHOWN = 40
 """Letters of a name that its temporary one begins with: file systems limit names to 255 bytes."""

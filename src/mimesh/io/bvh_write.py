@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..bodies import RiggedBody
-from ..mesh import InputError
+from ..core.errors import InputError
 from ..motions.motion import Motion
 from .atomic import whole_file, writing
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from ..mesh import Clip, Mesh
-from ..paging import Progress
+from ..core.frame_buffer import Progress
+from ..core.mesh import Clip, Mesh
 from .atomic import whole_file
 from .npz import read_npz, write_npz, write_npz_clip
 from .npz import read_npz_clip as read_points_clip
@@ -43,25 +43,25 @@ def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
 
 
 def _read_alembic(path: Path) -> Mesh:
-    from .alembic_read import read_alembic
+    from .alembic.read import read_alembic
 
     return read_alembic(path)
 
 
 def _read_alembic_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from .alembic_read import read_alembic_clip
+    from .alembic.read import read_alembic_clip
 
     return read_alembic_clip(path, fps, progress)
 
 
 def _write_alembic(mesh: Mesh, path: Path) -> None:
-    from .alembic_write import write_alembic
+    from .alembic.write import write_alembic
 
     write_alembic(mesh, path)
 
 
 def _write_alembic_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
-    from .alembic_write import write_alembic_clip
+    from .alembic.write import write_alembic_clip
 
     write_alembic_clip(clip, path, progress)
 

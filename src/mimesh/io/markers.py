@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int
 
-from ..mesh import InputError
+from ..core.errors import InputError
 
 
 def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:

@@ -7,7 +7,7 @@ import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
-from ..mesh import Material, Mesh
+from ..core.mesh import Material, Mesh
 from .atomic import whole_file
 from .beside import is_there
 from .text import decoded

@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..archive import POINTS, open_archive, read_array
-from ..mesh import Clip, InputError, Mesh
-from ..paging import Progress, each_frame, stored
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.mesh import Clip, Mesh
+from ..core.npz_archive import POINTS, open_archive, read_array
 from .atomic import whole_file
 from .polygons import fan_corners
 from .timing import DEFAULT_FPS

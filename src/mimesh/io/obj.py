@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import unit_vectors, vertex_normals
-from ..mesh import InputError, Material, Mesh, Part
+from ..core.errors import InputError
+from ..core.geometry import unit_vectors, vertex_normals
+from ..core.mesh import Material, Mesh, Part
 from . import mtl
 from .atomic import whole_file
 from .beside import is_there

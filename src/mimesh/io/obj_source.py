@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..mesh import Material, Mesh
+from ..core.mesh import Material, Mesh
 from .polygons import fan_corners, scatter_corners
 from .text import replace_rows
 

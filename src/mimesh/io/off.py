@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import unit_vectors
-from ..mesh import InputError, Mesh
+from ..core.errors import InputError
+from ..core.geometry import unit_vectors
+from ..core.mesh import Mesh
 from .atomic import whole_file
 from .polygons import fan_corners, polygons_of, scatter_corners
 from .text import line_number, read_numbers, replace_rows, without_comments

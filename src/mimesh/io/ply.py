@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import unit_vectors
-from ..mesh import InputError, Material, Mesh, Part
+from ..core.errors import InputError
+from ..core.geometry import unit_vectors
+from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image

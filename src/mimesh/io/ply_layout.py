@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..mesh import InputError
+from ..core.errors import InputError
 from .text import decoded
 
 _TYPES = {

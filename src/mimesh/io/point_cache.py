@@ -16,8 +16,9 @@ from typing import BinaryIO
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import Clip, InputError, Mesh
-from ..paging import Progress, each_frame, stored
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.mesh import Clip, Mesh
 from .atomic import whole_file
 from .timing import DEFAULT_FPS, between, frame_count, sample_rate
 

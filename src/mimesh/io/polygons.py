@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_normals
-from ..mesh import Mesh
+from ..core.geometry import face_normals
+from ..core.mesh import Mesh
 
 
 def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import face_vectors, unit_vectors, weld
-from ..mesh import InputError, Mesh, Part
+from ..core.errors import InputError
+from ..core.geometry import face_vectors, unit_vectors, weld
+from ..core.mesh import Mesh, Part
 from .atomic import whole_file
 from .text import decoded, read_numbers, replace_numbers
 

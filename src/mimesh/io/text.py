@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..mesh import InputError
+from ..core.errors import InputError
 
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"

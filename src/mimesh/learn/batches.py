@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from .. import geometry
 from ..bodies import RiggedBody
 from ..bodies.contacts import contact_bank
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
+from ..core import geometry
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
 from ..evaluate.remesh import template

@@ -14,9 +14,9 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from ..bodies import load_body
+from ..core.errors import InputError
+from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
-from ..mesh import InputError
-from ..provenance import commit
 from .aniformer import AniFormer, AniFormerConfig
 from .config import TrainConfig, config_from
 from .limp import LIMP, LIMPConfig

@@ -14,8 +14,8 @@ from typing import Any, Literal
 
 import yaml
 
+from ..core.errors import InputError
 from ..evaluate.clip_protocols import FRAMES
-from ..mesh import InputError
 from .aniformer import AniFormerConfig
 from .batches import DataConfig
 from .limp import LIMPConfig, LIMPLossConfig

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody, load_body
+from ..core.errors import InputError
 from ..io.atomic import whole_file
-from ..mesh import InputError
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
 from .limp import LIMPConfig

@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from .. import geometry
 from ..bodies import RiggedBody
 from ..bodies.dress import GARMENTS, dressed_body, load_garment
-from ..bodies.figure import bone_directions, kinds_of_bones, mixed
+from ..bodies.sampled_body import bone_directions, kinds_of_bones, mixed
+from ..core import geometry
 
 WAVES = 6
 """Of which a person's bumps are the sum."""

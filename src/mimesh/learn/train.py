@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from ..bodies import load_body
-from ..mesh import InputError
+from ..core.errors import InputError
 from . import checkpoint
 from .aniformer import AniFormer
 from .batches import Batch, PairSource

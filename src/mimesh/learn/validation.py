@@ -7,14 +7,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from .. import geometry
 from ..bodies import RiggedBody
+from ..core import geometry
+from ..core.mesh import Mesh
+from ..core.normalization import bbox_centre, radius
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
 from ..evaluate.protocols import HUMAN_NPT, Protocol
-from ..frame import bbox_centre, radius
-from ..mesh import Mesh
 from .aniformer import AniFormer, AniFormerConfig
 from .batches import PairSource, TemplateSource
 from .checkpoint import Network

@@ -9,8 +9,9 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import Clip, InputError, Mesh
-from . import Drive
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from .base import Drive
 
 
 @dataclass(frozen=True)

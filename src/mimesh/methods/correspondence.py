@@ -27,9 +27,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..geometry import closest_on_mesh, face_normals, face_vectors, factor, gradient_operator, vertex_normals
-from ..mesh import InputError, Mesh
-from .pairing import canonical_faces, rank_vertices
+from ..core.canonical_order import canonical_faces, rank_vertices
+from ..core.errors import InputError
+from ..core.geometry import closest_on_mesh, face_normals, face_vectors, factor, gradient_operator, vertex_normals
+from ..core.mesh import Mesh
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array

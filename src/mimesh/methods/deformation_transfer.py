@@ -25,12 +25,13 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..geometry import edges, face_areas, factor, gradient_operator
-from ..mesh import Clip, InputError, Mesh
-from . import Drive
+from ..core.canonical_order import rank_vertices
+from ..core.errors import InputError
+from ..core.geometry import edges, face_areas, factor, gradient_operator
+from ..core.mesh import Clip, Mesh
+from .base import Drive
 from .correspondence import match_by_index, match_by_markers, turned_alike, vertex_pairs
-from .pairing import rank_vertices
-from .travel import travelling
+from .root_motion import travelling
 
 TIE = 1e-4
 """Weight of a tie, where an edge of the mesh has about 1."""

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..geometry import face_areas, face_vectors
+from ..core.geometry import face_areas, face_vectors
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array

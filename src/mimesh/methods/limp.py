@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from ..frame import bbox_centre, radius
-from ..geometry import edges
-from ..mesh import Clip, InputError, Mesh
-from . import Drive
-from .network import Lengths, batch_of_one
-from .travel import travelling
+from ..core.errors import InputError
+from ..core.geometry import edges
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import bbox_centre, radius
+from .base import Drive
+from .npt import Lengths, batch_of_one
+from .root_motion import travelling
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession

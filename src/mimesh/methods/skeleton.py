@@ -14,14 +14,14 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.fit import fit_points
-from ..bodies.fitted import Fit, thin_body
-from ..geometry import at_barycentric, sample_surface
-from ..mesh import Clip, Mesh
-from . import Drive
+from ..bodies.body_parameters import Fit, thin_body
+from ..bodies.chamfer_fit import fit_points
+from ..core.canonical_order import TOLERANCE, Ranked, rank_vertices
+from ..core.geometry import at_barycentric, sample_surface
+from ..core.mesh import Clip, Mesh
+from .base import Drive
 from .heat_weights import heat_weights
-from .pairing import TOLERANCE, Ranked, rank_vertices
-from .travel import travelling
+from .root_motion import travelling
 
 POINTS = 4000
 """Points of each mesh, and of the body, that the fits compare."""

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..archive import POINTS, open_archive, read_array
 from ..bodies.sampling import rotvec_to_rotmat
-from ..mesh import InputError
+from ..core.errors import InputError
+from ..core.npz_archive import POINTS, open_archive, read_array
 from .bvh import Bvh
 
 TALL = 1.7

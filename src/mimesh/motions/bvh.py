@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..mesh import InputError
+from ..core.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ..bodies.sampling import rotvec_to_rotmat
-from ..mesh import InputError
+from ..core.errors import InputError
 from .motion import Motion, mirror, rotmat_to_rotvec, window
 
 TAKES = ("cmu_01_01", "cmu_01_03")

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat
-from ..mesh import InputError
+from ..core.errors import InputError
 from .bvh import Bvh
 from .motion import Motion, leg_length, rotmat_to_rotvec, slerp
 from .retarget import retarget

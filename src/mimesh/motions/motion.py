@@ -14,8 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..mesh import Clip, InputError
-from ..paging import Progress, stored
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress, stored
+from ..core.mesh import Clip
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
 """Joints whose bone lengths measure how far a body's steps carry it."""

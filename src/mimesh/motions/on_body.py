@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from ..bodies import load_body
-from ..mesh import Clip, Mesh
-from ..paging import Progress
+from ..core.frame_buffer import Progress
+from ..core.mesh import Clip, Mesh
 from .amass import archive_names, is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
 from .motion import Motion, motion_clip, resample

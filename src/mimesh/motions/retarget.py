@@ -14,11 +14,11 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.joint_names import named_joints, require_joints
-from ..geometry import unit_vectors
-from ..mesh import InputError
+from ..core.errors import InputError
+from ..core.geometry import unit_vectors
 from .bvh import Bvh
 from .motion import LEG, Motion, leg_length, lowest
-from .unposed import axes_from_motion, measured, turn_between
+from .rest_calibration import axes_from_motion, measured, turn_between
 
 _SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}

@@ -13,14 +13,14 @@ from pathlib import Path
 
 import uvicorn
 
-from ..mesh import InputError
-from ..methods import find_method
-from ..methods.mime import Mime
+from ..core.errors import InputError
+from ..methods.find import find_method
+from ..methods.mime.drive import Mime
 from .app import make_app
-from .desk import Desk
-from .guard import Guard, new_token
+from .security import Guard, new_token
+from .session import Desk
 from .state import STUDIO_MODELS
-from .workplace import Workplace
+from .uploads import Workplace
 
 IN_ALL = 4
 """Uploads may take so many times the limit of one."""

@@ -20,12 +20,12 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
-from ..mesh import InputError
-from .desk import Desk
+from ..core.errors import InputError
 from .jobs import Dropped, words
 from .picking import called, clip, meshes
+from .session import Desk
 from .state import described, scene
-from .workplace import TooLarge, Upload
+from .uploads import TooLarge, Upload
 
 PATIENCE = 20.0
 """Seconds that a question for the state may wait for a change."""
@@ -101,7 +101,7 @@ class Routes:
         name = request.path_params.get("name", PAGE)
         if name not in SERVED:
             raise LookupError(name)
-        file = resources.files("mimesh.view") / "web" / name
+        file = resources.files("mimesh.player") / "web" / name
         return Response(file.read_bytes(), media_type=TYPES[Path(name).suffix])
 
     async def state(self, request: Request) -> Response:
@@ -144,7 +144,7 @@ class Routes:
         return JSONResponse({})
 
     async def demo(self, request: Request) -> Response:
-        from ..bodies.cast import CAST
+        from ..bodies.characters import CAST
         from ..motions import load_motion
 
         given = await _json(request)

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..convert import MOVIES, blend_note, not_kept, part, rate_note
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from ..io import save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, MESH_WRITERS
-from ..mesh import InputError
-from ..paging import Progress
-from ..result import ClipResult
-from .workplace import safe_name
+from ..pipeline.result import ClipResult
+from ..tools.convert import MOVIES, blend_note, not_kept, part, rate_note
+from .uploads import safe_name
 
 KEPT = 12
 """Exports that are kept; older ones go."""

@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..mesh import Clip, InputError, Mesh
-from ..moving import Ready
-from ..result import ClipResult
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..pipeline.result import ClipResult
+from ..pipeline.run import Ready
 from .options import Options
 
 MOST_IDENTITIES = 32

@@ -14,8 +14,8 @@ from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..mesh import InputError
-from ..paging import Progress
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 
 Work = Callable[[Progress], Any]
 """What a job does; it is given what to tell its progress to."""

@@ -7,10 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from ..mesh import InputError
-from ..methods import Method
-from ..methods.mime import Mime
-from ..moving import ROOTS, Travel
+from ..core.errors import InputError
+from ..methods.base import Method
+from ..methods.mime.drive import Mime
+from ..pipeline.run import ROOTS, Travel
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
+from ..core.errors import InputError
 from ..io.formats import ANIMATED, CACHES, CLIP_READERS, MESH_READERS
-from ..mesh import InputError
-from .workplace import Upload
+from .uploads import Upload
 
 MOST_MESHES = 16
 """Identities of one upload."""

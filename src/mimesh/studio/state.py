@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from ..bodies.cast import CAST
-from ..frame import AXES
-from ..mesh import Clip, Mesh
-from ..methods import ALONE, MODELS
+from ..bodies.characters import CAST
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import AXES
+from ..methods.find import ALONE, MODELS
 from ..motions.clips import SEGMENTS
-from ..moving import ROOTS
-from ..view.scene import Shown, pack_scene
-from . import acts
-from .desk import Desk, Item
+from ..pipeline.run import ROOTS
+from ..player.pack import Shown, pack_scene
+from . import operations as acts
 from .exports import Export, formats
+from .session import Desk, Item
 
 STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
 """Models that need nothing but the two meshes."""

@@ -1,0 +1,202 @@
+"""Mesh and Clip: what every other file passes around, and the checks at the door.
+
+Arrays are NumPy, frozen dataclasses hold them, nothing here mutates an argument. Metres, y up, right-handed,
++z front, counter-clockwise faces wherever a frame has been applied; as the file had them before that.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .errors import InputError
+from .frame_buffer import each_frame
+
+
+@runtime_checkable
+class Source(Protocol):
+    """The file a mesh came from, kept so that it can be written back with nothing but the points moved."""
+
+    suffix: str
+
+    def write(self, mesh: Mesh, path: Path) -> None:
+        """Write the original file to `path` with the positions (and normals) of `mesh`, all else as it was."""
+        ...
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a surface looks like, as far as every format can say it."""
+
+    name: str
+    base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
+    """Linear RGBA in 0..1."""
+    texture: bytes | None = None
+    """Content of a PNG or JPEG file that multiplies the base colour."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A run of consecutive faces with one name and one material: `mesh.faces[start:stop]`."""
+
+    name: str
+    start: int
+    stop: int
+    material: Material | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh (or a point cloud, when it has no faces) and the file it came from.
+
+    `vertices` keep the order and count of the file, so a format with split vertices (GLB) holds several at one
+    position; `geometry.weld` finds them. Polygons are triangulated here and kept whole in `source`.
+    """
+
+    vertices: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"]
+    name: str = "mesh"
+    corner_uv: Float[np.ndarray, "F 3 2"] | None = None
+    """Texture coordinate of each face corner, origin at the lower left (OBJ's way; glTF's v is 1 - ours)."""
+    corner_normals: Float[np.ndarray, "F 3 3"] | None = None
+    """Unit normal of each face corner where the file gave normals; hard edges live here."""
+    vertex_colors: Float[np.ndarray, "V 4"] | None = None
+    """Linear RGBA of each vertex in 0..1, where the file gave colours; it multiplies the base colour."""
+    parts: tuple[Part, ...] = ()
+    """Consecutive runs that cover all faces; empty means one unnamed part."""
+    source: Source | None = None
+
+    def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
+        """The same mesh with its points elsewhere and its corner normals turned along with the surface."""
+        from .geometry import turn_normals
+
+        if vertices.shape != self.vertices.shape:
+            raise ValueError(f"vertices must keep their shape {self.vertices.shape}, got {vertices.shape}")
+        normals = self.corner_normals
+        if normals is not None:
+            normals = turn_normals(normals, self.faces, self.vertices, vertices)
+        return dataclasses.replace(self, vertices=vertices, corner_normals=normals)
+
+
+@dataclass(frozen=True, eq=False)
+class Clip:
+    """A mesh that moves: `vertices[t]` are the points of `mesh` at time `t / fps` seconds."""
+
+    mesh: Mesh
+    """Topology, looks and source; its vertices are those of frame 0 unless the file had a rest shape."""
+    vertices: Float[np.ndarray, "T V 3"]
+    fps: float = 30.0
+    headings: Float[np.ndarray, "T 3"] | None = None
+    """Which way a person faces in every frame, y up, where joints say so; None leaves it to the shape."""
+
+    @classmethod
+    def still(cls, mesh: Mesh) -> Clip:
+        """A mesh as a clip of one frame."""
+        return cls(mesh, mesh.vertices[None])
+
+    def __len__(self) -> int:
+        return len(self.vertices)
+
+    @property
+    def seconds(self) -> float:
+        """Length of the clip: T frames last T / fps seconds."""
+        return len(self.vertices) / self.fps
+
+
+def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
+    """Return the mesh if it can be worked with, and say in one line what is wrong if it cannot.
+
+    Raises:
+        InputError: no vertices, NaN or infinite coordinates, a face index out of range, or no extent at all.
+    """
+    vertices, faces = mesh.vertices, mesh.faces
+    if len(vertices) == 0:
+        raise InputError(f"{path}: expected a mesh, found no vertices; export it again with its geometry")
+    bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{path}: expected finite coordinates, found NaN or infinity in {bad.size} of {len(vertices)} vertices "
+            f"(first: vertex {bad[0]}); delete or repair them"
+        )
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        worst = int(faces.max() if faces.max() >= len(vertices) else faces.min())
+        raise InputError(
+            f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
+            "the file is damaged, export it again"
+        )
+    if np.ptp(vertices, axis=0).max() == 0.0:
+        raise InputError(
+            f"{path}: expected a mesh with some size, found all {len(vertices)} vertices at one point; "
+            "check the export's scale"
+        )
+    if len(faces) and not _has_area(vertices, faces):
+        raise InputError(
+            f"{path}: expected faces with area, found only zero-area ones; check the export's scale and faces"
+        )
+    return mesh
+
+
+def check_clip(clip: Clip, path: str | Path) -> Clip:
+    """Return the clip if every frame can be worked with (see `check_mesh`); raises InputError otherwise."""
+    if len(clip) == 0:
+        raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
+    if clip.vertices.shape[1:] != clip.mesh.vertices.shape:
+        raise InputError(
+            f"{path}: expected {len(clip.mesh.vertices)} vertices in every frame, found {clip.vertices.shape[1]}; "
+            "export with one topology for the whole clip"
+        )
+    for t, vertices in enumerate(each_frame(clip.vertices)):
+        if not np.isfinite(vertices).all():
+            raise InputError(
+                f"{path}: expected finite coordinates, found NaN or infinity in frame {t}; export it again"
+            )
+    if not clip.fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; give one with --fps")
+    check_mesh(dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64)), path)
+    return clip
+
+
+def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
+    """Every `step`-th frame from `start` up to but without `stop`; it plays at fps / step, as fast as before.
+
+    Raises:
+        InputError: no frame is left, or the step is not positive.
+    """
+    if step < 1:
+        raise InputError(f"--step: expected 1 or more, found {step}; give a positive number")
+    vertices = clip.vertices[start:stop:step]
+    if len(vertices) == 0:
+        raise InputError(
+            f"{clip.mesh.name}: expected --start and --stop within its {len(clip)} frames, found {start} to "
+            f"{'the end' if stop is None else stop}, which leaves none; change them"
+        )
+    check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
+    headings = None if clip.headings is None else clip.headings[start:stop:step]
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings)
+
+
+def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
+    """Reorder vertices and rename face indices together: new vertex i is old vertex `order[i]`.
+
+    The one permutation function of the project: training, tests and protocols all shuffle through it. The result
+    has no `source`, because its vertices are no longer those of the file.
+    """
+    if sorted(order.tolist()) != list(range(len(mesh.vertices))):
+        raise ValueError(f"order must be a permutation of 0..{len(mesh.vertices) - 1}, got {len(order)} entries")
+    rank = np.empty(len(order), mesh.faces.dtype)
+    rank[order] = np.arange(len(order), dtype=mesh.faces.dtype)
+    colors = None if mesh.vertex_colors is None else mesh.vertex_colors[order]
+    return dataclasses.replace(
+        mesh, vertices=mesh.vertices[order], faces=rank[mesh.faces], vertex_colors=colors, source=None
+    )
+
+
+def _has_area(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> bool:
+    from .geometry import face_areas
+
+    return bool((face_areas(vertices, faces) > 0).any())

@@ -1,0 +1,1 @@
+"""Alembic archives (.abc) in and out."""

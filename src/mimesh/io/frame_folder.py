@@ -1,0 +1,141 @@
+"""A folder of numbered meshes is a clip: walk_0001.obj, walk_0002.obj, ..."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import re
+from collections import Counter
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.errors import InputError
+from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.mesh import Clip, Mesh, check_mesh
+from .atomic import whole_folder
+from .obj import read_obj_points
+from .obj_source import ObjSource
+from .ply import PlySource, read_ply_points
+from .stl import StlSource, read_stl_points
+
+OTHER_FRAMES = {".glb", ".obj", ".off", ".ply", ".stl"}
+"""Numbered meshes of these would be a second series beside the one that is written."""
+_NUMBER = re.compile(r"\d+")
+
+
+def read_sequence(
+    folder: Path,
+    fps: float,
+    suffixes: Collection[str],
+    read: Callable[[Path], Mesh],
+    progress: Progress | None = None,
+) -> Clip:
+    """Read the numbered meshes of a folder, in the order of their numbers, as one clip.
+
+    Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
+    another name around the number) the longest is read. `read` reads a mesh; later OBJ and PLY frames that differ in
+    nothing but their points are read faster. STL frames are welded as the first one is (see `read_stl_points`).
+
+    Raises:
+        InputError: no numbered meshes, two series of equal length, or a frame of another topology, which is named.
+    """
+    paths = find_frames(folder, suffixes)
+    first = read(paths[0])
+    later = (_read_frame(path, first, paths[0], read) for path in paths[1:])
+    frames = itertools.chain([first.vertices], later)
+    return Clip(first, stored(frames, len(paths), len(first.vertices), progress=progress), fps)
+
+
+def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """The numbered meshes of a folder in natural order (2 before 10): the longest series of one name and suffix.
+
+    Raises:
+        InputError: there are none, or two series are equally long.
+    """
+    files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
+    visible = [path for path in files if not path.name.startswith(".")]
+    series = Counter(_series(path) for path in visible if _NUMBER.search(path.stem))
+    ranked = series.most_common(2)
+    if not ranked:
+        raise InputError(
+            f"{folder}: expected numbered meshes such as 0001.obj, found {len(visible)} meshes without a number; "
+            f"number the files (one of {' '.join(sorted(suffixes))})"
+        )
+    if len(ranked) == 2 and ranked[0][1] == ranked[1][1]:
+        both = " and ".join(name for name, _ in ranked)
+        raise InputError(
+            f"{folder}: expected one series of numbered meshes, found {both} with {ranked[0][1]} each; "
+            "move one of them to another folder"
+        )
+    chosen = [path for path in visible if _NUMBER.search(path.stem) and _series(path) == ranked[0][0]]
+    return sorted(chosen, key=lambda path: ([int(digits) for digits in _NUMBER.findall(path.stem)], path.name))
+
+
+def write_sequence(
+    clip: Clip,
+    folder: Path,
+    suffix: str,
+    write: Callable[[Mesh, Path], None],
+    read: Callable[[Path], Mesh],
+    progress: Progress | None = None,
+) -> None:
+    """Write each frame as a mesh 0000, 0001, ... of the given suffix: the mesh's own file where it has one.
+
+    Otherwise `write` makes a new file of the first frame, `read` reads it, and the others are that file with its points
+    moved, so that all share its materials. Frames of these names are overwritten, other files are left alone.
+
+    Raises:
+        InputError: the folder holds numbered meshes that would be mistaken for further frames.
+    """
+    names = [f"{t:0{max(4, len(str(len(clip) - 1)))}d}{suffix}" for t in range(len(clip))]
+    numbered = [path.name for path in folder.glob(f"*{suffix}") if _NUMBER.search(path.stem)] if folder.is_dir() else []
+    stale = set(numbered) - set(names)
+    if stale:
+        raise InputError(
+            f"{folder}: expected a folder without other numbered {suffix} files, found {min(stale)}; "
+            "choose a new folder or delete the old frames"
+        )
+    stems = {Path(name).stem for name in names}
+    twins = [path.name for path in folder.glob("*") if path.suffix in OTHER_FRAMES - {suffix} and path.stem in stems]
+    if twins:
+        raise InputError(
+            f"{folder}: expected a folder without frames in another format, found {min(twins)}; "
+            "choose a new folder or delete the old frames"
+        )
+    with whole_folder(folder) as temporary:
+        mesh = clip.mesh
+        if mesh.source is None or mesh.source.suffix != suffix:
+            write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
+            mesh = read(temporary / names[0])
+        assert mesh.source is not None
+        for name, vertices in zip(names, each_frame(clip.vertices, progress), strict=True):
+            mesh.source.write(mesh.with_vertices(vertices), temporary / name)
+
+
+def _series(path: Path) -> str:
+    return _NUMBER.sub("#", path.stem) + path.suffix.lower()
+
+
+def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+    if isinstance(first.source, StlSource) and path.suffix.lower() == ".stl":
+        points = read_stl_points(path, first.source)
+        return check_mesh(dataclasses.replace(first, vertices=points), path).vertices
+    points = None
+    if isinstance(first.source, ObjSource):
+        points = read_obj_points(path, first.source)
+    elif isinstance(first.source, PlySource):
+        points = read_ply_points(path, first.source)
+    if points is not None and np.isfinite(points).all():
+        return points
+    mesh = read(path)
+    if len(mesh.vertices) != len(first.vertices) or not np.array_equal(mesh.faces, first.faces):
+        raise InputError(
+            f"{path}: expected the topology of {first_path.name} ({len(first.vertices)} vertices, {len(first.faces)} "
+            f"triangles), found {len(mesh.vertices)} vertices and {len(mesh.faces)} triangles"
+            f"{' in another order' if mesh.faces.shape == first.faces.shape else ''}; "
+            "export all frames from one mesh"
+        )
+    return mesh.vertices

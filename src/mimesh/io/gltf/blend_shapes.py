@@ -1,0 +1,101 @@
+"""A clip as a few blend shapes with weights over time: principal components of how it departs from its first frame.
+
+Of all ways to show T frames with K shapes and an exact frame 0 this has the least squared error. Weights reach from 0
+to 1, because clients cut off others; so the shapes are added to a base that is not itself a frame.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from ...core.errors import InputError
+from ...core.frame_buffer import Progress, let_go
+from ...core.mesh import Clip
+
+BLOCK = 32 * 2**20
+"""Bytes of differences that are held at once."""
+NOTHING = 1e-14
+"""Of the power of the largest component: smaller ones are rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blend:
+    """A base and the weights of K shapes on top of it in every frame."""
+
+    base: Float[np.ndarray, "V 3"]
+    weights: Float32[np.ndarray, "T K"]
+    error: float
+    """Farthest that any vertex is from where it should be, in the mesh's unit."""
+
+    def shares(self) -> Float[np.ndarray, "K T"]:
+        """What makes the shapes of how all frames differ from the base, in whatever is linear in the vertices."""
+        weights = self.weights.astype(np.float64)
+        shares = np.linalg.pinv(weights - weights[0])
+        shares[:, 0] -= shares.sum(axis=1)
+        return shares
+
+
+def fit_blend(clip: Clip, count: int, progress: Progress | None = None) -> Blend:
+    """The `count` shapes that show a clip best, or as many as it needs; takes T x T numbers and blocks of vertices.
+
+    Raises:
+        InputError: fewer than one shape is wanted, or nothing moves.
+    """
+    if count < 1:
+        raise InputError(f"--blendshapes: expected 1 or more, found {count}; try 30")
+    frames = len(clip)
+    gram = np.zeros((frames, frames))
+    blocks = _blocks(clip)
+    for done, block in enumerate(blocks):
+        differences = _differences(clip, block)
+        gram += differences @ differences.T
+        _tell(progress, done, 2 * len(blocks))
+    signed = _weights(gram, min(count, frames - 1))
+    if not signed.size:
+        raise InputError(f"{clip.mesh.name}: expected a clip that moves for --blendshapes, found none; leave it out")
+    low, span = signed.min(axis=0), np.ptp(signed, axis=0)
+    to_base, weights = low @ np.linalg.pinv(signed), ((signed - low) / span).astype(np.float32)
+    base = clip.vertices[0].astype(np.float64)
+    blend, error = Blend(base, weights, 0.0), 0.0
+    shares = blend.shares()
+    for done, block in enumerate(blocks, len(blocks)):
+        differences = _differences(clip, block)
+        offset = to_base @ differences
+        base[block] += offset.reshape(-1, 3)
+        shapes = (shares @ differences).astype(np.float32)
+        off = (differences - offset - weights @ shapes).reshape(frames, -1, 3)
+        error = max(error, float(np.linalg.norm(off, axis=-1).max()))
+        _tell(progress, done, 2 * len(blocks))
+    return Blend(base, weights, error)
+
+
+def _weights(gram: Float[np.ndarray, "T T"], count: int) -> Float[np.ndarray, "T K"]:
+    """Weights of the largest components, the strongest first; those of frame 0 are zero."""
+    from scipy.linalg import eigh
+
+    if count < 1:
+        return np.zeros((len(gram), 0))
+    power, direction = eigh(gram, subset_by_index=[len(gram) - count, len(gram) - 1])
+    kept = np.flatnonzero(power > NOTHING * max(power[-1], np.finfo(float).tiny))[::-1]
+    return direction[:, kept] * np.sqrt(power[kept])
+
+
+def _blocks(clip: Clip) -> list[slice]:
+    """Runs of vertices whose differences fit into a block."""
+    step = max(BLOCK // (24 * len(clip)), 1)
+    return [slice(start, start + step) for start in range(0, clip.vertices.shape[1], step)]
+
+
+def _differences(clip: Clip, block: slice) -> Float[np.ndarray, "T C"]:
+    """How every frame differs from the first in some vertices, flattened."""
+    points = clip.vertices[:, block].astype(np.float64)
+    let_go(clip.vertices)
+    return (points - points[0]).reshape(len(points), -1)
+
+
+def _tell(progress: Progress | None, done: int, total: int) -> None:
+    if progress is not None:
+        progress(done + 1, total)

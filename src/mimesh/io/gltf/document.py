@@ -1,0 +1,278 @@
+"""The glTF 2.0 container: the JSON and the bytes of a .glb or .gltf file, and the arrays (accessors) inside them.
+
+All buffers, embedded or beside the file, are joined into one on opening, so that a `Document` stands on its own.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Shaped, UInt8
+
+from ...core.errors import InputError
+from .check import COMPRESSION, check_document
+from .pages import Pages
+
+COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+LANES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+MOST_ZEROS = 2**30
+"""Bytes of an accessor without data: it stands for zeros, and a few letters could ask for any amount of memory."""
+IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
+
+
+@dataclass(frozen=True, eq=False)
+class Document:
+    """A glTF file in memory: its JSON, whose buffer views all point into `binary`, and the contents of its images."""
+
+    path: Path
+    gltf: dict[str, Any] = field(repr=False)
+    binary: bytes | memoryview = field(repr=False)
+    """In memory, or a large file that the system pages in."""
+    images: tuple[bytes | None, ...] = field(repr=False)
+    """Content of each image; None where it could not be had (a file that is not there, or is no image)."""
+    pages: Pages = field(default_factory=Pages, repr=False)
+
+    def let_go(self) -> None:
+        """Give back the memory that pages of a large file have taken."""
+        self.pages.let_go()
+
+
+def open_document(path: Path) -> Document:
+    """Read a .glb, .vrm or .gltf file with everything it refers to.
+
+    Raises:
+        InputError: the file is truncated, inconsistent, not glTF 2.0, or needs an extension that is not understood.
+    """
+    pages = Pages()
+    content = pages.read(path)
+    magic = bytes(content[:4])
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (pages.without_large_data(content), b"")
+    if path.suffix.lower() != ".gltf" and magic != b"glTF":
+        raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
+    gltf = _parse_json(text, path)
+    check_document(gltf, path)
+    gltf, binary = _join_buffers(_without_compression(gltf), chunk, path, pages)
+    images = tuple(_read_image(image, gltf, binary, path, pages) for image in gltf.get("images", []))
+    document = Document(path, gltf, binary, images, pages)
+    for index in sorted(_used_accessors(gltf)):
+        element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
+    return document
+
+
+def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
+    """The bytes of each element of an accessor, one element a row: strides undone and sparse entries filled in.
+
+    Raises:
+        InputError: the accessor has an unknown type, reaches beyond its data, or is large and has none.
+    """
+    accessor = document.gltf["accessors"][index]
+    count, size = accessor["count"], element_size(accessor, index, document.path)
+    if "bufferView" in accessor:
+        rows = _view_rows(document, accessor, count, size, f"accessor {index}")
+    else:
+        if count * size > MOST_ZEROS:
+            raise InputError(
+                f"{document.path}: expected data behind accessor {index}, found {count:,} elements without any; "
+                "the file is damaged, export it again"
+            )
+        rows = np.zeros((count, size), np.uint8)
+    if "sparse" not in accessor:
+        return rows
+    sparse, rows = accessor["sparse"], rows.copy()
+    places = _sparse_places(document, sparse, index, count)
+    rows[places] = _view_rows(document, sparse["values"], len(places), size, f"sparse accessor {index}")
+    return rows
+
+
+def read_accessor(document: Document, index: int) -> Shaped[np.ndarray, "N C"]:
+    """The values of an accessor as stored, one a row (with the padding that matrices of small integers get)."""
+    rows = np.ascontiguousarray(element_bytes(document, index))
+    dtype = np.dtype(COMPONENTS[document.gltf["accessors"][index]["componentType"]])
+    return rows.view(dtype).reshape(len(rows), rows.shape[1] // dtype.itemsize)
+
+
+def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
+    """The values of an accessor in float64; integers marked as normalized come in -1..1 or 0..1."""
+    values = read_accessor(document, index)
+    if not document.gltf["accessors"][index].get("normalized") or values.dtype.kind == "f":
+        return values.astype(np.float64)
+    return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
+
+
+def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
+    """Bytes of one element; columns of matrices start at multiples of four bytes."""
+    component, kind = accessor["componentType"], accessor["type"]
+    if component not in COMPONENTS or kind not in LANES:
+        raise InputError(
+            f"{path}: expected a glTF 2.0 type in accessor {index}, found {component} {kind}; export it again"
+        )
+    width = np.dtype(COMPONENTS[component]).itemsize
+    if not kind.startswith("MAT"):
+        return LANES[kind] * width
+    columns = int(kind[3])
+    return columns * (-(-columns * width // 4) * 4)
+
+
+def image_type(content: bytes) -> str | None:
+    """The MIME type of an image that glTF can hold, told by its first bytes."""
+    return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
+
+
+def _used_accessors(gltf: dict[str, Any]) -> set[int]:
+    """The accessors of all primitives and skins; those of animations are never read here."""
+    used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
+    for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
+        used |= {
+            index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()
+        }
+        used |= {primitive["indices"]} if "indices" in primitive else set()
+    return used
+
+
+def _sparse_places(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
+    component = sparse["indices"]["componentType"]
+    if component not in (5121, 5123, 5125):
+        raise InputError(
+            f"{document.path}: expected unsigned sparse indices in accessor {index}, found {component}; export it again"
+        )
+    dtype = np.dtype(COMPONENTS[component])
+    rows = _view_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
+    places = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
+    if len(places) and places.max() >= count:
+        raise InputError(
+            f"{document.path}: expected sparse indices below {count} in accessor {index}, found {places.max()}; "
+            "the file is damaged, export it again"
+        )
+    return places
+
+
+def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int, name: str) -> np.ndarray:
+    """`count` rows of `size` bytes from the buffer view that `owner` names, without a copy."""
+    view = document.gltf["bufferViews"][owner["bufferView"]]
+    start, stride = owner.get("byteOffset", 0), view.get("byteStride") or size
+    end = start + (count - 1) * stride + size
+    if count and end > view["byteLength"]:
+        raise InputError(
+            f"{document.path}: expected {end} bytes for {name}, found {view['byteLength']} in its buffer view; "
+            "the file is damaged, export it again"
+        )
+    memory = np.frombuffer(document.binary, np.uint8)[view["byteOffset"] + start :]
+    return np.lib.stride_tricks.as_strided(memory, (count, size), (stride, 1), writeable=False)
+
+
+def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
+    """The JSON and the binary chunk of a GLB file."""
+    if len(content) < 20:
+        raise InputError(f"{path}: expected a GLB header of 20 bytes, found {len(content)}; the file is truncated")
+    version, length, json_length, kind = struct.unpack_from("<IIII", content, 4)
+    if version != 2:
+        raise InputError(f"{path}: expected GLB version 2, found {version}; export it again as glTF 2.0")
+    if length > len(content) or 20 + json_length > length:
+        raise InputError(
+            f"{path}: expected {max(length, 20 + json_length)} bytes, found {len(content)}; "
+            "the file is truncated, copy it again"
+        )
+    if kind != JSON_CHUNK:
+        raise InputError(f"{path}: expected the JSON chunk first, found chunk type {kind:#x}; export it again")
+    start = 20 + json_length
+    if start + 8 > length:
+        return bytes(content[20:start]), b""
+    binary_length, kind = struct.unpack_from("<II", content, start)
+    if start + 8 + binary_length > length:
+        raise InputError(
+            f"{path}: expected a binary chunk of {binary_length} bytes, found {length - start - 8}; "
+            "the file is truncated, copy it again"
+        )
+    return bytes(content[20:start]), content[start + 8 : start + 8 + binary_length] if kind == BINARY_CHUNK else b""
+
+
+def _parse_json(text: bytes, path: Path) -> Any:
+    def refuse(constant: str) -> None:
+        raise ValueError(f"{constant} is not a JSON number")
+
+    try:
+        return json.loads(text.decode("utf-8-sig"), parse_constant=refuse)
+    except (ValueError, RecursionError) as error:
+        raise InputError(
+            f"{path}: expected glTF JSON, found text that does not parse ({error}); export it again"
+        ) from error
+
+
+def _without_compression(gltf: dict[str, Any]) -> dict[str, Any]:
+    """The JSON without the optional compressed twins of the data, which will not be what the data is when written."""
+    gone = (*COMPRESSION, "KHR_animation_pointer")
+    gltf = {**gltf}
+    for key in gltf.keys() & {"extensionsUsed", "extensionsRequired"}:
+        gltf[key] = [name for name in gltf[key] if name not in gone]
+    primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
+    for owner in [*gltf.get("bufferViews", []), *primitives]:
+        if COMPRESSION & owner.get("extensions", {}).keys():
+            owner["extensions"] = {key: value for key, value in owner["extensions"].items() if key not in COMPRESSION}
+            if not owner["extensions"]:
+                del owner["extensions"]
+    return gltf
+
+
+def _join_buffers(
+    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, pages: Pages
+) -> tuple[dict[str, Any], bytes | memoryview]:
+    """The JSON with every view pointing into one joined buffer, and that buffer; a single one is not copied."""
+    starts, parts, total = [], [], 0
+    for index, buffer in enumerate(gltf.get("buffers", [])):
+        content = _read_buffer(buffer, index, chunk, path, pages)
+        padding = bytes(-len(content) % 4)
+        starts.append(total)
+        parts += [content, padding]
+        total += len(content) + len(padding)
+    views = [
+        _moved_view(view, index, gltf["buffers"], starts, path)
+        for index, view in enumerate(gltf.get("bufferViews", []))
+    ]
+    return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
+
+
+def _read_buffer(
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, pages: Pages
+) -> bytes | memoryview:
+    uri = buffer.get("uri")
+    content = (chunk if index == 0 else None) if uri is None else pages.fetch(uri, path)
+    if content is None:
+        raise InputError(
+            f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
+            "together or export as one .glb"
+        )
+    if len(content) < buffer["byteLength"]:
+        raise InputError(
+            f"{path}: expected {buffer['byteLength']} bytes in buffer {index}, found {len(content)}; "
+            "the file is truncated, copy it again"
+        )
+    return content[: buffer["byteLength"]]
+
+
+def _moved_view(
+    view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
+) -> dict[str, Any]:
+    offset, size = view.get("byteOffset", 0), buffers[view["buffer"]]["byteLength"]
+    if offset + view["byteLength"] > size:
+        raise InputError(
+            f"{path}: expected buffer view {index} inside its buffer of {size} bytes, found an end at "
+            f"{offset + view['byteLength']}; the file is damaged, export it again"
+        )
+    return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
+
+
+def _read_image(
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, pages: Pages
+) -> bytes | None:
+    if "bufferView" in image:
+        view = gltf["bufferViews"][image["bufferView"]]
+        return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+    content = bytes(pages.fetch(image.get("uri", ""), path) or b"")
+    # A file that is no image must not travel into the file we write, whatever a stranger's glTF points at.
+    return content if content and image_type(content) else None

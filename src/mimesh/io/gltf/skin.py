@@ -1,0 +1,124 @@
+"""The skeleton of a glTF file: its joints at rest, and which of them hold each vertex of its Mesh, and where.
+
+Several skins over one set of nodes (a character in pieces), several sets of influences, and meshes that hang unskinned
+on a bone become one thing: every vertex has K influences, each a joint, a weight, and the place to which that joint
+alone would take the vertex at rest. Inverse bind matrices, node scales of 100 and z-up roots are spent on these places:
+the vertex is their weighted mean, and posing is moving each place rigidly with its joint.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...core.errors import InputError
+from ...core.mesh import Mesh
+from .. import load_mesh
+from .document import Document
+from .edit import GltfSource
+from .read import Rest, Run, primitive_of
+from .scene import influences, joint_matrices, morph_weights, morphed, parents_first, parents_of, transform
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """A Mesh and what holds it; world coordinates and units of the file."""
+
+    mesh: Mesh
+    """As `load_mesh` gives it."""
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """Index of each joint's nearest ancestor that is a joint, -1 for roots; parents come before children."""
+    T_world_joint: Float[np.ndarray, "J 4 4"]
+    """Where the joints' nodes are at rest, with their scales."""
+    joint_of: Int[np.ndarray, "V K"]
+    """Joint of each influence; J stands for the world, which never moves."""
+    weights: Float[np.ndarray, "V K"]
+    """Rows sum to 1."""
+    points: Float[np.ndarray, "V K 3"]
+    """Where each influence alone puts the vertex at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Tree:
+    """The joints of a document among its nodes."""
+
+    nodes: list[int]
+    above: list[int]
+    """Parent of every node, -1 for roots."""
+    joint: dict[int, int]
+    """Index of the joint that each joint node is."""
+
+    def holder(self, node: int) -> int:
+        """The joint that a node is or hangs on; -1 where there is none."""
+        while node >= 0 and node not in self.joint:
+            node = self.above[node]
+        return self.joint.get(node, -1)
+
+
+def read_skin(path: str | Path) -> Skin:
+    """Read a .glb, .vrm or .gltf character with its skeleton: all joints of the skins that its default scene shows.
+
+    Morph targets stay at their default weights. Animations are not read.
+
+    Raises:
+        InputError: as `load_mesh`; another format; or a scene without a skinned mesh.
+    """
+    mesh = load_mesh(path)
+    source = mesh.source
+    if not isinstance(source, GltfSource):
+        raise InputError(
+            f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
+            "export the mesh and its armature together as glTF"
+        )
+    tree = _find_joints(source.document, source.rest)
+    if not tree.nodes:
+        raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
+    runs = [_run_influences(source.document, source.rest, run, tree) for run in source.rest.runs]
+    most = max(weights.shape[1] for _, weights, _ in runs)
+    joint_of, weights, points = (np.concatenate([_widened(run[k], most) for run in runs]) for k in range(3))
+    names = [source.document.gltf["nodes"][node].get("name", f"node{node}") for node in tree.nodes]
+    parents = tuple(tree.holder(tree.above[node]) for node in tree.nodes)
+    return Skin(mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points)
+
+
+def _find_joints(document: Document, rest: Rest) -> _Tree:
+    """The joints of the shown skins, each after its parent."""
+    gltf = document.gltf
+    skins = {skin for run in rest.runs if (skin := _skin_of(document, run)) is not None}
+    wanted = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
+    above = parents_of(document)
+    nodes = [node for node in parents_first(document, above) if node in wanted]
+    return _Tree(nodes, above, {node: j for j, node in enumerate(nodes)})
+
+
+def _skin_of(document: Document, run: Run) -> int | None:
+    """The skin that holds a run's vertices; None where they follow their node, as `vertex_matrices` has it."""
+    skinned = "JOINTS_0" in primitive_of(document, (run.node, run.primitives[0]))["attributes"]
+    return document.gltf["nodes"][run.node].get("skin") if skinned else None
+
+
+def _run_influences(
+    document: Document, rest: Rest, run: Run, tree: _Tree
+) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"], Float[np.ndarray, "N K 3"]]:
+    """Joints, weights and places of the vertices of one run."""
+    primitive = primitive_of(document, (run.node, run.primitives[0]))
+    positions = morphed(document, primitive, "POSITION", morph_weights(document, run.node))
+    assert positions is not None
+    skin = _skin_of(document, run)
+    if skin is None:
+        one = np.full((len(positions), 1), tree.holder(run.node) % (len(tree.nodes) + 1))  # -1: the world, the last
+        return one, np.ones(one.shape), transform(rest.T_world_node[run.node, None, :3], positions)[:, None]
+    number, weights = influences(document, primitive)
+    T_world_bind = joint_matrices(document, skin, rest.T_world_node)
+    points = [transform(T_world_bind[column, :3], positions) for column in number.T]
+    joint = np.array([tree.joint[node] for node in document.gltf["skins"][skin]["joints"]])
+    return joint[number], weights, np.stack(points, axis=1)
+
+
+def _widened(columns: np.ndarray, most: int) -> np.ndarray:
+    """Influences padded to `most` columns with zeros: weights of zero, so it does not matter whose."""
+    return np.pad(columns, [(0, 0), (0, most - columns.shape[1]), *[(0, 0)] * (columns.ndim - 2)])

@@ -1,0 +1,84 @@
+"""The names of all methods, and the method of a name."""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Int
+
+from ..core.errors import InputError
+from ..core.mesh import Mesh
+from .base import Method
+
+SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
+ROWS = (
+    *("mime-table", "npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
+    *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
+    *("npt-frames", "npt-maxpool-frames", "limp"),
+)
+"""Lines of the papers' tables, to be compared rather than used: not shipped, but in a checkout's folder `rows`."""
+ALONE = {"mime-network": "mime", "mime-table-network": "mime-table"}
+"""What networks of mime read, without the fit of the body that starts from it: what the fit is worth."""
+MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
+
+
+def weights_path(model: str) -> Path:
+    """Where the weights of a network lie: one that is shipped, one of ROWS or ALONE, or the path of an `.onnx` file."""
+    model = ALONE.get(model, model)
+    if model in SHIPPED_NETWORKS:
+        return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
+    return Path("rows", f"{model}.onnx") if model in ROWS else Path(model)
+
+
+def check_row(model: str) -> None:
+    """Raise InputError if this is one of ROWS, or of ALONE, whose weights are not here."""
+    if ALONE.get(model, model) in ROWS and not weights_path(model).is_file():
+        raise InputError(
+            f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
+            "repository, or train them with scripts/train_rows.py"
+        )
+
+
+def find_method(
+    model: str,
+    *,
+    ensemble: int = 1,
+    seed: int = 0,
+    reference: Mesh | None = None,
+    markers: Int[np.ndarray, "M 2"] | None = None,
+) -> Method:
+    """The method of a name in MODELS, ROWS or ALONE, or of the path of an `.onnx` file written by `mimesh export`.
+
+    Args:
+        ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
+        seed: of those pairings, and of sampled points.
+        reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
+            faces it shares (deformation transfer only).
+        markers: identity and driving vertex of points that correspond (deformation transfer only).
+
+    Raises:
+        InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
+    """
+    from .copy import Copy
+    from .onnx_models import load_network
+
+    if ensemble < 1:
+        raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
+    if model == "copy":
+        return Copy()
+    if model == "deformation-transfer":
+        from .deformation_transfer import DeformationTransfer
+
+        return DeformationTransfer(reference, markers)
+    if model == "skeleton":
+        from .skeleton import Skeleton
+
+        return Skeleton(seed=seed)
+    check_row(model)
+    path = weights_path(model)
+    if path.suffix == ".onnx":
+        name = model if model in ALONE else path.stem
+        return load_network(path, name=name, ensemble=ensemble, seed=seed, fits=model not in ALONE)
+    raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

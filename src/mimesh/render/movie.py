@@ -1,0 +1,204 @@
+"""Moving pictures: frames of clips and turntables, written as animated WebP, GIF or MP4."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.frame_buffer import PAGED, let_go
+from ..core.geometry import normal_turner
+from ..core.mesh import Clip, Mesh
+from ..io.atomic import whole_file, writing
+from .camera import Camera, extremes, fit, follow, orbit
+from .raster import render_mesh
+from .shading import BACKGROUND
+from .sheet import Color, captioned, page
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+
+def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:
+    """Write frames as an endlessly looping .webp or .gif, or as an .mp4, and return how many there were.
+
+    WebP keeps full colour and is the smaller. GIF gets one palette for all frames, so that nothing flickers, and times
+    in hundredths of a second, spread so that the whole lasts as long as it should; viewers slow down above 50 frames
+    a second. Both merge frames that are exactly alike into one longer frame. MP4 is H.264 and needs PyAV; its frames
+    are written one by one, and a side of odd length loses its last pixel.
+
+    Raises:
+        InputError: another suffix, no frames, a frame rate that is not positive, or a Pillow without WebP.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    writers = {".webp": _write_webp, ".gif": _write_gif}
+    if suffix not in (*writers, ".mp4"):
+        known = ".webp, .gif or .mp4"
+        raise InputError(f"{path}: expected a movie name ending in {known}, found {path.suffix or 'no suffix'}")
+    if not fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with --fps")
+    pictures = (_as_image(frame) for frame in frames)
+    if suffix == ".mp4":
+        with writing(path), whole_file(path) as temporary:
+            return _write_mp4(pictures, temporary, fps)
+    images = list(pictures)
+    if not images:
+        raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
+    with writing(path), whole_file(path) as temporary:
+        writers[suffix](images, temporary, fps)
+    return len(images)
+
+
+def clip_frames(
+    clips: Clip | Sequence[tuple[str, Clip]],
+    size: tuple[int, int] = (512, 512),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    tints: Sequence[tuple[float, float, float] | None] | None = None,
+    track: bool = False,
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+    labels: bool = True,
+    background: Color = BACKGROUND,
+) -> Iterator[Image.Image]:
+    """Yield the pictures of a clip, or of several side by side with captions, one by one.
+
+    Each clip has one camera for all of its frames, so nothing jumps. Side by side, time runs at the first clip's rate
+    and shorter clips hold their last frame.
+
+    Args:
+        size: of one panel in pixels; a caption adds to its height.
+        tints: sRGB colour of each clip's clay; None keeps its materials.
+        track: the camera goes along the floor with the subject (a walk that leaves the picture otherwise).
+    """
+    named = [("", clips)] if isinstance(clips, Clip) else list(clips)
+    cameras = [clip_cameras(clip, size, view, track, up, front) for _, clip in named]
+    poses, colors = [posing(clip.mesh) for _, clip in named], tints or [None] * len(named)
+    fps = named[0][1].fps
+    for k in range(max(round(clip.seconds * fps) for _, clip in named)):
+        tiles = []
+        for (label, clip), path, pose, tint in zip(named, cameras, poses, colors, strict=True):
+            t = min(int(k / fps * clip.fps + 1e-6), len(clip) - 1)
+            picture = render_mesh(
+                pose(np.asarray(clip.vertices[t], np.float64)),
+                size,
+                path[t],
+                clay=clay,
+                tint=tint,
+                background=background,
+            )
+            tiles.append(captioned(picture, label if label and labels else None))
+        if k % PAGED == 0:
+            for _, clip in named:
+                let_go(clip.vertices)
+        yield page(tiles, len(tiles))
+
+
+def turntable_frames(
+    mesh: Mesh,
+    count: int = 60,
+    size: tuple[int, int] = (512, 512),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+    background: Color = BACKGROUND,
+) -> Iterator[Image.Image]:
+    """Yield the pictures of one full turn around the mesh; played in a loop it has no seam."""
+    from PIL import Image
+
+    for camera in orbit(mesh.vertices, size, count, view, up=up, front=front):
+        yield Image.fromarray(render_mesh(mesh, size, camera, clay=clay, background=background))
+
+
+def posing(mesh: Mesh) -> Callable[[np.ndarray], Mesh]:
+    """A function of vertices (V, 3) as `mesh.with_vertices`, for many frames of one mesh."""
+    if mesh.corner_normals is None:
+        return mesh.with_vertices
+    turn = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
+    return lambda points: dataclasses.replace(mesh, vertices=points, corner_normals=turn(points))
+
+
+def clip_cameras(
+    clip: Clip, size: tuple[int, int], view: str | tuple[float, float], track: bool, up: str, front: str | None
+) -> list[Camera]:
+    """A camera per frame: one for all, or one that goes along; the clip is read frame by frame."""
+    if track:
+        return follow(clip.vertices, size, view, up=up, front=front)
+    return [fit(extremes(clip.vertices, size, view, up=up, front=front), size, view, up=up, front=front)] * len(clip)
+
+
+def _as_image(frame: Image.Image | np.ndarray) -> Image.Image:
+    from PIL import Image
+
+    return Image.fromarray(frame) if isinstance(frame, np.ndarray) else frame.convert("RGB")
+
+
+def _write_webp(images: list[Image.Image], path: Path, fps: float) -> None:
+    from PIL import features
+
+    if not features.check("webp"):
+        raise InputError(f"{path}: expected a Pillow that writes WebP, found one without it; write a .gif instead")
+    durations = _durations(len(images), 1000.0 / fps, 1)
+    images[0].save(path, save_all=True, append_images=images[1:], duration=durations, loop=0, quality=82, method=4)
+
+
+def _write_gif(images: list[Image.Image], path: Path, fps: float) -> None:
+    from PIL import Image
+
+    palette = _shared_palette(images)
+    dither = Image.Dither.FLOYDSTEINBERG
+    indexed = [image.quantize(palette=palette, dither=dither) for image in images]
+    durations = _durations(len(images), 1000.0 / fps, 10)
+    indexed[0].save(path, save_all=True, append_images=indexed[1:], duration=durations, loop=0, optimize=False)
+
+
+def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
+    try:
+        import av
+    except ImportError as error:
+        raise InputError(
+            f"{path.suffix}: expected PyAV to write it, found it not installed; pip install 'mimesh[video]', "
+            "or write a .webp"
+        ) from error
+    count = 0
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
+        stream.pix_fmt = "yuv420p"
+        for count, image in enumerate(images, 1):
+            width, height = (side - side % 2 for side in image.size)
+            if count == 1:
+                stream.width, stream.height = width, height
+            frame = av.VideoFrame.from_image(image.crop((0, 0, width, height)))
+            container.mux(stream.encode(frame))
+        if not count:
+            raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
+        container.mux(stream.encode(None))
+    return count
+
+
+def _shared_palette(images: list[Image.Image]) -> Image.Image:
+    """256 colours chosen from eight frames spread over the movie."""
+    from PIL import Image
+
+    chosen = images[:: max(1, len(images) // 8)][:8]
+    width, height = chosen[0].size
+    board = Image.new("RGB", (width, height * len(chosen)))
+    for k, image in enumerate(chosen):
+        board.paste(image, (0, k * height))
+    return board.quantize(256, method=Image.Quantize.MEDIANCUT)
+
+
+def _durations(count: int, each: float, step: int) -> list[int]:
+    """Milliseconds per frame in multiples of `step`, rounded so that their running sum stays right."""
+    ends = [max(round(each * k / step), k) * step for k in range(count + 1)]
+    return [b - a for a, b in itertools.pairwise(ends)]

@@ -1,0 +1,207 @@
+"""Pages of pictures: contact sheet, transfer, strip and turntable, each with captions, as Pillow images."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import UInt8
+
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from .camera import fit, follow, orbit
+from .raster import render_mesh
+from .shading import BACKGROUND
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+TILE = (400, 480)
+"""Width and height of one picture in pixels."""
+INK = (74, 70, 66)
+"""Captions on paper, sRGB 8 bit; lighter on a dark or no background, see `ink`."""
+LIGHT_INK = (214, 210, 204)
+FAINT = (146, 140, 134)
+"""Ticks, signs and second lines."""
+DRIVING_TINT = (0.60, 0.68, 0.76)
+"""The driving mesh is slate blue wherever it stands beside an identity in clay."""
+
+Color = tuple[float, float, float] | None
+"""sRGB in 0..1 of a background; None is transparent."""
+
+
+def contact_sheet(
+    items: Sequence[tuple[str, Mesh]],
+    columns: int | None = None,
+    tile: tuple[int, int] = TILE,
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+    labels: bool = True,
+    background: Color = BACKGROUND,
+) -> Image.Image:
+    """Meshes in rows, each as large as its tile allows, with its label below it.
+
+    Args:
+        columns: a near-square page by default.
+        clay: leave materials and textures out.
+    """
+    if not items:
+        raise InputError("contact sheet: expected at least one mesh, found none; name a file")
+    columns = columns or min(len(items), int(np.ceil(np.sqrt(1.6 * len(items)))))
+    tiles = []
+    for label, mesh in items:
+        camera = fit(mesh.vertices, tile, view, up=up, front=front)
+        picture = render_mesh(mesh, tile, camera, clay=clay, background=background)
+        tiles.append(captioned(picture, label if labels else None))
+    return page(tiles, columns)
+
+
+def transfer_sheet(
+    identity: Mesh,
+    driving: Mesh,
+    result: Mesh,
+    truth: Mesh | None = None,
+    tile: tuple[int, int] = TILE,
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    up: str = "y",
+    front: str | None = None,
+) -> Image.Image:
+    """Identity + driving = result, and the truth beside it from the same camera if there is one."""
+    shown = np.concatenate([m.vertices for m in (result, truth) if m is not None])
+    before, source, camera = (
+        fit(points, tile, view, up=up, front=front) for points in (identity.vertices, driving.vertices, shown)
+    )
+    tiles = [
+        captioned(render_mesh(identity, tile, before), "identity"),
+        captioned(render_mesh(driving, tile, source, tint=DRIVING_TINT), "driving"),
+        captioned(render_mesh(result, tile, camera), "result"),
+    ]
+    if truth is not None:
+        tiles.append(captioned(render_mesh(truth, tile, camera), "truth"))
+    sheet = page(tiles, len(tiles))
+    _signs(sheet, tile)
+    return sheet
+
+
+def strip(
+    clip: Clip,
+    frames: int = 8,
+    tile: tuple[int, int] = (260, 340),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    tint: tuple[float, float, float] | None = None,
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+    labels: bool = True,
+    background: Color = BACKGROUND,
+) -> Image.Image:
+    """Frames of a clip side by side, first to last, with their times; one distance, moving along with the subject."""
+    chosen = np.unique(np.linspace(0, len(clip) - 1, frames).round().astype(int))
+    points = np.asarray(clip.vertices[chosen], np.float64)
+    tiles = []
+    for k, camera, vertices in zip(chosen, follow(points, tile, view, up=up, front=front), points, strict=True):
+        mesh = clip.mesh.with_vertices(vertices)
+        picture = render_mesh(mesh, tile, camera, clay=clay, tint=tint, background=background)
+        tiles.append(captioned(picture, f"{k / clip.fps:.2f} s" if labels else None))
+    return page(tiles, len(tiles))
+
+
+def turntable(
+    mesh: Mesh,
+    count: int = 8,
+    tile: tuple[int, int] = (340, 320),
+    *,
+    view: str | tuple[float, float] = "three-quarter",
+    clay: bool = False,
+    up: str = "y",
+    front: str | None = None,
+    labels: bool = True,
+    background: Color = BACKGROUND,
+) -> Image.Image:
+    """The mesh from evenly spaced sides at one distance, in two rows."""
+    cameras = orbit(mesh.vertices, tile, count, view, up=up, front=front)
+    tiles = []
+    for k, camera in enumerate(cameras):
+        picture = render_mesh(mesh, tile, camera, clay=clay, background=background)
+        tiles.append(captioned(picture, f"{round(360 * k / count)}°" if labels else None))
+    return page(tiles, max(1, (count + 1) // 2))
+
+
+def captioned(picture: UInt8[np.ndarray, "h w C"], label: str | None) -> Image.Image:
+    """The picture with a line of text centred below it, shortened to fit; without a label, the picture alone.
+
+    The paper goes on in the colour of the picture's corner.
+    """
+    from PIL import Image, ImageDraw
+
+    if label is None:
+        return Image.fromarray(picture)
+    height, width = picture.shape[:2]
+    paper = tuple(picture[0, 0].tolist())
+    size = 6 + round(min(width, height) / 36)
+    image = Image.new("RGB" if len(paper) == 3 else "RGBA", (width, height + round(2.1 * size)), paper)
+    image.paste(Image.fromarray(picture))
+    draw, letters = ImageDraw.Draw(image), font(size)
+    while draw.textlength(label, letters) > 0.94 * width and len(label) > 2:
+        label = label[:-2].rstrip() + "…"
+    draw.text((width / 2, height + 0.35 * size), label, ink(paper), letters, anchor="ma")
+    return image
+
+
+def page(tiles: Sequence[Image.Image], columns: int) -> Image.Image:
+    """Equal tiles on one sheet of paper, row by row; a short last row is centred."""
+    from PIL import Image
+
+    width, height = tiles[0].size
+    rows = -(-len(tiles) // columns)
+    sheet = Image.new(tiles[0].mode, (width * columns, height * rows), tiles[0].getpixel((0, 0)))
+    for k, tile in enumerate(tiles):
+        row, column = divmod(k, columns)
+        missing = columns - min(columns, len(tiles) - row * columns)
+        sheet.paste(tile, (column * width + missing * width // 2, row * height))
+    return sheet
+
+
+def stack(rows: Sequence[Image.Image]) -> Image.Image:
+    """Pages one below another, such as the strips of a driving clip and of its result, centred on the widest."""
+    from PIL import Image
+
+    width = max(row.width for row in rows)
+    sheet = Image.new(rows[0].mode, (width, sum(row.height for row in rows)), rows[0].getpixel((0, 0)))
+    top = 0
+    for row in rows:
+        sheet.paste(row, ((width - row.width) // 2, top))
+        top += row.height
+    return sheet
+
+
+def _signs(sheet: Image.Image, tile: tuple[int, int]) -> None:
+    """Draw + and = between the first three tiles of a new sheet."""
+    from PIL import ImageDraw
+
+    draw = ImageDraw.Draw(sheet)
+    arm, line, y = tile[0] / 40, max(2, tile[0] // 130), tile[1] / 2
+    draw.line([(tile[0] - arm, y), (tile[0] + arm, y)], FAINT, line)
+    draw.line([(tile[0], y - arm), (tile[0], y + arm)], FAINT, line)
+    for offset in (-0.45 * arm, 0.45 * arm):
+        draw.line([(2 * tile[0] - arm, y + offset), (2 * tile[0] + arm, y + offset)], FAINT, line)
+
+
+def font(size: int):
+    """The font of all captions, at a height in pixels."""
+    from PIL import ImageFont
+
+    return ImageFont.load_default(size)
+
+
+def ink(paper: tuple[int, ...]) -> tuple[int, int, int]:
+    """Colour of letters that can be read on a paper (sRGB or RGBA, 8 bit): on no paper, on both white and black."""
+    if len(paper) == 4 and paper[3] == 0:
+        return FAINT
+    return INK if sum(paper[:3]) > 3 * 110 else LIGHT_INK

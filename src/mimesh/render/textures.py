@@ -1,0 +1,197 @@
+"""What a surface looks like before light falls on it: shading normals, base colours, textures, and discs for points."""
+
+from __future__ import annotations
+
+import functools
+import io
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.geometry import face_vectors, weld
+from ..core.mesh import Mesh
+from .camera import Camera
+from .shading import to_linear
+from .zbuffer import Hits
+
+if TYPE_CHECKING:
+    from PIL import Image as Pillow
+
+CLAY = (0.80, 0.76, 0.715)
+"""Warm light grey, sRGB: the studio's clay."""
+WHITE = 0.76
+"""What a file calls white is drawn as white paint, a little darker than the paper, so that its form is seen."""
+CREASE = 50.0
+"""Degrees between a face and the smooth normal at its corner beyond which the edge is drawn hard."""
+
+Paint = Callable[[Hits], np.ndarray]
+"""Linear base colour (N, 3) of the surface at each hit."""
+
+
+def creased_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3 3"]:
+    """Smooth normals per corner, over split vertices too; a face far from its smooth normal keeps its own (a box).
+
+    Faces count by their angle at the corner, so that a box's diagonals do not show.
+    """
+    merged, index = weld(vertices)
+    flat = unit(face_vectors(vertices, faces))[:, None]
+    pull = (_corner_angles(vertices, faces)[..., None] * flat).reshape(-1, 3)
+    position = index[faces].ravel()
+    total = np.stack([np.bincount(position, pull[:, k], minlength=len(merged)) for k in range(3)], axis=1)
+    smooth = unit(total)[position].reshape(-1, 3, 3)
+    x, y, z = np.moveaxis(smooth * flat, 2, 0)
+    return np.where((x + y + z)[..., None] > np.cos(np.radians(CREASE)), smooth, flat)
+
+
+def plain(colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None, faces: Int[np.ndarray, "F 3"]) -> Paint:
+    """One sRGB colour for all (clay by default), or one per vertex."""
+    linear = to_linear(np.asarray(CLAY if colors is None else colors, np.float64))
+    if linear.ndim == 1:
+        return lambda hits: np.broadcast_to(linear, (len(hits.pixel), 3))
+    flat = faces.ravel()
+    return lambda hits: mixed(linear[flat[hits.corner]], hits.weight)
+
+
+def materials(mesh: Mesh) -> Paint | None:
+    """The base colours and textures of the mesh's parts times its vertex colours, or None where it has none of them."""
+    tones = mesh.vertex_colors
+    if tones is None and not any(part.material for part in mesh.parts):
+        return None
+    bare = to_linear(np.asarray(CLAY)) / WHITE if tones is None else np.ones(3)
+    base = np.tile(bare, (len(mesh.faces), 1))
+    for part in mesh.parts:
+        if part.material:
+            base[part.start : part.stop] = part.material.base_color[:3]
+    layers = [(images, faces, uv.reshape(-1, 2)) for images, faces, uv in _textures(mesh)]
+
+    def paint(hits: Hits) -> np.ndarray:
+        face = hits.corner[:, 0] // 3
+        color = base[face]
+        if tones is not None:
+            color *= mixed(tones[mesh.faces.ravel()[hits.corner], :3], hits.weight)
+        for images, textured, uv in layers:
+            inside = np.flatnonzero(textured[face])
+            corners = uv[hits.corner[inside]]
+            level = _level(images, corners, hits.area[inside])
+            place = mixed(corners, hits.weight[inside])
+            for k in np.unique(level):
+                color[inside[level == k]] *= _sample(images[k], place[level == k])
+        return color * WHITE
+
+    return paint
+
+
+def discs(
+    points: Float[np.ndarray, "V 3"], camera: Camera, colors: Float[np.ndarray, "V 3"] | Float[np.ndarray, " 3"] | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """A point cloud as one small octagon per point that faces the camera and is lit like a ball.
+
+    Returns vertices (9 V, 3), faces (8 V, 3), corner normals, and the colours repeated for the new vertices.
+    """
+    radius = _point_radius(points, camera)
+    right, top, back = camera.rotmat_camera_world
+    angle = np.arange(8) * (np.pi / 4)
+    outward = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * top
+    normals = np.concatenate([back[None], outward * 0.9 + back * 0.436])
+    offsets = np.concatenate([np.zeros((1, 3)), outward * radius])
+    fan = np.stack([np.zeros(8, int), 1 + np.arange(8), 1 + (np.arange(8) + 1) % 8], axis=1)
+    vertices = (points[:, None] + offsets).reshape(-1, 3)
+    faces = (9 * np.arange(len(points))[:, None, None] + fan).reshape(-1, 3)
+    if colors is not None and np.ndim(colors) == 2:
+        colors = np.repeat(colors, 9, axis=0)
+    return vertices, faces, np.tile(normals[fan], (len(points), 1, 1)), colors
+
+
+def _corner_angles(vertices, faces):
+    """Angle of each triangle (F) at each of its corners (3), in radians."""
+    corners = vertices[faces]
+    after = unit(corners[:, [1, 2, 0]] - corners)
+    x, y, z = np.moveaxis(after * after[:, [2, 0, 1]], 2, 0)
+    return np.arccos(np.clip(-(x + y + z), -1.0, 1.0))
+
+
+def unit(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Vectors at length 1; zero stays zero."""
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return vectors / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-30)[..., None]
+
+
+def _point_radius(points, camera) -> float:
+    """About half of the gap between neighbours where points are sparse, within shares of the subject's size."""
+    from scipy.spatial import KDTree
+
+    if len(points) < 2:
+        return 0.02 * camera.radius
+    gap = np.percentile(KDTree(points).query(points, k=2)[0][:, 1], 80)
+    return float(np.clip(0.6 * gap, 0.007 * camera.radius, 0.02 * camera.radius))
+
+
+def _textures(mesh: Mesh) -> list[tuple[tuple[np.ndarray, ...], np.ndarray, np.ndarray]]:
+    """Each texture that can be read, once (see `_decode`), the faces (F,) that wear it, and the corners' UVs."""
+    if mesh.corner_uv is None:
+        return []
+    layers: dict[bytes, np.ndarray] = {}
+    for part in mesh.parts:
+        if part.material and part.material.texture:
+            faces = layers.setdefault(part.material.texture, np.zeros(len(mesh.faces), bool))
+            faces[part.start : part.stop] = True
+    read = [(_decode(content), faces, mesh.corner_uv) for content, faces in layers.items()]
+    return [layer for layer in read if layer[0]]
+
+
+@functools.lru_cache(maxsize=8)  # the frames of a movie share their textures
+def _decode(content: bytes) -> tuple[np.ndarray, ...]:
+    """The picture in linear RGB (height, width, 3), then ever smaller ones of half the size, to where a side is 1.
+
+    Nothing if it is damaged.
+    """
+    image = decoded(content)
+    if image is None:
+        return ()
+    images: list[np.ndarray] = [to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image)]]
+    while min(images[-1].shape[:2]) > 1:
+        even = images[-1][: images[-1].shape[0] // 2 * 2, : images[-1].shape[1] // 2 * 2]
+        images.append((even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / 4)
+    return tuple(images)
+
+
+def _level(images, corners, area) -> np.ndarray:
+    """Which size of a texture has about one texel per pixel on triangles of an area in pixels and corner UVs."""
+    (ux, uy), (vx, vy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    texels = np.abs(ux * vy - uy * vx) / 2 * images[0].shape[0] * images[0].shape[1]
+    # Half a size sharper than the mean over the triangle: a surface seen aslant is squeezed in one direction alone.
+    level = np.log2(np.maximum(texels, 1e-12) / np.maximum(area, 1e-12)) / 2 - 0.5
+    return np.clip(np.rint(level), 0, len(images) - 1).astype(np.int64)
+
+
+def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+    """Bilinear lookup, repeating beyond the edges; v counts from the lower edge."""
+    height, width = image.shape[:2]
+    x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
+    column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    u, v = (x - column)[:, None], (y - row)[:, None]
+    left, right, top, bottom = column % width, (column + 1) % width, row % height, (row + 1) % height
+    upper = image[top, left] * (1 - u) + image[top, right] * u
+    lower = image[bottom, left] * (1 - u) + image[bottom, right] * u
+    return upper * (1 - v) + lower * v
+
+
+def mixed(values: Float[np.ndarray, "N 3 C"], weight: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N C"]:
+    """Corner values to hit values."""
+    return weight[:, 0, None] * values[:, 0] + weight[:, 1, None] * values[:, 1] + weight[:, 2, None] * values[:, 2]
+
+
+def decoded(content: bytes) -> Pillow.Image | None:
+    """A PNG or JPEG file as RGB of 8 bits, without its transparency; None if it is damaged, or past Pillow's limit."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(content)) as image:
+            image.load()
+            if image.mode.startswith("I"):  # 16 bits of grey, which Pillow would clip
+                return Image.fromarray((np.asarray(image) // 257).astype(np.uint8)).convert("RGB")
+            return (image.convert("RGBA") if "transparency" in image.info else image).convert("RGB")
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):  # what Pillow raises on such files
+        return None

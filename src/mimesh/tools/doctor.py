@@ -1,0 +1,109 @@
+"""What `mimesh doctor` checks: does everything that a transfer needs work here, and if not, what does not."""
+
+from __future__ import annotations
+
+import os
+import platform
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+NEEDED = ("numpy", "scipy", "onnxruntime", "pillow", "typer", "rich", "jaxtyping", "fast-simplification")
+OPTIONAL = ("torch", "onnx", "safetensors")
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the doctor's findings."""
+
+    name: str
+    ok: bool
+    found: str
+
+
+def examine() -> list[Check]:
+    """Run every check; a failed one does not keep the others from running."""
+    from .. import __version__
+
+    checks = [Check("mimesh", True, f"{__version__}, Python {platform.python_version()}, {platform.platform()}")]
+    checks += [_version(package, needed=True) for package in NEEDED]
+    checks += [_version(package, needed=False) for package in OPTIONAL]
+    checks.append(
+        Check("threads", True, f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}")
+    )
+    probes: dict[str, Callable[[], str]] = {
+        "shipped body": _body,
+        "shipped motions": _motions,
+        "shipped networks": _networks,
+        "this folder": _writable,
+        "self check": _transfer,
+    }
+    return checks + [_probe(name, probe) for name, probe in probes.items()]
+
+
+def _version(package: str, *, needed: bool) -> Check:
+    try:
+        return Check(package, True, metadata.version(package))
+    except metadata.PackageNotFoundError:
+        return Check(
+            package, not needed, "missing" if needed else "not installed (pip install 'mimesh[train]' for training)"
+        )
+
+
+def _probe(name: str, probe: Callable[[], str]) -> Check:
+    # Whatever goes wrong in here is the finding, so nothing is let through and nothing is hidden.
+    try:
+        return Check(name, True, probe())
+    except Exception as error:
+        return Check(name, False, f"{type(error).__name__}: {error}")
+
+
+def _body() -> str:
+    from ..bodies import load_body
+
+    body = load_body()
+    return f"{body.name}: {len(body.vertices)} vertices, {len(body.joint_names)} joints"
+
+
+def _motions() -> str:
+    from ..motions import load_motion, motion_names
+
+    names = motion_names()
+    frames = sum(len(load_motion(name).root) for name in names)
+    return f"{len(names)} clips, {frames} frames"
+
+
+def _networks() -> str:
+    from ..methods.find import SHIPPED_NETWORKS, find_method
+
+    return ", ".join(find_method(name).name for name in SHIPPED_NETWORKS)
+
+
+def _writable() -> str:
+    with tempfile.NamedTemporaryFile(dir=".", prefix=".mimesh-"):
+        return f"{Path.cwd()} can be written to"
+
+
+def _transfer() -> str:
+    """A person takes another's pose through files on disk, by the shipped network."""
+    import numpy as np
+
+    from ..bodies import load_body
+    from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
+    from ..io import load_mesh, save_mesh
+    from ..pipeline import transfer
+
+    body = load_body()
+    posed = body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0)))
+    with tempfile.TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{name}.obj" for name in ("identity", "driving", "result")]
+        save_mesh(body.mesh(), paths[0])
+        save_mesh(body.mesh(posed), paths[1])
+        result = transfer(paths[0], paths[1])
+        result.save(paths[2])
+        back = load_mesh(paths[2])
+    if not np.allclose(back.vertices, result.vertices, atol=1e-5):
+        raise AssertionError("the written result differs from the computed one")
+    return f"one person moved by {result.model} in {sum(result.seconds.values()):.1f} s"

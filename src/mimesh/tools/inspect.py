@@ -1,0 +1,297 @@
+"""What a mesh file holds and what is wrong with it: the facts behind `mimesh look`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.geometry import face_areas, face_vectors, weld
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Frame
+
+PERSON = (1.4, 2.1)
+"""Metres: the longest side of a standing person, arms spread or not."""
+UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Everything `mimesh look` says about one file; None where a question has no answer."""
+
+    name: str
+    format: str
+    vertices: int
+    positions: int
+    """Distinct positions; formats that split vertices at seams hold fewer of these than vertices."""
+    faces: int
+    """Triangles, after fans through larger polygons."""
+    polygons: int | None
+    """Faces as the file has them, where that is known."""
+    components: int
+    """Pieces that share no position; for a point cloud, 0."""
+    low: tuple[float, float, float]
+    """Corner of the bounding box, in the file's unit."""
+    high: tuple[float, float, float]
+    unit_guess: str | None
+    """The unit in which the longest side is that of a person: m, dm, cm, mm or inch."""
+    watertight: bool
+    """Every edge joins exactly two faces."""
+    boundary_edges: int
+    non_manifold_edges: int
+    """Edges of three faces or more."""
+    consistent_winding: bool
+    """Faces that share an edge agree on which side is out."""
+    inside_out: bool | None
+    """The enclosed volume is negative; None for sheets, point clouds and mixed winding."""
+    degenerate_faces: int
+    """Triangles without area."""
+    duplicate_faces: int
+    """Triangles on the same three positions as an earlier one."""
+    loose_vertices: int
+    """Vertices of no face; 0 for a point cloud."""
+    has_uv: bool
+    has_normals: bool
+    has_colors: bool
+    parts: tuple[str, ...]
+    materials: tuple[str, ...]
+    textures: int
+    frames: int
+    """1 for a mesh that does not move."""
+    fps: float | None
+    seconds: float | None
+    animations: tuple[str, ...]
+    """Names of those in the file; the clip is the first."""
+    details: tuple[tuple[str, str], ...]
+    """What else the file says, name and value: its unit and axes, joints, blend shapes, who plays a motion."""
+    stands: str | None
+    """Which way it stands and faces if it is a person, found from its shape; None for what has no surface."""
+    notes: tuple[str, ...]
+    """What the file holds that a moved copy of it will not, one line each."""
+
+    @property
+    def size(self) -> tuple[float, float, float]:
+        """Extent along x, y and z, in the file's unit."""
+        x, y, z = (high - low for low, high in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+    def text(self) -> str:
+        """One aligned line per fact that matters; warnings last."""
+        rows = list(_rows(self))
+        rows += [("on writing", note) for note in self.notes] + [("warning", warning) for warning in self.warnings()]
+        width = max(len(key) for key, _ in rows) + 2
+        return "\n".join([self.name, *(f"  {key:<{width}}{value}" for key, value in rows)])
+
+    def warnings(self) -> list[str]:
+        """What may spoil a transfer or surprise the user, most serious first, each with what to do."""
+        return list(_warnings(self))
+
+    def as_dict(self) -> dict[str, object]:
+        """Plain values for JSON, `size` and `warnings` included."""
+        return dataclasses.asdict(self) | {"size": self.size, "warnings": self.warnings()}
+
+
+def look(path: str | Path) -> Facts:
+    """Read a mesh, a clip or a folder of frames and tell what it holds.
+
+    Raises:
+        InputError: the file cannot be read (see `mimesh.io`).
+    """
+    from ..io import load_clip
+
+    clip = load_clip(path)
+    facts = facts_of(clip.mesh, clip, path)
+    if clip.mesh.source is not None:
+        return facts
+    animations, details = _motion(Path(path))
+    return dataclasses.replace(facts, animations=animations, details=facts.details + details)
+
+
+def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> Facts:
+    """The facts of a mesh in memory, and of the clip and file it belongs to where they are given."""
+    path = None if path is None else Path(path)
+    merged, index = weld(mesh.vertices)
+    faces = index[mesh.faces]
+    solid = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    counts, balance = _edge_use(solid)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material))
+    consistent = not (balance != 0)[counts == 2].any()
+    moving = clip is not None and len(clip) > 1
+    return Facts(
+        name=path.name if path else mesh.name,
+        format=_format(path),
+        vertices=len(mesh.vertices),
+        positions=len(merged),
+        faces=len(mesh.faces),
+        polygons=_polygons(mesh),
+        components=_components(solid, len(merged)),
+        low=_triple(low),
+        high=_triple(high),
+        unit_guess=_unit_guess(float((high - low).max())),
+        watertight=len(counts) > 0 and bool((counts == 2).all()),
+        boundary_edges=int((counts == 1).sum()),
+        non_manifold_edges=int((counts > 2).sum()),
+        consistent_winding=consistent,
+        inside_out=_inside_out(merged, solid, counts) if consistent else None,
+        degenerate_faces=int((face_areas(mesh.vertices, mesh.faces) == 0).sum()),
+        duplicate_faces=len(solid) - len(np.unique(np.sort(solid, axis=1), axis=0)),
+        loose_vertices=len(mesh.vertices) - len(np.unique(mesh.faces)) if len(mesh.faces) else 0,
+        has_uv=mesh.corner_uv is not None,
+        has_normals=mesh.corner_normals is not None,
+        has_colors=mesh.vertex_colors is not None,
+        parts=tuple(part.name for part in mesh.parts),
+        materials=tuple(material.name for material in materials),
+        textures=len({material.texture for material in materials if material.texture}),
+        frames=len(clip) if clip is not None else 1,
+        fps=float(clip.fps) if clip is not None and moving else None,
+        seconds=float(clip.seconds) if clip is not None and moving else None,
+        animations=getattr(mesh.source, "animations", ()),  # only some formats have anything to say
+        details=getattr(mesh.source, "details", ()),
+        stands=_stands(mesh) if len(mesh.faces) else None,
+        notes=getattr(mesh.source, "notes", ()),
+    )
+
+
+def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
+    split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
+    yield "format", facts.format
+    yield from facts.details
+    yield "vertices", f"{facts.vertices:,}{split}"
+    triangles = f" triangles from {facts.polygons:,} polygons" if facts.polygons not in (None, facts.faces) else ""
+    yield "faces", f"{facts.faces:,}{triangles}" if facts.faces else "none (a point cloud)"
+    if facts.faces:
+        yield "components", f"{facts.components:,}"
+    yield "size", " x ".join(f"{side:.4g}" for side in facts.size) + _in_unit(facts)
+    yield "bounds", " to ".join("(" + ", ".join(f"{v:.4g}" for v in corner) + ")" for corner in (facts.low, facts.high))
+    if facts.stands:
+        yield "stands", facts.stands
+    if facts.faces:
+        yield "surface", _surface(facts)
+    yield "looks", _looks(facts)
+    if facts.parts:
+        yield "parts", _names(facts.parts)
+    if facts.materials:
+        yield "materials", _names(facts.materials)
+    if facts.fps and facts.seconds:
+        yield "clip", f"{facts.frames:,} frames at {facts.fps:g} per second, {facts.seconds:.2f} s"
+
+
+def _warnings(facts: Facts) -> Iterator[str]:
+    if facts.inside_out:
+        yield "the faces look inwards; flip them"
+    if not facts.consistent_winding:
+        yield "neighbouring faces disagree on which side is out; recalculate the winding"
+    if facts.non_manifold_edges:
+        yield f"{_plural(facts.non_manifold_edges, 'edge')} of three or more faces; a clean surface has none"
+    if facts.degenerate_faces:
+        yield f"{_plural(facts.degenerate_faces, 'face')} without area; dissolve them"
+    if facts.duplicate_faces:
+        yield f"{_plural(facts.duplicate_faces, 'face')} drawn twice; delete the copies"
+    if facts.loose_vertices:
+        yield f"{_plural(facts.loose_vertices, 'vertex', 'vertices')} of no face; delete them if they mean nothing"
+
+
+def _in_unit(facts: Facts) -> str:
+    return f" (a person, if the unit is {facts.unit_guess})" if facts.unit_guess else ""
+
+
+def _surface(facts: Facts) -> str:
+    if facts.watertight:
+        return "closed"
+    return f"open, {_plural(facts.boundary_edges, 'boundary edge')}" if facts.boundary_edges else "closed, non-manifold"
+
+
+def _looks(facts: Facts) -> str:
+    found = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals + ["vertex colours"] * facts.has_colors
+    if facts.textures:
+        found.append(_plural(facts.textures, "texture"))
+    return ", ".join(found) or "no UVs, normals or textures"
+
+
+def _names(names: tuple[str, ...], shown: int = 6) -> str:
+    distinct = list(dict.fromkeys(names))
+    more = f" and {len(distinct) - shown} more" if len(distinct) > shown else ""
+    return f"{len(names)}: " + ", ".join(distinct[:shown]) + more
+
+
+def _plural(count: int, one: str, many: str | None = None) -> str:
+    return f"{count:,} {one if count == 1 else many or one + 's'}"
+
+
+def _polygons(mesh: Mesh) -> int | None:
+    from ..io.polygons import polygon_sizes
+
+    return len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None
+
+
+def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Animations and details of a file without a mesh."""
+    from ..io.formats import ANIMATED
+    from ..io.gltf.animation import animation_names, document_details
+    from ..io.gltf.document import open_document
+    from ..io.gltf.motion import gltf_joints
+    from ..motions.on_body import is_motion_file, motion_joints
+
+    if path.suffix.lower() in ANIMATED:
+        document = open_document(path)
+        return animation_names(document), (_played(gltf_joints(document)), *document_details(document))
+    return (), ((_played(motion_joints(path)),) if is_motion_file(path) else ())
+
+
+def _played(joints: int) -> tuple[str, str]:
+    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which is what is told here"
+
+
+def _stands(mesh: Mesh) -> str:
+    frame = Frame.fit(mesh)
+    return f"up {frame.up}, front {frame.front}, taken for a person{' (a guess)' if frame.unsure else ''}"
+
+
+def _format(path: Path | None) -> str:
+    if path is None:
+        return "memory"
+    return "folder" if path.is_dir() else path.suffix.lstrip(".").lower()
+
+
+def _triple(vector: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
+    x, y, z = (float(v) for v in vector)
+    return x, y, z
+
+
+def _edge_use(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " E"], Int[np.ndarray, " E"]]:
+    """How many faces use each edge, and how many more use it from the smaller index to the larger than back."""
+    pairs = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    forward = np.where(pairs[:, 0] < pairs[:, 1], 1, -1)
+    _, edge, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True, return_counts=True)
+    balance = np.bincount(edge.reshape(-1), forward, minlength=len(counts)).astype(np.int64)
+    return counts.astype(np.int64), balance
+
+
+def _components(faces: Int[np.ndarray, "F 3"], size: int) -> int:
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if len(faces) == 0:
+        return 0
+    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
+    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(size, size))
+    _, label = connected_components(graph, directed=False)
+    return len(np.unique(label[faces[:, 0]]))
+
+
+def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"], counts) -> bool | None:
+    """Sign of the volume between the faces and their middle; None where so many edges are open that it says nothing."""
+    if len(faces) == 0 or (counts == 1).sum() > 0.05 * len(counts):
+        return None
+    local = vertices - vertices[faces].mean(axis=(0, 1))
+    return bool((local[faces[:, 0]] * face_vectors(local, faces)).sum() < 0)
+
+
+def _unit_guess(longest: float) -> str | None:
+    """The only unit in which the longest side is a person's height; the ranges do not overlap."""
+    return next((unit for unit, metres in UNITS if PERSON[0] <= longest * metres <= PERSON[1]), None)
