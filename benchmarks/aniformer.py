@@ -25,7 +25,7 @@ from mimesh.core.mesh import Clip
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.methods.aniformer import OVERLAP, Sequence
+from mimesh.methods.aniformer import OVERLAP, AniFormerMethod
 from mimesh.methods.find import find_method
 from mimesh.motions import motion_clip, walk_motion
 
@@ -107,7 +107,7 @@ def long_clips(model: str) -> dict[str, float]:
         moved = np.load(folder / "moved300.npz")["vertices"].astype(np.float64)
     error = np.linalg.norm(np.diff(moved - truth.vertices, 2, axis=0), axis=-1).mean(axis=1)
     method = find_method(model)
-    assert isinstance(method, Sequence), f"{model} has no windows"
+    assert isinstance(method, AniFormerMethod), f"{model} has no windows"
     borders = np.arange(1, len(error) + 1) % (method.frames - OVERLAP) == 0
     return {
         "peak_mb_30_frames": round(peaks[30]),

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mimesh.core.frame_buffer import stored
+from mimesh.core.frame_buffer import store_frames
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import CLIP_WRITERS, save_clip
@@ -97,7 +97,7 @@ def waves(frames: int) -> Clip:
     quads = np.stack([corner.ravel() for corner in corners], axis=1)
     faces = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
     moved = (np.stack([x, 0.1 * np.sin(9 * x + 5 * z + t / 5), z], axis=1) for t in range(frames))
-    vertices = stored(moved, frames, len(x), np.float32)
+    vertices = store_frames(moved, frames, len(x), np.float32)
     return Clip(Mesh(vertices[0].astype(np.float64), faces, name="waves"), vertices)
 
 

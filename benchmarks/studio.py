@@ -25,8 +25,7 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.studio import make_desk
-from mimesh.studio.items import Item
-from mimesh.studio.session import Desk
+from mimesh.studio.session import Item, Session
 from mimesh.studio.state import described, scene
 from mimesh.tools.demo import played
 
@@ -102,7 +101,7 @@ def memory(hero: Path, short: Path) -> dict[str, list[int]]:
     return {"resident_mib": after}
 
 
-def laid(desk: Desk, hero: Path, clip: Path) -> Item:
+def laid(desk: Session, hero: Path, clip: Path) -> Item:
     """Both files on the desk, as if they had been chosen."""
     desk.set_driving(clip, clip.name)
     (number,) = desk.add_identities([hero])

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 if TYPE_CHECKING:
-    from mimesh.core.rig import Skeleton
+    from mimesh.core.rig import AnimatedRig
 
 
 def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:
@@ -21,7 +21,9 @@ def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:
         _add_curve(channels, key.path_from_id("value"), 0, times, values[: len(times)])
 
 
-def pose_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray, name: str, frames: range | None) -> None:
+def pose_bones(
+    rig: bpy.types.Object, skeleton: AnimatedRig, place: np.ndarray, name: str, frames: range | None
+) -> None:
     """Turn the bones as the joints turn, and move the root; without frames the first pose is set and nothing keyed."""
     turns, ways = _in_bones(rig, skeleton, place)
     bones = [rig.pose.bones[joint] for joint in skeleton.names]
@@ -39,7 +41,7 @@ def pose_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray, nam
         _add_curve(channels, bones[0].path_from_id("location"), axis, frames, ways[:, axis])
 
 
-def _in_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _in_bones(rig: bpy.types.Object, skeleton: AnimatedRig, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What bones are given: quaternions (T, J, 4) with w first, and the way of the root (T, 3).
 
     Bones may point anywhere at rest: what carries a joint from rest to a pose carries its bone too.
@@ -56,7 +58,7 @@ def _in_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray) -> t
     return _quaternions(own[..., :3, :3]), own[:, 0, :3, 3]
 
 
-def _places(skeleton: Skeleton) -> np.ndarray:
+def _places(skeleton: AnimatedRig) -> np.ndarray:
     """Where the joints are in every frame (T, J, 3)."""
     places = [skeleton.root]
     for j, bone in enumerate(skeleton.rig.bones(skeleton.parents), start=1):

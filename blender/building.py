@@ -14,7 +14,7 @@ from .reading import Identity, rest
 
 if TYPE_CHECKING:
     from mimesh import ClipResult
-    from mimesh.core.rig import Skeleton
+    from mimesh.core.rig import AnimatedRig
 
 SHORTEST = 0.01
 """Length of a bone over the size of the mesh, at least."""
@@ -114,7 +114,7 @@ def _set_points(points: bpy.types.bpy_prop_collection, values: np.ndarray) -> No
     points.foreach_set("co", np.ascontiguousarray(values, np.float32).ravel())
 
 
-def _add_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray) -> None:
+def _add_bones(rig: bpy.types.Object, skeleton: AnimatedRig, place: np.ndarray) -> None:
     """Bones from each joint towards the next; where a bone points does not change what it does to the mesh."""
     heads = skeleton.rig.joints - place
     tails = _tails(skeleton, heads)
@@ -130,7 +130,7 @@ def _add_bones(rig: bpy.types.Object, skeleton: Skeleton, place: np.ndarray) -> 
     rig.show_in_front = True
 
 
-def _tails(skeleton: Skeleton, heads: np.ndarray) -> np.ndarray:
+def _tails(skeleton: AnimatedRig, heads: np.ndarray) -> np.ndarray:
     """Ends of the bones (J, 3): at the one joint below, or the most upward of several; ends go on as their parents."""
     shortest = SHORTEST * np.ptp(skeleton.mesh.vertices, axis=0).max()
     ways = np.zeros_like(heads)
@@ -143,7 +143,7 @@ def _tails(skeleton: Skeleton, heads: np.ndarray) -> np.ndarray:
     return heads + ways
 
 
-def _add_weights(copy: bpy.types.Object, skeleton: Skeleton) -> None:
+def _add_weights(copy: bpy.types.Object, skeleton: AnimatedRig) -> None:
     """A vertex group for each bone; groups of another rig with such a name give way."""
     joints, weights = skeleton.strongest()
     for j, name in enumerate(skeleton.names):

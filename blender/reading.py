@@ -101,13 +101,13 @@ def sample(context: bpy.types.Context, source: bpy.types.Object, frames: range) 
         InputError: no frames, nothing visible, or vertices that come and go.
     """
     from mimesh import Clip, InputError, Mesh
-    from mimesh.core.frame_buffer import PAGED, let_go, new_frames
+    from mimesh.core.frame_buffer import PAGED, allocate_frames, release_pages
 
     if not frames:
         raise InputError("frames: expected a first frame before the last, found none between them; change the range")
     objects = driving_meshes(context, source)
     vertices, faces = _joined(context, objects)
-    kept = new_frames(len(frames), len(vertices), np.float32)
+    kept = allocate_frames(len(frames), len(vertices), np.float32)
     with _played(context.scene, frames) as shown:
         for done, frame in enumerate(shown):
             vertices = _joined(context, objects)[0]
@@ -118,7 +118,7 @@ def sample(context: bpy.types.Context, source: bpy.types.Object, frames: range) 
                 )
             kept[done] = vertices
             if done % PAGED == 0:
-                let_go(kept)
+                release_pages(kept)
             yield done + 1
     fps = context.scene.render.fps / context.scene.render.fps_base / frames.step
     return Clip(Mesh(kept[0].astype(np.float64), faces, name=source.name), kept, fps)

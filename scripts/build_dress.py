@@ -28,7 +28,8 @@ from scipy.cluster.hierarchy import fclusterdata
 from mimesh.bodies.body_model import RiggedBody, load_body
 from mimesh.bodies.dress import GARMENTS
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.core.geometry import at_barycentric, closest_on_mesh, edges, vertex_normals
+from mimesh.core.geometry import closest_on_mesh, edges, vertex_normals
+from mimesh.core.surface_points import at_barycentric
 from mimesh.io.atomic import whole_file
 
 GAP = {"skirt": 0.014, "tights": 0.005, "hair": 0.012}

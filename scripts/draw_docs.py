@@ -20,7 +20,7 @@ from trouble_cases import BODY, CASES, OWN, THEIRS, Case, hero, step
 
 from mimesh import Clip, Mesh, Result, animate, transfer
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
-from mimesh.core.surface_points import Samples
+from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
 from mimesh.render.camera import Camera, fit
 from mimesh.render.heat import heat_colors
@@ -122,7 +122,7 @@ def inside() -> Image.Image:
     assert result.skeleton is not None
     rig, parents = result.skeleton.rig, result.skeleton.parents
     camera, moved = fit(identity.vertices, SIZE), result.clip.vertices[0].astype(np.float64)
-    points = Samples.of(identity, POINTS, np.random.default_rng(0)).points(identity.vertices)
+    points = SurfacePoints.of(identity, POINTS, np.random.default_rng(0)).points(identity.vertices)
     colors = rig.weights @ _hues(len(parents))
     bones = Image.fromarray(render_mesh(identity, SIZE, camera))
     _draw_bones(bones, camera, rig.joints, parents)

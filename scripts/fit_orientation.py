@@ -15,7 +15,7 @@ import numpy as np
 from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_pose
 from mimesh.core import normalization as frame
-from mimesh.core.geometry import sample_surface
+from mimesh.core.surface_points import sample_surface
 
 HIDDEN = 64
 POINTS = 1200
@@ -209,7 +209,7 @@ def main() -> None:
         from mimesh.io import load_mesh
 
         for path in arguments.check:
-            found = frame.Frame.fit(load_mesh(path))
+            found = frame.Normalization.fit(load_mesh(path))
             print(f"{path.name:40s} up {found.up} front {found.front} margin {found.margin:.3f}")
         return
     model = fit(draw_people(arguments.people, arguments.seed), arguments.steps, arguments.seed)

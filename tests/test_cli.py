@@ -279,7 +279,7 @@ def test_a_bug_says_that_it_is_one(files, capsys, monkeypatch):
     def broken(path):
         raise RuntimeError("no luck")
 
-    monkeypatch.setattr("mimesh.tools.inspect.look", broken)
+    monkeypatch.setattr("mimesh.tools.inspect.inspect_file", broken)
     assert run(["look", str(files / "hero.obj")]) == 1
     error = capsys.readouterr().err
     assert "RuntimeError: no luck" in error
@@ -291,7 +291,7 @@ def test_stopping_is_no_bug(files, capsys, monkeypatch):
     def stopped(path):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mimesh.tools.inspect.look", stopped)
+    monkeypatch.setattr("mimesh.tools.inspect.inspect_file", stopped)
     assert run(["look", str(files / "hero.obj")]) == 130
     assert capsys.readouterr().err == "mimesh: stopped\n"
 

@@ -10,7 +10,8 @@ import zoo
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
-from mimesh.tools.convert import LARGE, MOVIES, convert, size_note, taken_rate_note
+from mimesh.render.movie import MOVIES
+from mimesh.tools.convert import LARGE, convert, size_note, taken_rate_note
 
 CLIPS = sorted({*CLIP_WRITERS, ""})
 MESHES = sorted(MESH_WRITERS)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mimesh.io.formats import CLIP_READERS, CLIP_WRITERS, MESH_READERS, MESH_WRITERS
-from mimesh.tools.convert import MOVIES
+from mimesh.render.movie import MOVIES
 
 ROOT = Path(__file__).parents[1]
 SCRIPT = ROOT / "scripts" / "write_formats.py"

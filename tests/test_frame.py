@@ -12,7 +12,7 @@ from mimesh.core.normalization import (
     ORIENTATIONS,
     ROTATIONS,
     TURNED_CELLS,
-    Frame,
+    Normalization,
     bbox_centre,
     occupancy,
     parse_axis,
@@ -36,7 +36,7 @@ def test_the_24_rotations_are_all_different_proper_and_map_their_axes():
 
 @pytest.mark.parametrize("mesh", MESHES, ids=lambda mesh: mesh.name)
 def test_apply_normalises_and_undo_inverts(mesh):
-    frame = Frame.fit(mesh)
+    frame = Normalization.fit(mesh)
     inside = frame.apply(mesh.vertices)
     assert np.allclose(bbox_centre(inside), 0, atol=1e-12)
     assert np.isclose(np.linalg.norm(inside, axis=1).max(), 1)
@@ -48,23 +48,23 @@ def test_apply_normalises_and_undo_inverts(mesh):
 @pytest.mark.parametrize("rotation", ROTATIONS, ids=[f"{up}{front}" for up, front in ORIENTATIONS])
 def test_a_turned_person_arrives_at_the_same_points(rotation):
     mesh = person(0, pose=2)
-    expected = Frame.fit(mesh).apply(mesh.vertices)
+    expected = Normalization.fit(mesh).apply(mesh.vertices)
     turned = moved(mesh, mesh.vertices @ rotation.T * 0.3 + [5, -2, 1])
-    assert np.allclose(Frame.fit(turned).apply(turned.vertices), expected, atol=1e-12)
+    assert np.allclose(Normalization.fit(turned).apply(turned.vertices), expected, atol=1e-12)
 
 
 def test_a_turn_alone_is_undone_to_the_last_bit():
     mesh = person(0)
-    expected = Frame.fit(mesh).apply(mesh.vertices)
+    expected = Normalization.fit(mesh).apply(mesh.vertices)
     for rotation in ROTATIONS:
         turned = moved(mesh, mesh.vertices @ rotation.T)
-        assert np.array_equal(Frame.fit(turned).apply(turned.vertices), expected)
+        assert np.array_equal(Normalization.fit(turned).apply(turned.vertices), expected)
 
 
 @pytest.mark.parametrize("mesh", [person(0), *MESHES], ids=lambda mesh: mesh.name)
 def test_the_order_of_vertices_changes_no_bit(mesh):
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    frame, shuffled = Frame.fit(mesh), Frame.fit(permute_vertices(mesh, order))
+    frame, shuffled = Normalization.fit(mesh), Normalization.fit(permute_vertices(mesh, order))
     assert (frame.up, frame.front, frame.radius) == (shuffled.up, shuffled.front, shuffled.radius)
     assert np.array_equal(frame.centre, shuffled.centre)
 
@@ -74,7 +74,7 @@ def test_people_are_found_upright_and_facing_front(pose):
     mesh = person(3, pose)
     points = Mesh(mesh.vertices, np.zeros((0, 3), int))
     for shape in (mesh, points):
-        frame = Frame.fit(shape)
+        frame = Normalization.fit(shape)
         assert (frame.up, frame.front, frame.detected) == ("+y", "+z", True)
 
 
@@ -82,22 +82,22 @@ def test_a_heading_within_tolerance_stays_in_the_mesh():
     mesh = person(0)
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    assert Frame.fit(moved(mesh, mesh.vertices @ turn.T)).front == "+z"
+    assert Normalization.fit(moved(mesh, mesh.vertices @ turn.T)).front == "+z"
 
 
 def test_given_axes_are_taken():
     mesh = person(0)
-    frame = Frame.fit(mesh, up="z", front="-Y")
+    frame = Normalization.fit(mesh, up="z", front="-Y")
     assert (frame.up, frame.front, frame.detected, frame.margin) == ("+z", "-y", False, 1.0)
-    half = Frame.fit(mesh, up="+y")
+    half = Normalization.fit(mesh, up="+y")
     assert (half.up, half.front, half.detected) == ("+y", "+z", True)
 
 
 def test_a_shape_without_facing_is_unsure():
     cube = next(mesh for mesh in MESHES if mesh.name == "cube")
-    assert Frame.fit(cube).unsure
-    assert not Frame.fit(cube, up="y", front="z").unsure
-    assert not Frame.fit(person(0)).unsure
+    assert Normalization.fit(cube).unsure
+    assert not Normalization.fit(cube, up="y", front="z").unsure
+    assert not Normalization.fit(person(0)).unsure
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_a_shape_without_facing_is_unsure():
 )
 def test_wrong_axes_are_told(up, front, message):
     with pytest.raises(InputError, match=message):
-        Frame.fit(person(0), up, front)
+        Normalization.fit(person(0), up, front)
 
 
 def test_axis_names():

@@ -9,7 +9,7 @@ import zoo
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.tools.inspect import facts_of, look
+from mimesh.tools.inspect import facts_of, inspect_file
 
 GOLDEN = {
     # vertices, positions, faces, components, watertight, boundary, non-manifold, consistent, inside out
@@ -161,11 +161,11 @@ def test_a_clip_has_frames_and_seconds_and_a_still_has_none(tmp_path):
 def test_a_file_is_read_and_its_polygons_are_counted(tmp_path):
     path = tmp_path / "house.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 2 0\nf 1 2 3 4\nf 4 3 5\n")
-    facts = look(path)
+    facts = inspect_file(path)
     assert (facts.name, facts.format, facts.polygons, facts.faces, facts.frames) == ("house.obj", "obj", 2, 3, 1)
     assert "3 triangles from 2 polygons" in facts.text()
     with pytest.raises(InputError, match=r"nothing\.obj"):
-        look(tmp_path / "nothing.obj")
+        inspect_file(tmp_path / "nothing.obj")
 
 
 def test_what_a_source_says_is_lost_is_passed_on():

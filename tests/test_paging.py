@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimesh.core import frame_buffer as paging
-from mimesh.core.frame_buffer import LARGE, let_go, new_frames
+from mimesh.core.frame_buffer import LARGE, allocate_frames, release_pages
 from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, save_mesh
 
@@ -14,21 +14,21 @@ TRIANGLE = np.array([[0, 1, 2]])
 
 
 def test_short_clips_are_in_memory():
-    frames = new_frames(3, 5, np.float32)
+    frames = allocate_frames(3, 5, np.float32)
     assert (frames.shape, frames.dtype, type(frames)) == ((3, 5, 3), np.float32, np.ndarray)
-    let_go(frames)
+    release_pages(frames)
 
 
 def test_long_clips_keep_their_values(monkeypatch):
     monkeypatch.setattr(paging, "LARGE", 100)
-    frames = new_frames(7, 50, np.float64)
+    frames = allocate_frames(7, 50, np.float64)
     assert isinstance(frames, np.memmap)
     values = np.random.default_rng(0).normal(size=frames.shape)
     for t in range(7):
         frames[t] = values[t]
-        let_go(frames)
+        release_pages(frames)
     assert np.array_equal(frames, values)
-    let_go(frames[2:5])
+    release_pages(frames[2:5])
     assert np.array_equal(frames[2:5:2], values[2:5:2])
 
 
@@ -38,11 +38,11 @@ def test_memory_is_given_back():
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * 4096
 
-    frames = new_frames(4, 2 * LARGE // 12, np.float32)
+    frames = allocate_frames(4, 2 * LARGE // 12, np.float32)
     before = resident()
     for t in range(4):
         frames[t] = t
-        let_go(frames)
+        release_pages(frames)
     assert resident() - before < frames.nbytes / 4
     assert frames[:, -1, -1].tolist() == [0, 1, 2, 3]
 

@@ -8,7 +8,7 @@ from zoo import cube, tetrahedron
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
-from mimesh.methods.copy import Copy
+from mimesh.methods.copy import CopyMethod
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import edge_stretch, flipped_share, quality
 
@@ -238,6 +238,6 @@ def test_a_single_triangle_is_no_crash():
 
 def test_a_method_of_ones_own_does_what_its_name_does():
     identity, driving = person(0), person(1, 2)
-    own, named = transfer(identity, driving, Copy()), transfer(identity, driving, "copy")
+    own, named = transfer(identity, driving, CopyMethod()), transfer(identity, driving, "copy")
     assert np.array_equal(own.vertices, named.vertices)
-    assert own.model == animate(identity, walk(), Copy()).model == "copy"
+    assert own.model == animate(identity, walk(), CopyMethod()).model == "copy"

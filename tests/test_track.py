@@ -9,8 +9,9 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
-from mimesh.core.joint_tracks import Feet, Track, grounded, skate, soles, straight
-from mimesh.core.rig import Rig, Skinned, leg_length
+from mimesh.core.joint_tracks import FootJoints, JointTrack, foot_skate, grounded_path, root_path, sole_depths
+from mimesh.core.rig import Rig, leg_length
+from mimesh.core.skinning import SkinnedMesh
 from mimesh.pipeline import animate
 
 BODY = load_body()
@@ -22,7 +23,7 @@ def standing(longer=1.0):
     """The body with longer bones, ready to be posed."""
     vertices, joints = longer * BODY.vertices, longer * BODY.joints
     rig = Rig(np.tile(np.eye(3), (len(joints), 1, 1)), joints, BODY.weights)
-    return vertices, rig, Skinned.of(vertices, rig, BODY.parents)
+    return vertices, rig, SkinnedMesh.of(vertices, rig, BODY.parents)
 
 
 def squat(count=12):
@@ -37,28 +38,30 @@ def squat(count=12):
                 rotation[t, BODY.joint(side + name)] = Rotation.from_rotvec([turn * bend, 0, 0]).as_matrix()
     places = np.stack([skinned.places(turned, np.zeros(3)) for turned in rotation])
     fixed = BODY.joints[FEET[0]] - places[:, FEET[0]]
-    return Track(rotation, places + fixed[:, None], 30.0)
+    return JointTrack(rotation, places + fixed[:, None], 30.0)
 
 
 def feet_of(longer):
     vertices, rig, skinned = standing(longer)
     theirs, rest, _ = standing()
-    return Feet(FEET, leg_length(BODY.joints, LEGS), soles(rig, vertices, FEET), soles(rest, theirs, FEET)), skinned
+    return FootJoints(
+        FEET, leg_length(BODY.joints, LEGS), sole_depths(rig, vertices, FEET), sole_depths(rest, theirs, FEET)
+    ), skinned
 
 
 def test_feet_of_longer_legs_stand_still_on_the_ground():
     track, (feet, skinned) = squat(), feet_of(1.3)
     # In a squat the body goes down by legs that are as they are: the same way for longer ones slides and floats.
-    way = straight(track, 1.0, 1.0, drop=False)
-    path = grounded(track, way, skinned, feet, 1.3)
-    assert skate(track, path, skinned, feet) < 1e-6 < 0.01 < skate(track, way, skinned, feet)
+    way = root_path(track, 1.0, 1.0, drop=False)
+    path = grounded_path(track, way, skinned, feet, 1.3)
+    assert foot_skate(track, path, skinned, feet) < 1e-6 < 0.01 < foot_skate(track, way, skinned, feet)
     ankles = np.stack([skinned.places(*frame)[FEET[0]] for frame in zip(track.rotation, path, strict=True)])
     assert np.allclose(ankles[:, 1], feet.soles[0], atol=0.02)
     assert np.abs(ankles - ankles[0]).max() < 0.02
 
 
 def moved_by(track, way):
-    return Track(track.rotation, track.places + way[:, None], track.fps)
+    return JointTrack(track.rotation, track.places + way[:, None], track.fps)
 
 
 def test_what_is_in_the_air_keeps_its_way():
@@ -67,14 +70,14 @@ def test_what_is_in_the_air_keeps_its_way():
     still = np.zeros((10, 3))
     leap = np.stack([0 * up, up, 0.3 * np.arange(1, 7)], axis=1)
     way = np.concatenate([still, leap, still + [0, 0, 2.1]])
-    track = moved_by(Track(*(a[:1].repeat(26, axis=0) for a in (squat().rotation, squat().places)), 30.0), way)
+    track = moved_by(JointTrack(*(a[:1].repeat(26, axis=0) for a in (squat().rotation, squat().places)), 30.0), way)
     feet, skinned = feet_of(1.2)
     stands = track.standing(feet).any(axis=1)
     assert stands[:9].all()
     assert not stands[11:15].any()
     assert stands[18:].all()
-    path = straight(track, 1.2, 1.2, drop=False)
-    found = grounded(track, path, skinned, feet, 1.2)
+    path = root_path(track, 1.2, 1.2, drop=False)
+    found = grounded_path(track, path, skinned, feet, 1.2)
     assert np.allclose(np.diff(found[10:16], axis=0)[:, [0, 2]], np.diff(path[10:16], axis=0)[:, [0, 2]])
     assert np.ptp(found[18:], axis=0).max() < 1e-2
 
@@ -88,11 +91,11 @@ def test_a_foot_that_is_held_up_does_not_stand():
         for name in ("UpLeg", "Leg", "Foot", "ToeBase"):
             rotation[t, BODY.joint(f"Right{name}")] = bend
     places = np.stack([skinned.places(turned, BODY.joints[0]) for turned in rotation])
-    track, (feet, _) = Track(rotation, places, 30.0), feet_of(1.0)
+    track, (feet, _) = JointTrack(rotation, places, 30.0), feet_of(1.0)
     assert track.standing(feet)[:, :2].all()
     assert not track.standing(feet)[:, 2:].any()
-    path = straight(track, 1.0, 1.0, drop=False)
-    assert np.abs(grounded(track, path, skinned, feet, 1.0) - path).max() < 0.02
+    path = root_path(track, 1.0, 1.0, drop=False)
+    assert np.abs(grounded_path(track, path, skinned, feet, 1.0) - path).max() < 0.02
 
 
 def test_soles_are_as_deep_as_the_ankle_is_high():
@@ -103,21 +106,21 @@ def test_soles_are_as_deep_as_the_ankle_is_high():
 
 def test_the_way_is_scaled_or_dropped():
     track = squat()
-    assert np.allclose(straight(track, 2.0, 3.0, drop=False), [2, 3, 2] * track.places[:, 0])
-    dropped = straight(track, 2.0, 3.0, drop=True)
+    assert np.allclose(root_path(track, 2.0, 3.0, drop=False), [2, 3, 2] * track.places[:, 0])
+    dropped = root_path(track, 2.0, 3.0, drop=True)
     assert np.ptp(dropped[:, [0, 2]], axis=0).max() == 0
     assert np.allclose(dropped[:, 1], 3 * track.places[:, 0, 1])
 
 
 def test_smoothing_keeps_what_is_still_and_calms_what_is_not():
     track = squat()
-    still = Track(track.rotation[:1].repeat(9, axis=0), track.places[:1].repeat(9, axis=0), 30.0)
+    still = JointTrack(track.rotation[:1].repeat(9, axis=0), track.places[:1].repeat(9, axis=0), 30.0)
     assert np.allclose(still.smoothed(0.1).rotation, still.rotation)
     walking = moved_by(still, 0.1 * np.arange(9)[:, None] * [0, 0, 1])
     assert np.allclose(walking.smoothed(0.3).places, walking.places)
     rng = np.random.default_rng(0)
     shaken = Rotation.from_rotvec(0.1 * rng.normal(size=(12 * len(BODY.parents), 3))).as_matrix()
-    noisy = Track(shaken.reshape(track.rotation.shape) @ track.rotation, track.places, 30.0)
+    noisy = JointTrack(shaken.reshape(track.rotation.shape) @ track.rotation, track.places, 30.0)
     calm = noisy.smoothed(0.05)
     assert np.allclose(np.linalg.det(calm.rotation), 1)
     assert np.abs(np.diff(calm.rotation, 2, axis=0)).mean() < 0.3 * np.abs(np.diff(noisy.rotation, 2, axis=0)).mean()

@@ -14,7 +14,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import about, change, learn, measure, move, show, studio
+from .commands import about, learn, measure, move, show, studio
 from .commands.terminal import Stop
 
 app = typer.Typer(
@@ -31,7 +31,7 @@ app = typer.Typer(
 COMMANDS = (
     move.transfer,
     move.animate,
-    change.convert,
+    show.convert,
     show.look,
     show.render,
     studio.studio,

@@ -12,8 +12,9 @@ from mimesh.bodies import load_body
 from mimesh.bodies.dress import GARMENTS, dressed_body, load_garment
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.core.errors import InputError
-from mimesh.core.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, vertex_normals
+from mimesh.core.geometry import closest_on_mesh, edges, face_vectors, vertex_normals
 from mimesh.core.mesh import check_mesh
+from mimesh.core.surface_points import at_barycentric
 
 WEARERS = 6
 

@@ -7,11 +7,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.bodies.sampled_body import Figure, Posed, Stance, kinds_of_bones
-from mimesh.core.geometry import closest_on_mesh, sample_surface
+from mimesh.bodies.sampled_body import BodyState, PosedBody, SampledBody, kinds_of_bones
+from mimesh.core.geometry import closest_on_mesh
+from mimesh.core.surface_points import sample_surface
 
 BODY = load_body()
-FIGURE = Figure.of(BODY, 400)
+FIGURE = SampledBody.of(BODY, 400)
 
 
 def stance(seed=0, turn=0.5, bones=0.2, size=1.3):
@@ -37,7 +38,7 @@ def test_points_lie_on_the_posed_body():
     shape = rng.normal(size=len(BODY.components))
     vertices = BODY.posed(shape, local)
     root = BODY.shaped(shape)[1][0]
-    posed = Posed(FIGURE, Stance(1.0, root, shape, np.zeros_like(stance().bones), world(local)))
+    posed = PosedBody(FIGURE, BodyState(1.0, root, shape, np.zeros_like(stance().bones), world(local)))
     face, _, apart = closest_on_mesh(posed.points, vertices, BODY.faces)
     assert np.median(apart) < 2e-3
     corners = vertices[BODY.faces[face]]
@@ -64,7 +65,7 @@ def test_derivatives_are_those_of_finite_differences(group):
     rng, here, small = np.random.default_rng(2), stance(), 1e-6
     step = np.zeros(FIGURE.unknowns["turns"].stop)
     step[FIGURE.unknowns[group]] = rng.normal(size=len(step[FIGURE.unknowns[group]]))
-    posed, after = Posed(FIGURE, here), Posed(FIGURE, FIGURE.stepped(here, small * step))
+    posed, after = PosedBody(FIGURE, here), PosedBody(FIGURE, FIGURE.stepped(here, small * step))
     index = rng.integers(len(posed.points), size=700)
     direction = rng.normal(size=(700, 3))
     moved = ((after.points - posed.points)[index] / small * direction).sum(axis=1)
@@ -75,10 +76,10 @@ def test_derivatives_are_those_of_finite_differences(group):
 
 def test_bones_grow_along_and_across():
     arm, below, kinds = BODY.joint("LeftArm"), BODY.joint("LeftForeArm"), kinds_of_bones(BODY)
-    still = Stance(1.0, np.zeros(3), np.zeros(16), np.zeros_like(stance().bones), np.tile(np.eye(3), (31, 1, 1)))
+    still = BodyState(1.0, np.zeros(3), np.zeros(16), np.zeros_like(stance().bones), np.tile(np.eye(3), (31, 1, 1)))
     longer = still.bones.copy()
     longer[kinds[arm]] = np.log(1.5)
-    old, new = (Posed(FIGURE, dataclasses.replace(still, bones=b)) for b in (still.bones, longer))
+    old, new = (PosedBody(FIGURE, dataclasses.replace(still, bones=b)) for b in (still.bones, longer))
     assert np.allclose(new.joints[below] - new.joints[arm], 1.5 * (old.joints[below] - old.joints[arm]))
     other = BODY.joint("RightForeArm")
     assert not np.allclose(new.joints[other], old.joints[other])
@@ -90,7 +91,7 @@ def test_they_are_the_people_that_networks_learn_from():
     from mimesh.learn.people import SurfaceBody
 
     here = stance(size=1.0)
-    posed, surface = Posed(FIGURE, here), SurfaceBody(BODY, 100)
+    posed, surface = PosedBody(FIGURE, here), SurfaceBody(BODY, 100)
     length, girth = (torch.from_numpy(np.exp(b)[FIGURE.kind]).float()[None] for b in np.split(here.bones, 2))
     parents = [0, *BODY.parents[1:]]
     local = here.rotation[parents].transpose(0, 2, 1) @ here.rotation

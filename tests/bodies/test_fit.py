@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.body_parameters import (
-    Fit,
+    BodyParameters,
     _levels,
     descendants,
     fit_of,
@@ -19,12 +19,11 @@ from mimesh.bodies.body_parameters import (
     thin_body,
     unknowns_of,
 )
-from mimesh.bodies.chamfer_fit import GOOD, fit_points
-from mimesh.bodies.point_distance import chamfer, cloud_of
+from mimesh.bodies.chamfer_fit import GOOD, chamfer, cloud_of, fit_points
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
-from mimesh.core.geometry import at_barycentric, sample_surface
 from mimesh.core.mesh import permute_vertices
-from mimesh.core.normalization import Frame
+from mimesh.core.normalization import Normalization
+from mimesh.core.surface_points import at_barycentric, sample_surface
 
 COMPONENTS = 4
 
@@ -34,10 +33,10 @@ def thin(count=600):
     return thin_body(load_body(), count, COMPONENTS)
 
 
-def some_fit(seed=0, angle=0.5) -> Fit:
+def some_fit(seed=0, angle=0.5) -> BodyParameters:
     rng = np.random.default_rng(seed)
     rotvec = angle * rng.normal(size=(len(thin().parents), 3))
-    return Fit(0.7, rng.normal(size=3), rng.normal(size=COMPONENTS), rotvec)
+    return BodyParameters(0.7, rng.normal(size=3), rng.normal(size=COMPONENTS), rotvec)
 
 
 def slopes(function, at, step=1e-6):
@@ -60,7 +59,7 @@ def test_unknowns_round_trip():
 
 def test_the_joints_of_a_rest_fit_are_the_bodys():
     body = thin()
-    fit = Fit(2.0, np.array([1.0, 2, 3]), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)))
+    fit = BodyParameters(2.0, np.array([1.0, 2, 3]), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)))
     assert np.allclose(fit.joints(body), 2 * body.joints + [1, 2, 3])
     assert np.allclose(fit.rotations(body), np.eye(3))
 
@@ -113,10 +112,10 @@ def test_across_a_plane_a_distance_counts_in_full_and_along_it_little():
 def test_a_person_is_found_again_from_shuffled_vertices(pose):
     """Made of the free components only; other points of the surface than those that the body is thinned to."""
     body, rotvec = load_body(), sample_pose(load_body(), 11, pose)
-    truth = Fit(1.0, np.zeros(3), np.array([0.5, -1.0, 0.8, 0.4]), rotvec)
+    truth = BodyParameters(1.0, np.zeros(3), np.array([0.5, -1.0, 0.8, 0.4]), rotvec)
     mesh = permute_vertices(body.mesh(truth.points(body)), np.random.default_rng(5).permutation(len(body.vertices)))
     mesh = dataclasses.replace(mesh, faces=np.random.default_rng(6).permutation(mesh.faces))
-    frame = Frame.fit(mesh, "+y", "+z")
+    frame = Normalization.fit(mesh, "+y", "+z")
     chosen = sample_surface(mesh.vertices, mesh.faces, 2000, np.random.default_rng(7))
     fit = fit_points(thin(2000), frame.apply(at_barycentric(mesh.vertices, mesh.faces, *chosen)))
     found = frame.undo(fit.joints(thin()))
@@ -133,7 +132,7 @@ def test_somebody_who_sits_is_found():
     for side in ("Left", "Right"):
         rotvec[body.joint(f"{side}UpLeg"), 0] = -1.4
         rotvec[body.joint(f"{side}Leg"), 0] = 0.7
-    points = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), rotvec).points(body)
+    points = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), rotvec).points(body)
     fit = fit_points(body, points[::-1])
     assert fit.error < GOOD
     assert fit.lost == max(3 * fit.error, GOOD)
@@ -142,7 +141,7 @@ def test_somebody_who_sits_is_found():
 
 def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
     body = thin()
-    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-3)
+    first = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-3)
     bent = first.rotvec.copy()
     bent[body.joint("LeftForeArm"), 1] = -0.4
     points = dataclasses.replace(first, rotvec=bent).points(body)
@@ -154,7 +153,9 @@ def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
 
 def test_a_frame_that_was_lost_is_fitted_anew():
     body = thin()
-    first = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9, lost=GOOD)
+    first = BodyParameters(
+        1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9, lost=GOOD
+    )
     turned = first.rotvec.copy()
     turned[0, 1] = np.radians(40)
     fit = fit_points(body, 0.5 * dataclasses.replace(first, rotvec=turned).points(body), first)
@@ -166,7 +167,7 @@ def test_points_that_worsen_little_by_little_are_fitted_anew_and_the_better_fit_
     body = thin(100)
     anew = dataclasses.replace(some_fit(), error=np.inf, lost=7.0)
     monkeypatch.setattr("mimesh.bodies.chamfer_fit._fitted_anew", lambda *_: anew)
-    rest = Fit(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), lost=5e-3)
+    rest = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), lost=5e-3)
     noise = np.random.default_rng(0).normal(size=body.vertices.shape)
     clip = [rest.points(body) + 0.04 * np.sqrt(2) ** t * noise for t in range(4)]
     fits = [rest]

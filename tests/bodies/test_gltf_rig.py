@@ -8,7 +8,7 @@ import rigs
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
-from mimesh.bodies.skinned_character import GltfRig
+from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.io import load_mesh
 from mimesh.io.gltf.skin import read_skin
 
@@ -18,15 +18,15 @@ def body():
     return load_body()
 
 
-def rig_of(path) -> GltfRig:
-    return GltfRig(**vars(read_skin(path)))
+def rig_of(path) -> SkinnedCharacter:
+    return read_skin(path)
 
 
 def pose(body, i: int = 0) -> np.ndarray:
     return rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
 
 
-def still(rig: GltfRig) -> np.ndarray:
+def still(rig: SkinnedCharacter) -> np.ndarray:
     return np.tile(np.eye(3), (len(rig.parents), 1, 1))
 
 
@@ -44,7 +44,7 @@ def test_our_body_as_a_rig_is_our_body(body):
     joints[:, :3, 3] = body.joints
     all_joints = np.tile(np.arange(len(body.parents)), (count, 1))
     points = np.repeat(body.vertices[:, None], len(body.parents), axis=1)
-    rig = GltfRig(body.mesh(), body.joint_names, body.parents, joints, all_joints, body.weights, points)
+    rig = SkinnedCharacter(body.mesh(), body.joint_names, body.parents, joints, all_joints, body.weights, points)
     root = np.array([0.1, -0.2, 0.3])
     np.testing.assert_allclose(rig.posed(pose(body), root), body.posed(np.zeros(1), pose(body), root), atol=1e-12)
 
@@ -83,7 +83,7 @@ def test_turning_the_root_turns_the_character(body, tmp_path):
 
 def test_what_hangs_on_the_world_stays(tmp_path):
     rig = rig_of(rigs.character(tmp_path / "a.glb"))
-    free = GltfRig(**{**vars(rig), "joint_of": np.full_like(rig.joint_of, len(rig.parents))})
+    free = SkinnedCharacter(**{**vars(rig), "joint_of": np.full_like(rig.joint_of, len(rig.parents))})
     turned = np.tile(rotvec_to_rotmat(np.array([0.0, 1.0, 0.0])), (len(rig.parents), 1, 1))
     np.testing.assert_allclose(free.posed(turned, np.ones(3)), rig.mesh.vertices, atol=1e-12)
 

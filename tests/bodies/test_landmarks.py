@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.bodies.landmarks import LANDMARKS, landmarks
+from mimesh.bodies.body_model import LANDMARKS, landmarks
 
 BODY = load_body()
 FOUND = landmarks(BODY)

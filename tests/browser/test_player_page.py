@@ -9,7 +9,7 @@ import zoo
 from PIL import Image
 
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import Shown
+from mimesh.player.pack import Panel
 from mimesh.player.page import Download, write_player
 
 CONTENT = np.random.default_rng(0).bytes(3000)
@@ -35,10 +35,10 @@ def stretching(mesh, by):
 def address(tmp_path_factory):
     mesh, folder = painted(), tmp_path_factory.mktemp("page")
     shown = [
-        Shown("identity", Clip.still(mesh)),
-        Shown("driving", stretching(zoo.grid(9), 0.8)),
-        Shown("result", stretching(mesh, 0.6)),
-        Shown("truth", stretching(mesh, 0.9)),
+        Panel("identity", Clip.still(mesh)),
+        Panel("driving", stretching(zoo.grid(9), 0.8)),
+        Panel("result", stretching(mesh, 0.6)),
+        Panel("truth", stretching(mesh, 0.9)),
     ]
     notes = ["a note", "another", "a third"]
     page = folder / "page.html"
@@ -153,7 +153,7 @@ def test_the_download_gives_the_very_bytes(watched):
 
 
 def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
-    shown = [Shown("mesh", Clip.still(zoo.point_cloud())), Shown("mesh", Clip.still(zoo.cube()))]
+    shown = [Panel("mesh", Clip.still(zoo.point_cloud())), Panel("mesh", Clip.still(zoo.cube()))]
     watched = watch(write_player(tmp_path / "still.html", shown, title="still").as_uri())
     assert not watched.page.locator(".bar").is_visible()
     picture = watched.picture()
@@ -167,7 +167,7 @@ def test_the_shadow_lies_under_its_subject(watch, tmp_path):
     slab = slab.vertices * [0.6, 0.1, 0.6] + [-0.8, 0.5, 0]
     vertices = np.concatenate([slab, crumb.vertices * 0.05 + [1, 0, 0]])
     mesh = Mesh(vertices, np.concatenate([crumb.faces, crumb.faces + len(slab)]))
-    page = write_player(tmp_path / "shadow.html", [Shown("mesh", Clip.still(mesh), front="+z")], title="shadow")
+    page = write_player(tmp_path / "shadow.html", [Panel("mesh", Clip.still(mesh), front="+z")], title="shadow")
     watched = watch(page.as_uri())
     pictures = [watched.picture()]
     for name in ("subject", "shadow.floor"):

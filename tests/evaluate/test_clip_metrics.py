@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mimesh.evaluate.clip_metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
+from mimesh.evaluate.metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
 
 FPS = 10.0
 

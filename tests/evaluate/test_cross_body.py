@@ -11,12 +11,13 @@ import rigs
 from foreign_names import renamed
 
 from mimesh.bodies import load_body
+from mimesh.bodies.body_model import landmarks
 from mimesh.bodies.joint_names import named_joints
-from mimesh.bodies.landmarks import landmarks
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.evaluate.cross_body import check_person, cross_body, landmarks_on, load_rig, pose_at_rest, pose_on_rig
+from mimesh.evaluate.cross_body import check_person, cross_body, landmarks_on, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_of_pair, resized
+from mimesh.io.gltf.skin import read_skin
 from mimesh.motions.retarget import BONES, to_local
 
 MADE = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")
@@ -66,7 +67,7 @@ def unit(vector: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("scheme", MADE)
 def test_our_body_under_other_names_takes_our_poses(scheme, body, tmp_path):
     """Exactly; joints that a scheme does not have follow their parent."""
-    rig = check_person(load_rig(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
+    rig = check_person(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
     expected = posed_with(set(named_joints(rig.joint_names, rig.parents)), body, pose(body))
     np.testing.assert_allclose(rig.posed(pose_on_rig(rig, body, pose(body))), expected, atol=3e-6)
 
@@ -76,7 +77,7 @@ def test_limbs_point_where_ours_point_whatever_the_rest_pose(body, tmp_path):
     ours, place = body.skinning_transforms(body.joints, pose(body))
     ours = (ours @ body.joints[..., None])[..., 0] + place
     for rest in (None, lowered, rotvec_to_rotmat(sample_pose(body, 1, 0))):
-        rig = load_rig(rigs.character(tmp_path / "a.glb", shape=3, rest=rest, frames=2))
+        rig = read_skin(rigs.character(tmp_path / "a.glb", shape=3, rest=rest, frames=2))
         theirs = joints_in(rig, pose(body), body)
         for joint, tail in BONES.items():
             expected = unit(ours[body.joint(tail)] - ours[body.joint(joint)])
@@ -84,7 +85,7 @@ def test_limbs_point_where_ours_point_whatever_the_rest_pose(body, tmp_path):
 
 
 def test_the_pose_at_rest_is_the_rest(body, tmp_path):
-    rig = load_rig(rigs.character(tmp_path / "a.glb", shape=3, rest=rotvec_to_rotmat(lowered_arms(body))))
+    rig = read_skin(rigs.character(tmp_path / "a.glb", shape=3, rest=rotvec_to_rotmat(lowered_arms(body))))
     local = pose_on_rig(rig, body, pose_at_rest(rig, body))
     np.testing.assert_allclose(local, np.tile(np.eye(3), (len(local), 1, 1)), atol=1e-12)
     arm = pose_at_rest(rig, body)[body.joint("LeftArm")]
@@ -95,7 +96,7 @@ def test_legs_that_hang_on_a_root_beside_the_hips_stay_on_them(body, tmp_path):
     """Some rigs do so: a tilt of the hips takes the root, and so the legs, along."""
     hold, names = {"LowerBack": "LHipJoint", "LeftUpLeg": "Hips"}, {"Hips": "Root", "LHipJoint": "Hips"}
     path = rigs.character(tmp_path / "a.glb", shape=None, hold=hold, name=lambda name: names.get(name, name))
-    rig = load_rig(path)
+    rig = read_skin(path)
     assert rig.parents[rig.joint_names.index("LeftUpLeg")] == rig.joint_names.index("Root")
     tilted = pose(body)
     expected = posed_with({name for name in body.joint_names if "Finger" not in name}, body, tilted)
@@ -116,7 +117,7 @@ def test_characters_of_one_skeleton_get_the_same_rotations(body, crowd):
 def test_landmarks_are_where_our_body_has_them(scheme, body, tmp_path):
     """In an A-pose, in another unit, with toes or without; a thinned body has them near by."""
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(body))
-    rig = load_rig(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme), rest=lowered, faces=3000))
+    rig = read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme), rest=lowered, faces=3000))
     found = body.posed(np.zeros(1), lowered)[list(landmarks(body).values())]
     np.testing.assert_allclose(rig.mesh.vertices[landmarks_on(rig)], found, atol=0.05)
 
@@ -207,7 +208,7 @@ def test_what_is_no_folder_of_characters_is_refused(crowd, tmp_path):
 
 def refused(path: Path, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        check_person(load_rig(path), path)
+        check_person(read_skin(path), path)
     assert str(caught.value).startswith(f"{path}: expected ")
     assert "\n" not in str(caught.value)
 

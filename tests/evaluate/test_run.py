@@ -11,17 +11,16 @@ from networks import write_network, write_sequence_network
 
 from mimesh.core.errors import InputError
 from mimesh.core.normalization import bbox_centre, radius
-from mimesh.evaluate.clip_measure import measure_clip, moved_clip
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.measure import GIVEN, given, measure, moved, summary
+from mimesh.evaluate.measure import GIVEN, given, measure, measure_clip, moved, moved_clip, summary
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
 from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import ALONE, MODELS, ROWS
+from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT
 from mimesh.pipeline import transfer
 
 
@@ -145,9 +144,9 @@ def test_a_papers_table_has_its_figures_beside_ours(tmp_path):
 def test_every_row_of_a_table_can_be_trained_and_is_told_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts")
     trained = {*pytest.importorskip("train_rows").ROWS, "npt-table", "mime-table"}
-    assert trained == set(ROWS)
+    assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(ROWS) <= methods <= {*ROWS, *ALONE, *GIVEN, *MODELS}
+    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *GIVEN, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"rows.npt-equal\.onnx.*train_rows"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)

@@ -14,8 +14,7 @@ from mimesh.core import frame_buffer as paging
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import save_clip
-from mimesh.render.movie import save_movie
-from mimesh.tools.convert import write_clip
+from mimesh.render.movie import save_movie, write_clip
 
 ONE_FILE = (".glb", ".gltf", ".npz", ".npy", ".pc2", ".mdd", ".usda", ".usdc", ".usdz")
 
@@ -67,4 +66,4 @@ def test_frames_that_find_no_room_in_the_temporary_folder_are_refused(monkeypatc
     monkeypatch.setattr(paging, "LARGE", 1)
     monkeypatch.setattr(os, "posix_fallocate", full)
     with pytest.raises(InputError, match="set TMPDIR"):
-        paging.new_frames(10, 1000, np.float64)
+        paging.allocate_frames(10, 1000, np.float64)

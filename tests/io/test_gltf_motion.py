@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core import frame_buffer as paging
+from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.errors import InputError
-from mimesh.core.rig import Rig, Skeleton
+from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_skinned
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import gltf_joints, read_skeleton
@@ -24,7 +25,7 @@ from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import on_body
 from mimesh.motions.retarget import BONES
-from mimesh.tools.inspect import look
+from mimesh.tools.inspect import inspect_file
 
 ARMATURES = {
     "none": {},
@@ -52,7 +53,7 @@ def rigged(body, motion, tmp_path_factory):
     anyhow = Rotation.random(len(body.parents), 5).as_matrix()
     rotation, place = joint_tracks(body, motion)
     rig = Rig(anyhow, body.joints, body.weights[kept(1000)])
-    skeleton = Skeleton(person(0), body.joint_names, body.parents, rig, rotation @ anyhow, place[:, 0])
+    skeleton = AnimatedRig(person(0), body.joint_names, body.parents, rig, rotation @ anyhow, place[:, 0])
     save_skinned(skeleton, motion.fps, path)
     return path
 
@@ -218,7 +219,7 @@ def test_one_of_several_animations_is_chosen_by_name(rigged, tmp_path):
     assert np.abs(leap.vertices - lean.vertices).max() > 0.1
     with pytest.raises(InputError, match=r"one of its animations \(Rig\|Leap, Rig\|Lean\), found 'Nap'"):
         load_clip(path, animation="Nap")
-    facts = look(path)
+    facts = inspect_file(path)
     assert facts.animations == ("Rig|Leap", "Rig|Lean")
     assert facts.details[0] == ("motion", "31 joints, played on the shipped body, which is what is told here")
     assert ("animation", "Rig|Lean, 0.67 s") in facts.details

@@ -12,8 +12,8 @@ pytest.importorskip("onnx")
 from mimesh.bodies import load_body  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.core.geometry import edges  # noqa: E402
-from mimesh.evaluate.clip_measure import measure_clip  # noqa: E402
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, on_template  # noqa: E402
+from mimesh.evaluate.measure import measure_clip  # noqa: E402
 from mimesh.evaluate.remesh import template  # noqa: E402
 from mimesh.learn.config import config_from, load_config  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402

@@ -6,9 +6,8 @@ import pytest
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.methods.mime.confidence import Doubt
+from mimesh.methods.confidence import Confidence
 from mimesh.pipeline import transfer
-from mimesh.pipeline.report import doubt_notes
 
 BODY = load_body()
 AXES = {"up": "+y", "front": "+z"}
@@ -67,21 +66,21 @@ def test_others_are(mesh, why):
 
 
 def test_every_reason_is_said():
-    doubt = Doubt(40.0, 2.0, {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2})
-    (note,) = doubt_notes(doubt, "thing")
+    doubt = Confidence(40.0, 2.0, {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2})
+    (note,) = doubt.notes("thing")
     assert "40 degrees" in note
     assert "no limb in particular" in note
     assert "no whole head and no whole right arm" in note
-    assert doubt_notes(Doubt(2.0, 0.5, {"head": 0.1}), "person") == ()
+    assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()
 
 
 def test_a_limb_off_the_surface_is_said_where_some_surface_is_left_over():
     limbs = {"head": 0.1, "left arm": 0.1, "right arm": 0.1, "left leg": 0.2, "right leg": 0.2}
-    (note,) = doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.1}, 0.05), "person")
+    (note,) = Confidence(2.0, 0.5, limbs, {"left arm": 0.1}, 0.05).notes("person")
     assert "no surface where the left arm should be" in note
-    assert doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.1}, 0.0), "holed") == ()
-    assert doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.0}, 0.05), "dressed") == ()
-    (note,) = doubt_notes(Doubt(2.0, 0.5, limbs, {"left arm": 0.5}, 0.0), "one arm")
+    assert Confidence(2.0, 0.5, limbs, {"left arm": 0.1}, 0.0).notes("holed") == ()
+    assert Confidence(2.0, 0.5, limbs, {"left arm": 0.0}, 0.05).notes("dressed") == ()
+    (note,) = Confidence(2.0, 0.5, limbs, {"left arm": 0.5}, 0.0).notes("one arm")
     assert "no whole left arm" in note
 
 

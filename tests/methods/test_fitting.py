@@ -6,12 +6,13 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_pose, sample_shape
-from mimesh.core.geometry import at_barycentric, face_normals, sample_surface
+from mimesh.core.geometry import face_normals
 from mimesh.core.mesh import permute_vertices
+from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.methods.mime.body_fit import Cloud, Fit, fitted
+from mimesh.methods.mime.body_fit import BodyFit, SurfaceSample, fit_body
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -23,7 +24,7 @@ def person(seed=0):
     vertices, joints = BODY.posed(shape, pose), BODY.shaped(shape)[1]
     rotation, offset = BODY.skinning_transforms(joints, pose)
     face, shares = sample_surface(vertices, BODY.faces, 4096, np.random.default_rng(seed))
-    cloud = Cloud(at_barycentric(vertices, BODY.faces, face, shares), face_normals(vertices, BODY.faces)[face])
+    cloud = SurfaceSample(at_barycentric(vertices, BODY.faces, face, shares), face_normals(vertices, BODY.faces)[face])
     return cloud, rotation, offset + (rotation @ joints[..., None])[..., 0]
 
 
@@ -35,7 +36,7 @@ def misread(rotation, joints, seed=0, turn=0.1, away=0.03):
 
 def errors(found, true):
     """Mean error of rotations (degrees) and joints (metres)."""
-    rotation, joints = (found.rotation, found.joints) if isinstance(found, Fit) else found
+    rotation, joints = (found.rotation, found.joints) if isinstance(found, BodyFit) else found
     cosine = (np.einsum("jab,jab->j", rotation, true[0]) - 1) / 2
     degrees = np.degrees(np.arccos(cosine.clip(-1, 1))).mean()
     return degrees, np.linalg.norm(joints - true[1], axis=1).mean()
@@ -45,17 +46,17 @@ def errors(found, true):
 def test_joints_are_found(seed):
     cloud, *true = person(seed)
     read = misread(*true, seed)
-    fit = fitted(cloud, *read)
+    fit = fit_body(cloud, *read)
     degrees, metres = errors(fit, true)
     before = errors(read, true)
-    assert max(fit.astray.values()) < 0.01
+    assert max(fit.unmatched_body.values()) < 0.01
     assert degrees < 4 < before[0]
     assert metres < 0.01 < 0.04 < before[1]
 
 
 def test_without_normals_too():
     cloud, *true = person()
-    degrees, metres = errors(fitted(Cloud(cloud.points, 0 * cloud.normals), *misread(*true)), true)
+    degrees, metres = errors(fit_body(SurfaceSample(cloud.points, 0 * cloud.normals), *misread(*true)), true)
     assert degrees < 5
     assert metres < 0.02
 
@@ -63,14 +64,14 @@ def test_without_normals_too():
 def test_a_surface_inside_out_is_turned_over():
     cloud, *true = person()
     read = misread(*true)
-    over = fitted(Cloud(cloud.points, -cloud.normals), *read)
-    assert np.array_equal(over.joints, fitted(cloud, *read).joints)
+    over = fit_body(SurfaceSample(cloud.points, -cloud.normals), *read)
+    assert np.array_equal(over.joints, fit_body(cloud, *read).joints)
 
 
 def test_one_side_is_enough():
     cloud, *true = person()
     seen = cloud.normals[:, 2] > 0
-    degrees, metres = errors(fitted(Cloud(cloud.points[seen], cloud.normals[seen]), *misread(*true)), true)
+    degrees, metres = errors(fit_body(SurfaceSample(cloud.points[seen], cloud.normals[seen]), *misread(*true)), true)
     assert degrees < 5
     assert metres < 0.015
 
@@ -79,11 +80,11 @@ def test_any_unit_place_and_turn():
     cloud, *true = person()
     read = misread(*true)
     turn, shift = Rotation.from_rotvec([0.4, 2.0, -1.0]).as_matrix(), np.array([3.0, -2.0, 50.0])
-    moved = Cloud(100 * cloud.points @ turn.T + shift, cloud.normals @ turn.T)
-    here, there = fitted(cloud, *read), fitted(moved, turn @ read[0], 100 * read[1] @ turn.T + shift)
+    moved = SurfaceSample(100 * cloud.points @ turn.T + shift, cloud.normals @ turn.T)
+    here, there = fit_body(cloud, *read), fit_body(moved, turn @ read[0], 100 * read[1] @ turn.T + shift)
     assert np.allclose(there.rotation, turn @ here.rotation, atol=1e-5)
     assert np.allclose(there.joints, 100 * here.joints @ turn.T + shift, atol=1e-3)
-    assert there.astray == here.astray
+    assert there.unmatched_body == here.unmatched_body
 
 
 def test_what_no_point_tells_is_as_it_was_read():
@@ -92,16 +93,16 @@ def test_what_no_point_tells_is_as_it_was_read():
     hand, spine = BODY.joint("LeftHand"), BODY.joint("Spine1")
     read = misread(*true, away=0.01)
     kept = cloud.points @ [1, 0, 0] < true[1][BODY.joint("LeftArm"), 0]
-    fit = fitted(Cloud(cloud.points[kept], cloud.normals[kept]), *read)
+    fit = fit_body(SurfaceSample(cloud.points[kept], cloud.normals[kept]), *read)
     assert np.linalg.norm(fit.joints[spine] - true[1][spine]) < 0.02
     assert np.linalg.norm(fit.joints[hand] - read[1][hand]) < 0.3
-    assert fit.astray["left arm"] > 0.2 > 0.02 > fit.astray["right arm"]
+    assert fit.unmatched_body["left arm"] > 0.2 > 0.02 > fit.unmatched_body["right arm"]
 
 
 @pytest.mark.parametrize("flat", [[1, 1, 0], [1, 0, 0], [1e-9, 1e-9, 1e-9]])
 def test_what_is_no_person_gives_numbers_all_the_same(flat):
     cloud, *true = person()
-    fit = fitted(Cloud(cloud.points * flat, cloud.normals), *true)
+    fit = fit_body(SurfaceSample(cloud.points * flat, cloud.normals), *true)
     assert np.isfinite(fit.joints).all()
     assert np.allclose(fit.rotation @ fit.rotation.mT, np.eye(3), atol=1e-6)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.methods.mime.weight_cleanup import FAR, bones_apart, without_islands
+from mimesh.methods.mime.weight_cleanup import FAR, bone_distances, clean_weights
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
@@ -12,7 +12,7 @@ KNEE, ELBOW = BODY.joint("LeftLeg"), BODY.joint("LeftForeArm")
 
 
 def cleaned(weights, faces=BODY.faces):
-    return without_islands(weights, BODY.vertices, faces, BODY.parents)
+    return clean_weights(weights, BODY.vertices, faces, BODY.parents)
 
 
 def spoilt(share=1.0):
@@ -24,7 +24,7 @@ def spoilt(share=1.0):
 
 
 def test_bones_are_counted_along_the_skeleton():
-    apart = bones_apart(BODY.parents)
+    apart = bone_distances(BODY.parents)
     assert np.array_equal(apart, apart.T)
     assert (np.diag(apart) == 0).all()
     assert apart[BODY.joint("LeftArm"), ELBOW] == 1
@@ -59,7 +59,7 @@ def test_a_part_of_its_own_is_left_alone():
     vertices = np.concatenate([BODY.vertices, [[3, 0, 0], [3, 1, 0], [4, 0, 0]]])
     weights = np.concatenate([spoilt(), np.eye(len(BODY.parents))[[KNEE] * 3]])
     faces = np.concatenate([BODY.faces, [[count, count + 1, count + 2]]])
-    found = without_islands(weights, vertices, faces, BODY.parents)
+    found = clean_weights(weights, vertices, faces, BODY.parents)
     assert np.array_equal(found[count:], weights[count:])
     assert np.allclose(found[:count], cleaned(spoilt()), atol=1e-12)
 

@@ -12,11 +12,11 @@ from scipy.spatial.transform import Rotation
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import leg_length
-from mimesh.core.surface_points import Samples
+from mimesh.core.surface_points import SurfacePoints
 from mimesh.methods.base import Method
 from mimesh.methods.find import find_method
 from mimesh.methods.mime import drive as module
-from mimesh.methods.mime.denoise import Calm
+from mimesh.methods.mime.denoise import Denoiser
 from mimesh.pipeline import animate, transfer
 
 pytest.importorskip("onnx")
@@ -101,9 +101,9 @@ def test_a_noisy_mesh_is_followed_as_it_is_and_read_as_it_was(method):
     noise = 0.02 * np.random.default_rng(0).normal(size=DRIVING.vertices.shape)
     rough = dataclasses.replace(DRIVING, vertices=DRIVING.vertices + noise)
     follow, _ = method._follow(Clip.still(rough))
-    calm, _ = method._follow(Clip.still(dataclasses.replace(rough, vertices=Calm.of(rough)(rough.vertices))))
-    assert not np.array_equal(Calm.of(rough)(rough.vertices), rough.vertices)
-    assert np.allclose(follow(rough.vertices)[0], calm(Calm.of(rough)(rough.vertices))[0], atol=1e-6)
+    calm, _ = method._follow(Clip.still(dataclasses.replace(rough, vertices=Denoiser.of(rough)(rough.vertices))))
+    assert not np.array_equal(Denoiser.of(rough)(rough.vertices), rough.vertices)
+    assert np.allclose(follow(rough.vertices)[0], calm(Denoiser.of(rough)(rough.vertices))[0], atol=1e-6)
 
 
 def test_weights_do_not_depend_on_how_many_are_made_at_a_time(method, monkeypatch):
@@ -113,7 +113,7 @@ def test_weights_do_not_depend_on_how_many_are_made_at_a_time(method, monkeypatc
 
 
 def test_samples_lie_on_the_surface_and_move_with_it():
-    samples = Samples.of(DRIVING, 500, np.random.default_rng(0))
+    samples = SurfacePoints.of(DRIVING, 500, np.random.default_rng(0))
     points, normals = samples.points(DRIVING.vertices), samples.normals(DRIVING.vertices)
     assert np.allclose(np.linalg.norm(normals, axis=1), 1)
     low, high = DRIVING.vertices.min(axis=0), DRIVING.vertices.max(axis=0)
@@ -127,7 +127,7 @@ def test_samples_lie_on_the_surface_and_move_with_it():
 @pytest.mark.parametrize("count", [40, 5000])
 def test_a_point_cloud_is_sampled_too(count):
     cloud = Mesh(DRIVING.vertices, np.zeros((0, 3), int))
-    samples = Samples.of(cloud, count, np.random.default_rng(0))
+    samples = SurfacePoints.of(cloud, count, np.random.default_rng(0))
     assert len(np.unique(samples.corners[:, 0])) == min(count, len(cloud.vertices)) or count > len(cloud.vertices)
     assert not samples.normals(cloud.vertices).any()
 

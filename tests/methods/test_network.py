@@ -7,13 +7,14 @@ from networks import write_network
 from people import person, walk
 from zoo import point_cloud, two_parts
 
-from mimesh.core.canonical_order import rank_vertices, surface_points
+from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import ROTATIONS
+from mimesh.core.surface_points import padded_vertices
 from mimesh.methods.find import SHIPPED_NETWORKS, find_method
-from mimesh.methods.npt import POOLED_POINTS, Lengths
+from mimesh.methods.npt import POOLED_POINTS, EdgeLengths
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
 
@@ -70,9 +71,9 @@ def test_an_ensemble_is_the_mean_of_its_pairings(network):
     """Naive twin: the mean of single pairings, each run by hand."""
     identity, driving = person(0), person(1, 0)
     method = load_network(Path(network), name="tiny", ensemble=3)
-    points = surface_points(driving, len(identity.vertices), np.random.default_rng(0))
+    points = padded_vertices(driving, len(identity.vertices), np.random.default_rng(0))
     at = points.at(driving.vertices).astype(np.float32)
-    ranked = rank_vertices(identity.vertices)
+    ranked = canonical_order(identity.vertices)
     still = ranked.merge(identity.vertices).astype(np.float32)[None]
     pairings = [np.random.default_rng(k).permutation(len(at)) for k in range(3)]
     singles = [method.session.run(["result"], {"identity": still, "driving": at[p][None]})[0][0] for p in pairings]
@@ -89,7 +90,7 @@ def test_seed_and_ensemble_change_the_result(network):
 def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
     truth = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     identity = person(0)
-    lengths = Lengths.of(identity.vertices, edges(identity.faces))
+    lengths = EdgeLengths.of(identity.vertices, edges(identity.faces))
     result = transfer(identity, person(1, 0), truth, refine=False).vertices
     assert np.isclose(lengths.total(result), lengths.total(identity.vertices), rtol=0.02)
 
@@ -98,7 +99,7 @@ def test_a_rough_surface_is_hardly_longer_between_patches():
     """Its edges are: a size taken from them would shrink every rough result."""
     mesh = person(0, faces=13776)
     rough = mesh.vertices + np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape)
-    patches, single = Lengths.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
+    patches, single = EdgeLengths.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
     assert patches.total(rough) == pytest.approx(patches.total(mesh.vertices), rel=0.02)
     assert edge_length(rough, single) > 1.3 * edge_length(mesh.vertices, single)
     assert patches.total(3 * mesh.vertices) == pytest.approx(3 * patches.total(mesh.vertices))
@@ -127,14 +128,14 @@ def test_driving_vertices_that_meet_at_first_do_not_depend_on_their_order():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]], float)
     later = np.array([[0, 0, 0], [1, 0.1, 0], [1, 0.2, 0], [1, 0.7, 0]])
     order = [3, 1, 0, 2]
-    first, second = rank_vertices(vertices).merge(later), rank_vertices(vertices[order]).merge(later[order])
+    first, second = canonical_order(vertices).merge(later), canonical_order(vertices[order]).merge(later[order])
     assert np.array_equal(first, second)
     assert np.allclose(first, [[0, 0, 0], [1, 0.4, 0]])
 
 
 def test_added_points_lie_on_the_surface_in_every_frame():
     driving = person(0, faces=600)
-    points = surface_points(driving, len(driving.vertices) + 50, np.random.default_rng(0))
+    points = padded_vertices(driving, len(driving.vertices) + 50, np.random.default_rng(0))
     assert len(points) == len(driving.vertices) + 50
     assert np.allclose(points.at(driving.vertices * 2 + 1), points.at(driving.vertices) * 2 + 1)
 

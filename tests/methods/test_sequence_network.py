@@ -7,13 +7,13 @@ import pytest
 from networks import write_sequence_network
 from people import person, walk
 
-from mimesh.core.canonical_order import rank_vertices
+from mimesh.core.canonical_order import canonical_order
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
-from mimesh.methods.aniformer import OVERLAP, Sequence, blended, middles, windows
+from mimesh.methods.aniformer import OVERLAP, AniFormerMethod, blended, middles, windows
 from mimesh.methods.find import find_method
-from mimesh.methods.npt import Lengths
+from mimesh.methods.npt import EdgeLengths
 from mimesh.pipeline import animate, transfer
 
 HEADS = ["frames", "regression"]
@@ -87,7 +87,7 @@ def test_memory_does_not_grow_with_the_clip(head):
 
 def test_the_file_says_which_kind_it_is(network):
     method = find_method(network, ensemble=2, seed=3)
-    assert isinstance(method, Sequence)
+    assert isinstance(method, AniFormerMethod)
     assert (method.frames, method.ensemble, method.seed) == (3, 2, 3)
 
 
@@ -121,7 +121,7 @@ def test_results_walk_where_the_driving_walks(network):
 
 def test_an_ensemble_is_the_mean_of_its_pairings(network):
     method = find_method(network, ensemble=3)
-    assert isinstance(method, Sequence)
+    assert isinstance(method, AniFormerMethod)
     rng = np.random.default_rng(0)
     identity, window = rng.normal(size=(30, 3)), rng.normal(size=(3, 50, 3))
     pairings = [method._pairing(k, 30, 50) for k in range(3)]
@@ -144,9 +144,9 @@ def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
     pytest.importorskip("onnx")
     method = find_method(str(write_sequence_network(tmp_path / "truth.onnx", target_scale="truth")))
     identity, clip = person(0), walk(frames=4)
-    ranked = rank_vertices(identity.vertices)
+    ranked = canonical_order(identity.vertices)
     still = ranked.merge(identity.vertices)
-    lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
+    lengths = EdgeLengths.of(still, edges(ranked.group[identity.faces]))
     results = list(method.prepare(identity, clip)(iter(clip.vertices.astype(float))))
     assert len(results) == 4
     assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(still)] * 4)

@@ -9,26 +9,28 @@ from people import person, walk
 from zoo import ZOO
 
 from mimesh.bodies import load_body
-from mimesh.bodies.body_parameters import Fit, thin_body
-from mimesh.core.canonical_order import rank_vertices
+from mimesh.bodies.body_parameters import BodyParameters, thin_body
+from mimesh.core.canonical_order import canonical_order
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
-from mimesh.core.normalization import Frame
+from mimesh.core.normalization import Normalization
 from mimesh.evaluate.metrics import pmd_of_pair
 from mimesh.methods.base import Method
-from mimesh.methods.skeleton import Skeleton, bind, bone_segments, bone_transforms, surface_sampler
+from mimesh.methods.skeleton import SkeletonBaseline, bind, bone_segments, bone_transforms, surface_sampler
 
 BODY = thin_body(load_body(), 500, 8)
 IDENTITY, DRIVING = person(0, pose=3), person(1, pose=1)
-IDENTITY_FRAME = Frame.fit(IDENTITY, "+y", "+z")
+IDENTITY_FRAME = Normalization.fit(IDENTITY, "+y", "+z")
 
 
-def fit_like(seed: int, turn: float = 0.3) -> Fit:
+def fit_like(seed: int, turn: float = 0.3) -> BodyParameters:
     rng = np.random.default_rng(seed)
-    return Fit(0.9, np.array([0.0, -0.9, 0.0]), rng.normal(size=8), turn * rng.normal(size=(len(BODY.parents), 3)))
+    return BodyParameters(
+        0.9, np.array([0.0, -0.9, 0.0]), rng.normal(size=8), turn * rng.normal(size=(len(BODY.parents), 3))
+    )
 
 
 def normalised(mesh: Mesh) -> Mesh:
-    return dataclasses.replace(mesh, vertices=Frame.fit(mesh, "+y", "+z").apply(mesh.vertices))
+    return dataclasses.replace(mesh, vertices=Normalization.fit(mesh, "+y", "+z").apply(mesh.vertices))
 
 
 def shuffled(mesh: Mesh, order) -> Mesh:
@@ -40,14 +42,14 @@ def an_order(mesh: Mesh):
     return np.random.default_rng(0).permutation(len(mesh.vertices))
 
 
-def bound(mesh: Mesh, fit: Fit):
-    ranked = rank_vertices(mesh.vertices)
+def bound(mesh: Mesh, fit: BodyParameters):
+    ranked = canonical_order(mesh.vertices)
     return bind(mesh, ranked, BODY, fit)[ranked.group]
 
 
 def moved(identity: Mesh, driving: Mesh):
     identity, driving = normalised(identity), normalised(driving)
-    return next(iter(Skeleton().prepare(identity, Clip.still(driving))([driving.vertices])))
+    return next(iter(SkeletonBaseline().prepare(identity, Clip.still(driving))([driving.vertices])))
 
 
 @cache
@@ -56,8 +58,8 @@ def example():
 
 
 def test_it_is_a_method():
-    assert isinstance(Skeleton(), Method)
-    assert Skeleton().name == "skeleton"
+    assert isinstance(SkeletonBaseline(), Method)
+    assert SkeletonBaseline().name == "skeleton"
 
 
 def test_the_identity_as_driving_gives_the_identity():
@@ -130,8 +132,8 @@ def test_bones_keep_their_length_and_turn_as_the_fits_say():
 
 def test_a_clip_is_followed():
     identity, clip = person(0), walk(1, frames=3)
-    size, frame = Frame.fit(identity, "+y", "+z").radius, Frame.fit(clip.mesh, "+y", "+z")
-    drive = Skeleton().prepare(normalised(identity), Clip.still(normalised(clip.mesh)))
+    size, frame = Normalization.fit(identity, "+y", "+z").radius, Normalization.fit(clip.mesh, "+y", "+z")
+    drive = SkeletonBaseline().prepare(normalised(identity), Clip.still(normalised(clip.mesh)))
     results = drive(frame.apply(vertices) for vertices in clip.vertices)
     for result, truth in zip(results, walk(0, frames=3).vertices, strict=True):
         assert pmd_of_pair(size * result, truth) < 2e-4

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import TABLE_6, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.core.geometry import nearest_rotation
-from mimesh.methods.mime.part_tracking import Parts, mean_rotation
+from mimesh.methods.mime.part_tracking import PartTracker, mean_rotation
 
 BODY = load_body()
 SOME = np.random.default_rng(0).permutation(len(BODY.vertices))[:3000]
@@ -21,9 +21,9 @@ def posed(number: int):
     return BODY.posed(shape, rotmat)[SOME], rotation, offset + (rotation @ joints[..., None])[..., 0]
 
 
-def parts(number: int, weights=BODY.weights) -> Parts:
+def parts(number: int, weights=BODY.weights) -> PartTracker:
     points, _, joints = posed(number)
-    return Parts.of(points, weights[SOME], joints, BODY.parents)
+    return PartTracker.of(points, weights[SOME], joints, BODY.parents)
 
 
 def degrees(a, b):

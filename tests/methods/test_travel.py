@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.methods.root_motion import travelling
+from mimesh.methods.root_motion import with_root_motion
 
 SHAPE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 
 
 def test_boxes_are_centred_where_the_drivings_are_scaled_by_the_first_result():
     frames = [SHAPE + [t, 0, 0] for t in range(3)]
-    results = list(travelling(iter(frames), lambda vertices: 2 * SHAPE + vertices[0], "walk"))
+    results = list(with_root_motion(iter(frames), lambda vertices: 2 * SHAPE + vertices[0], "walk"))
     steps = np.diff([result.mean(axis=0) for result in results], axis=0)
     assert np.allclose(np.diff(results, axis=0), steps[:, None], rtol=0, atol=1e-12)
     assert np.allclose(steps, [[np.linalg.norm([1, 2]), 0, 0]] * 2, rtol=0, atol=1e-12)
@@ -23,4 +23,4 @@ def test_a_frame_without_size_is_told_by_its_number():
         "walk: expected some size in frame 2 of those taken.*repair that frame, or end the clip before it with --stop"
     )
     with pytest.raises(InputError, match=told):
-        list(travelling(frames, lambda vertices: vertices, "walk"))
+        list(with_root_motion(frames, lambda vertices: vertices, "walk"))

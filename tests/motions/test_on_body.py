@@ -18,7 +18,7 @@ from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import is_motion_file, motion_file_clip, motion_of_file
 from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
-from mimesh.tools.inspect import look
+from mimesh.tools.inspect import inspect_file
 
 STANDS = ("t", "a", "hanging")
 
@@ -142,7 +142,7 @@ def test_long_takes_lie_on_disk(body, motion, tmp_path, monkeypatch):
 
 
 def test_look_says_that_it_is_a_motion(body, motion, tmp_path):
-    facts = look(write_bvh(tmp_path / "a.bvh", body, motion))
+    facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, motion))
     assert facts.details == (("motion", "31 joints, played on the shipped body, which is what is told here"),)
     assert facts.details[0][1] in facts.text()
     assert (facts.frames, facts.format, facts.unit_guess) == (len(motion), "bvh", "m")

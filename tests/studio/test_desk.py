@@ -10,7 +10,7 @@ from people import person, walk
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
 from mimesh.studio import make_desk
-from mimesh.studio.jobs import Dropped, Worker
+from mimesh.studio.jobs import Cancelled, Worker
 from mimesh.studio.state import described
 
 
@@ -135,11 +135,11 @@ def test_the_newest_wish_wins_and_urgent_ones_go_between_frames():
     wishes[-1].result(5)
     assert order[-1] == 4
     assert not clip.done()
-    assert all(isinstance(wish.exception(), Dropped | type(None)) for wish in wishes)
+    assert all(isinstance(wish.exception(), Cancelled | type(None)) for wish in wishes)
     worker.drop("clip")
-    assert isinstance(clip.exception(1), Dropped)
+    assert isinstance(clip.exception(1), Cancelled)
     worker.close()
-    assert isinstance(worker.put("late", long).exception(1), Dropped)
+    assert isinstance(worker.put("late", long).exception(1), Cancelled)
 
 
 def test_stopping_keeps_the_desk_working(desk, files):

@@ -14,7 +14,7 @@ from mimesh.bodies import load_body
 from mimesh.studio import make_desk
 from mimesh.studio import uploads as workplace
 from mimesh.studio.app import make_app
-from mimesh.studio.security import Guard
+from mimesh.studio.security import AccessControl
 from mimesh.tools.demo import IDENTITY_SHAPE, person
 
 TOKEN, PORT = "secret", 8123
@@ -34,7 +34,7 @@ def desk():
 @pytest.fixture
 def client(desk):
     """A browser that has been let in."""
-    app = Guard(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
+    app = AccessControl(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
     with TestClient(app, base_url=f"http://{HOST}", headers=ORIGIN) as client:
         assert client.get(f"/?token={TOKEN}").status_code == 200
         yield client
@@ -99,7 +99,7 @@ def everything(desk):
     ],
 )
 def test_who_may_look(desk, headers, status):
-    app = Guard(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
+    app = AccessControl(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
     with TestClient(app, base_url=f"http://{HOST}") as stranger:
         answer = stranger.get("/api/state", headers=headers)
     assert answer.status_code == status
@@ -118,7 +118,7 @@ def test_changes_come_from_our_page_alone(desk, client, path, origin):
 
 
 def test_the_token_is_a_cookie_that_no_script_reads(desk):
-    app = Guard(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
+    app = AccessControl(make_app(desk, lambda: False), TOKEN, "127.0.0.1", PORT)
     with TestClient(app, base_url=f"http://{HOST}", follow_redirects=False) as browser:
         answer = browser.get(f"/?token={TOKEN}")
         assert answer.status_code == 303

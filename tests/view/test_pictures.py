@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mimesh.player.pictures import Pictures
+from mimesh.player.pictures import TextureStore
 from mimesh.render.textures import decoded
 
 RAMP = np.arange(256, dtype=np.uint8).reshape(16, 16)
@@ -48,7 +48,7 @@ def test_damaged_ones_are_none(content):
 
 def test_large_ones_are_halved_until_they_fit():
     noise = np.random.default_rng(0).integers(0, 256, (1024, 1024, 3), dtype=np.uint8)
-    pictures, left_out = Pictures(), []
+    pictures, left_out = TextureStore(), []
     assert pictures.number(written(Image.fromarray(noise), "PNG")) == 0
     (packed,) = pictures.packed(400_000, left_out)
     assert packed["type"] == "image/jpeg"

@@ -14,7 +14,7 @@ import mimesh
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.pipeline.result import Result, no_time_yet
-from mimesh.player.pack import Shown
+from mimesh.player.pack import Panel
 from mimesh.player.page import Download, player_page, web_file, write_player
 
 WEB = Path(__file__).parents[2] / "web"
@@ -53,7 +53,7 @@ def test_three_is_held_once():
 
 
 def test_a_page_is_small_and_asks_for_nothing():
-    page = player_page([Shown("mesh", clip())], title="cube")
+    page = player_page([Panel("mesh", clip())], title="cube")
     assert len(page.encode()) < 1.5e6
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
     assert "@import" not in web_file("player.css")
@@ -61,16 +61,16 @@ def test_a_page_is_small_and_asks_for_nothing():
 
 
 def test_the_same_input_gives_the_same_bytes(tmp_path):
-    pages = [write_player(tmp_path / name, [Shown("mesh", clip())], title="cube") for name in ("a.html", "b.html")]
+    pages = [write_player(tmp_path / name, [Panel("mesh", clip())], title="cube") for name in ("a.html", "b.html")]
     assert pages[0].read_bytes() == pages[1].read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
 
 
 def test_names_and_notes_cannot_leave_their_place():
-    shown = [Shown("mesh", clip(), EVIL)]
+    shown = [Panel("mesh", clip(), EVIL)]
     download = Download(f"{EVIL}.glb", None)
     page = player_page(shown, title=EVIL, model=EVIL, notes=[EVIL], download=download)
-    plain = player_page([Shown("mesh", clip())], title="x")
+    plain = player_page([Panel("mesh", clip())], title="x")
     for mark in ("<script", "</script", "<!--"):
         assert page.count(mark) == plain.count(mark)
     scene = scene_of(page)
@@ -80,16 +80,16 @@ def test_names_and_notes_cannot_leave_their_place():
 def test_names_that_are_no_text_are_shown_as_far_as_they_are(tmp_path):
     name = "p\udce9"
     download = Download(f"{name}.glb", None)
-    page = write_player(tmp_path / "x.html", [Shown("mesh", clip(), name)], title=name, download=download)
+    page = write_player(tmp_path / "x.html", [Panel("mesh", clip(), name)], title=name, download=download)
     assert scene_of(page.read_text())["download"]["href"] == "p%E9.glb"
 
 
 def test_a_file_that_fits_lies_in_the_page_and_one_that_does_not_is_linked():
     noise = np.random.default_rng(0).bytes(200_000)
     options = {"title": "cube", "download": Download("my cube.glb", noise)}
-    inside = scene_of(player_page([Shown("mesh", clip())], **options))["download"]
+    inside = scene_of(player_page([Panel("mesh", clip())], **options))["download"]
     assert inside["bytes"] == len(noise)
-    beside = scene_of(player_page([Shown("mesh", clip())], budget=800_000, **options))["download"]
+    beside = scene_of(player_page([Panel("mesh", clip())], budget=800_000, **options))["download"]
     assert beside == {"name": "my cube.glb", "href": "my%20cube.glb"}
 
 

@@ -14,8 +14,8 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import Shown, pack_scene
-from mimesh.player.split_vertices import facets
+from mimesh.player.pack import Panel, pack_scene
+from mimesh.player.split_vertices import split_vertices
 from mimesh.player.thinning import DENSE, simplified
 
 
@@ -62,7 +62,7 @@ def moving(mesh, count=7, seed=0):
 @pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
 def test_positions_come_back_within_half_a_step(make):
     clip = moving(make())
-    panel = pack_scene([Shown("mesh", clip)])["panels"][0]
+    panel = pack_scene([Panel("mesh", clip)])["panels"][0]
     largest = max(np.ptp(clip.vertices[t], axis=0).max() for t in range(len(clip)))
     assert panel["unit"] < 1.2 * largest / 65535
     assert np.abs(frames(panel) - clip.vertices).max() <= 0.501 * panel["unit"]
@@ -71,7 +71,7 @@ def test_positions_come_back_within_half_a_step(make):
 @pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
 def test_split_vertices_are_still_those_of_the_faces(make):
     mesh = make()
-    surface = pack_scene([Shown("mesh", Clip.still(mesh))])["surfaces"][0]
+    surface = pack_scene([Panel("mesh", Clip.still(mesh))])["surfaces"][0]
     corners, origin = unpacked(surface["corners"]), unpacked(surface["origin"])
     if len(mesh.faces):
         np.testing.assert_array_equal(origin[corners], mesh.faces)
@@ -79,8 +79,8 @@ def test_split_vertices_are_still_those_of_the_faces(make):
 
 
 def test_a_cube_has_hard_edges_and_a_sheet_is_smooth():
-    assert len(facets(zoo.cube()).origin) == 24
-    assert len(facets(zoo.grid()).origin) == 25
+    assert len(split_vertices(zoo.cube()).origin) == 24
+    assert len(split_vertices(zoo.grid()).origin) == 25
 
 
 def test_vertices_are_split_where_texture_coordinates_part():
@@ -88,7 +88,7 @@ def test_vertices_are_split_where_texture_coordinates_part():
     uv = sheet.vertices[sheet.faces][..., :2].astype(float)
     uv[0] += 5.0
     painted = (Part("all", 0, len(sheet.faces), Material("paint", texture=png())),)
-    split = facets(dataclasses.replace(sheet, corner_uv=uv, parts=painted))
+    split = split_vertices(dataclasses.replace(sheet, corner_uv=uv, parts=painted))
     assert len(split.origin) == 9 + 3
     np.testing.assert_allclose(split.uv[split.corners], uv)
     assert len(np.unique(split.smooth)) == 9  # a seam of the texture is no hard edge
@@ -98,7 +98,7 @@ def test_pictures_that_cannot_be_read_are_left_out_and_counted():
     cube = zoo.cube()
     uv = np.zeros((len(cube.faces), 3, 2))
     broken = (Part("all", 0, len(cube.faces), Material("paint", texture=b"\x89PNG broken")),)
-    scene = pack_scene([Shown("mesh", Clip.still(dataclasses.replace(cube, corner_uv=uv, parts=broken)))])
+    scene = pack_scene([Panel("mesh", Clip.still(dataclasses.replace(cube, corner_uv=uv, parts=broken)))])
     assert scene["images"] == []
     assert scene["surfaces"][0]["groups"][0]["material"]["image"] is None
     assert scene["left_out"] == ["textures that cannot be read are left out: 1"]
@@ -107,12 +107,12 @@ def test_pictures_that_cannot_be_read_are_left_out_and_counted():
 def test_split_files_are_smooth_across_their_seams():
     sheet = zoo.grid(3)
     soup = Mesh(sheet.vertices[sheet.faces].reshape(-1, 3), np.arange(3 * len(sheet.faces)).reshape(-1, 3))
-    assert facets(soup).smooth.max() + 1 == 9
+    assert split_vertices(soup).smooth.max() + 1 == 9
 
 
 def test_identity_and_result_share_one_surface():
     mesh = zoo.cube()
-    shown = [Shown("identity", Clip.still(mesh)), Shown("driving", moving(zoo.grid())), Shown("result", moving(mesh))]
+    shown = [Panel("identity", Clip.still(mesh)), Panel("driving", moving(zoo.grid())), Panel("result", moving(mesh))]
     scene = pack_scene(shown)
     assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
     assert scene["panels"][0]["size"] == scene["panels"][2]["size"]
@@ -122,7 +122,7 @@ def test_files_that_are_compared_keep_their_own_hard_edges():
     flat, soft = zoo.cube(), zoo.cube()
     normals = vertex_normals(soft.vertices, soft.faces)[soft.faces]
     shown = [
-        Shown("mesh", Clip.still(mesh)) for mesh in (flat, dataclasses.replace(soft, corner_normals=normals), flat)
+        Panel("mesh", Clip.still(mesh)) for mesh in (flat, dataclasses.replace(soft, corner_normals=normals), flat)
     ]
     scene = pack_scene(shown)
     assert [panel["surface"] for panel in scene["panels"]] == [0, 1, 0]
@@ -131,9 +131,9 @@ def test_files_that_are_compared_keep_their_own_hard_edges():
 
 def test_long_clips_are_thinned_to_the_budget_and_the_page_says_so():
     clip = moving(zoo.grid(20), 301)
-    whole = pack_scene([Shown("mesh", clip)])
+    whole = pack_scene([Panel("mesh", clip)])
     assert whole["left_out"] == []
-    small = pack_scene([Shown("mesh", clip)], budget=100_000)
+    small = pack_scene([Panel("mesh", clip)], budget=100_000)
     assert len(json.dumps(small)) < 110_000
     panel = small["panels"][0]
     step = round(clip.fps / panel["fps"])
@@ -152,7 +152,7 @@ def test_a_dense_clip_is_simplified_to_points_of_its_own():
 
 
 def test_the_same_input_gives_the_same_scene():
-    shown = [Shown("identity", Clip.still(zoo.cube())), Shown("result", moving(zoo.cube()))]
+    shown = [Panel("identity", Clip.still(zoo.cube())), Panel("result", moving(zoo.cube()))]
     assert json.dumps(pack_scene(shown)) == json.dumps(pack_scene(shown))
 
 
@@ -160,4 +160,4 @@ def test_what_cannot_be_shown_is_refused():
     with pytest.raises(InputError, match="at least one mesh"):
         pack_scene([])
     with pytest.raises(InputError, match="a role of identity"):
-        pack_scene([Shown("hero", Clip.still(zoo.cube()))])
+        pack_scene([Panel("hero", Clip.still(zoo.cube()))])

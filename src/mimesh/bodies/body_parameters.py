@@ -12,13 +12,14 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.geometry import at_barycentric, sample_surface
+from ..core.skinning import blend_matrices
+from ..core.surface_points import at_barycentric, sample_surface
 from .body_model import RiggedBody
 from .sampling import rotvec_to_rotmat
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class BodyParameters:
     """A person of a body model somewhere in space: `scale * body + translation`."""
 
     scale: float
@@ -60,14 +61,14 @@ def thin_body(body: RiggedBody, count: int, components: int, seed: int = 0) -> R
     )
 
 
-def unknowns_of(fit: Fit) -> Float[np.ndarray, " P"]:
+def unknowns_of(fit: BodyParameters) -> Float[np.ndarray, " P"]:
     """One vector: logarithm of the scale, translation, shape, rotation vectors."""
     return np.concatenate([[np.log(fit.scale)], fit.translation, fit.shape, fit.rotvec.ravel()])
 
 
-def fit_of(body: RiggedBody, unknowns: Float[np.ndarray, " P"], error: float = np.inf) -> Fit:
+def fit_of(body: RiggedBody, unknowns: Float[np.ndarray, " P"], error: float = np.inf) -> BodyParameters:
     """The inverse of `unknowns_of`."""
-    return Fit(*_parts(body, unknowns), error)
+    return BodyParameters(*_parts(body, unknowns), error)
 
 
 def _parts(
@@ -88,7 +89,7 @@ def posed_and_pullback(
     below = descendants(body.parents)
     # offset = that of the parent + (rotation of the parent - rotation) joint, down from the root
     offset = below.T @ np.einsum("jkl,jl->jk", above - rotation, joints)
-    blended = (body.weights @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
+    blended = blend_matrices(body.weights, rotation)
     skinned = np.einsum("vkl,vl->vk", blended, points) + body.weights @ offset
 
     def pullback(gradient: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " P"]:

@@ -7,16 +7,19 @@ Lengths are about those of the unit sphere, which the weights of the priors are 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from .body_model import RiggedBody
-from .body_parameters import Fit, descendants, fit_of, posed_and_pullback, unknowns_of
-from .point_distance import Cloud, chamfer, cloud_of
+from .body_parameters import BodyParameters, descendants, fit_of, posed_and_pullback, unknowns_of
 from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, rotvec_to_rotmat
+
+if TYPE_CHECKING:
+    from scipy.spatial import KDTree
 
 POSE_PRIOR = 3e-6
 """Squared distance that a joint turned from rest by half of its range costs, by the square of the turn.
@@ -41,7 +44,9 @@ LOUD = 100.0
 """Lengths are multiplied by this for L-BFGS, whose test for convergence takes values below 1 for small."""
 
 
-def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | None = None, seed: int = 0) -> Fit:
+def fit_points(
+    body: RiggedBody, points: Float[np.ndarray, "N 3"], start: BodyParameters | None = None, seed: int = 0
+) -> BodyParameters:
     """The person of `body` (see `thin_body`) nearest to points of a normalised mesh, given in random order.
 
     With a start, the fit of a frame before of the same person, size and shape are kept. If that leaves an error of
@@ -63,10 +68,10 @@ def fit_points(body: RiggedBody, points: Float[np.ndarray, "N 3"], start: Fit | 
 def _fitted_anew(
     body: RiggedBody,
     points: Float[np.ndarray, "N 3"],
-    cloud: Cloud,
-    coarse: list[tuple[RiggedBody, Cloud]],
+    cloud: TargetCloud,
+    coarse: list[tuple[RiggedBody, TargetCloud]],
     seed: int,
-) -> Fit:
+) -> BodyParameters:
     """From T-poses that face a little left or right, raise a knee or lower the arms, the few points choose the best.
 
     While the fit is not GOOD, limbs are thrown anew by the seed until that helps no more; the better fit is kept.
@@ -88,7 +93,12 @@ def _fitted_anew(
     return replace(fit, lost=max(3 * fit.error, GOOD))
 
 
-def _best_of(groups: list[list[Fit]], kept: int, few: tuple[RiggedBody, Cloud], more: tuple[RiggedBody, Cloud]) -> Fit:
+def _best_of(
+    groups: list[list[BodyParameters]],
+    kept: int,
+    few: tuple[RiggedBody, TargetCloud],
+    more: tuple[RiggedBody, TargetCloud],
+) -> BodyParameters:
     """The best of many poses after a short descent: some of each group to the few points, then two to more points."""
     limbs = _free(few[0], ("Hips", "Leg", "Arm"), shape=False)
     begun = [fit for group in groups for fit in sorted((_scored(*few, fit) for fit in group), key=_error)[:kept]]
@@ -99,10 +109,10 @@ def _best_of(groups: list[list[Fit]], kept: int, few: tuple[RiggedBody, Cloud], 
 def _thrown(
     body: RiggedBody,
     points: Float[np.ndarray, "N 3"],
-    fit: Fit,
+    fit: BodyParameters,
     names: tuple[str, ...],
     rng: np.random.Generator,
-) -> list[Fit]:
+) -> list[BodyParameters]:
     """The fit with joints of these names anywhere within their limits, many times."""
     low, high = limits_rotvec(body, JOINT_LIMITS)
     low[0, 1], high[0, 1] = -1.0, 1.0  # headings, which the table leaves out
@@ -114,12 +124,12 @@ def _thrown(
     return fits
 
 
-def _scored(body: RiggedBody, cloud: Cloud, fit: Fit) -> Fit:
+def _scored(body: RiggedBody, cloud: TargetCloud, fit: BodyParameters) -> BodyParameters:
     posed = posed_and_pullback(body, unknowns_of(fit))[0]
     return replace(fit, error=chamfer(cloud, posed, cloud.matches(posed))[0])
 
 
-def _error(fit: Fit) -> float:
+def _error(fit: BodyParameters) -> float:
     return fit.error
 
 
@@ -128,7 +138,7 @@ def _first_points(body: RiggedBody, count: int) -> RiggedBody:
     return replace(body, vertices=body.vertices[:count], components=components, weights=body.weights[:count])
 
 
-def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[Fit]:
+def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[BodyParameters]:
     """People of mean shape in simple poses."""
     fits = []
     legs = ((0, 0), (60, 60), (85, 0))  # hanging, knee raised, stretched to the front
@@ -148,12 +158,12 @@ def _placed(
     points: Float[np.ndarray, "N 3"],
     shape: Float[np.ndarray, " K"],
     rotvec: Float[np.ndarray, "J 3"],
-) -> Fit:
+) -> BodyParameters:
     """A person with the centroid and the root mean square radius of the points."""
     posed = body.posed(shape, rotvec_to_rotmat(rotvec))
     size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, posed))
     scale = max(float(size / own), 1e-6)  # a single point has no size
-    return Fit(scale, points.mean(axis=0) - scale * posed.mean(axis=0), shape, rotvec)
+    return BodyParameters(scale, points.mean(axis=0) - scale * posed.mean(axis=0), shape, rotvec)
 
 
 def _free(
@@ -164,7 +174,9 @@ def _free(
     return np.concatenate([[size], np.ones(3, bool), np.full(len(body.components), shape), turns])
 
 
-def _descend(body: RiggedBody, cloud: Cloud, fit: Fit, free: Bool[np.ndarray, " P"], rounds: int, steps: int) -> Fit:
+def _descend(
+    body: RiggedBody, cloud: TargetCloud, fit: BodyParameters, free: Bool[np.ndarray, " P"], rounds: int, steps: int
+) -> BodyParameters:
     """Match nearest points, take up to `steps` iterations of L-BFGS over the free unknowns, `rounds` times."""
     from scipy.optimize import minimize
 
@@ -216,3 +228,50 @@ def _prior_weight(
     k = len(body.components)
     half = (high[4 + k :] - low[4 + k :]) / 2
     return np.concatenate([np.zeros(4), np.full(k, SHAPE_PRIOR), POSE_PRIOR / np.where(half > 0, half, np.inf) ** 2])
+
+
+@dataclass(frozen=True, eq=False)
+class TargetCloud:
+    """Points to fit to, and the planes that they lie in."""
+
+    points: Float[np.ndarray, "N 3"]
+    normals: Float[np.ndarray, "N 3"]
+    """Of the surface, either side; zero where distances count alike in all directions."""
+    slide: float
+    """Weight of the squared distance as such; its part along the normal has the rest of 1."""
+    tree: KDTree
+
+    def matches(self, others: Float[np.ndarray, "V 3"]) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]:
+        """The nearest point of each of the others, and the nearest other of each point."""
+        from scipy.spatial import KDTree
+
+        return np.asarray(self.tree.query(others)[1]), np.asarray(KDTree(others).query(self.points)[1])
+
+
+def cloud_of(points: Float[np.ndarray, "N 3"], slide: float = 1.0, neighbours: int = 16) -> TargetCloud:
+    """A cloud; where `slide` is below 1, with the normals of planes through each point's nearest neighbours."""
+    from scipy.spatial import KDTree
+
+    tree, normals = KDTree(points), np.zeros_like(points)
+    if slide < 1:
+        near = points[tree.query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)]
+        near = near - near.mean(axis=1, keepdims=True)
+        normals = np.linalg.eigh(near.transpose(0, 2, 1) @ near)[1][:, :, 0]
+    return TargetCloud(points, normals, slide, tree)
+
+
+def chamfer(
+    cloud: TargetCloud, others: Float[np.ndarray, "V 3"], matches: tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]
+) -> tuple[float, Float[np.ndarray, "V 3"]]:
+    """Mean squared distance of the others to their matches and of the cloud to its, and the gradient by the others."""
+    near, back = matches
+    error, gradient = 0.0, np.zeros_like(others)
+    for mine, theirs in ((near, slice(None)), (slice(None), back)):
+        normals, away = cloud.normals[mine], others[theirs] - cloud.points[mine]
+        pull = cloud.slide * away + (1 - cloud.slide) * (away * normals).sum(-1, keepdims=True) * normals
+        error += float((away * pull).sum()) / len(away)
+        if isinstance(theirs, slice):
+            gradient += 2 / len(away) * pull
+        else:
+            gradient += 2 / len(away) * np.stack([np.bincount(theirs, p, len(others)) for p in pull.T], axis=1)
+    return error, gradient

@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..core.mesh import Material, Mesh, Part
+from ..core.skinning import place_joints, skin_points
 from .body_model import RiggedBody, load_body
 from .dress import dressed_body, load_garment
 from .sampled_body import bone_directions, kinds_of_bones
@@ -37,7 +38,7 @@ class Role:
     """Of each garment."""
 
 
-CAST: dict[str, Role] = {
+CHARACTERS: dict[str, Role] = {
     "slim": Role(
         shape=(1.6, -0.4, 1.8, -1.4),
         garments=("tights",),
@@ -105,9 +106,9 @@ def character(name: str, arms: float = 0.6) -> Mesh:
     Raises:
         InputError: no such member.
     """
-    if name not in CAST:
-        raise InputError(f"{name}: expected one of the cast ({', '.join(CAST)}), found another; name one of them")
-    role = CAST[name]
+    if name not in CHARACTERS:
+        raise InputError(f"{name}: expected one of the cast ({', '.join(CHARACTERS)}), found another; name one of them")
+    role = CHARACTERS[name]
     body = proportioned(dressed_body(load_body(), role.garments), role.lengths, role.girths, role.size)
     vertices = body.posed(np.array(role.shape), rotvec_to_rotmat(arms * lowered_arms(body)))
     mesh = dataclasses.replace(body.mesh(vertices - [0, vertices[:, 1].min(), 0]), name=name)
@@ -131,12 +132,10 @@ def proportioned(
     linear = size * (length * along + girth * (np.eye(3) - along))
 
     def grown(points: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]):
-        places = [size * joints[0]]
-        for j, parent in enumerate(body.parents[1:], 1):
-            places.append(places[parent] + linear[parent] @ (joints[j] - joints[parent]))
-        offset = np.stack(places) - np.einsum("jab,jb->ja", linear, joints)
-        blended = (body.weights @ linear.reshape(-1, 9)).reshape(-1, 3, 3)
-        return np.einsum("vab,vb->va", blended, points) + body.weights @ offset, np.stack(places)
+        bones = joints[1:] - joints[list(body.parents[1:])]
+        places = place_joints(size * joints[0], bones, linear, body.parents)
+        offset = places - np.einsum("jab,jb->ja", linear, joints)
+        return skin_points(points, body.weights, linear, offset), places
 
     vertices, joints = grown(body.vertices, body.joints)
     changes = [grown(*pair) for pair in zip(body.components, body.joint_components, strict=True)]

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core import geometry
-from ..core.rig import hanging
+from ..core.rig import descendants
 from .body_model import RiggedBody
 from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
 
@@ -168,7 +168,7 @@ def _cut_through(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], moving: t
     depth = np.zeros(len(vertices))
     for side in ("Left", "Right"):
         ours = [body.joint(name) for name in moving if name.startswith(side)]
-        ends = hanging(ours, body.parents)
+        ends = descendants(ours, body.parents)
         limb = np.flatnonzero(np.isin(most, ends))
         # What the limb hangs from always touches it.
         above = [body.parents[j] for j in ours]

@@ -14,7 +14,9 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.geometry import face_normals, sample_surface
+from ..core.geometry import face_normals
+from ..core.skinning import blend_matrices
+from ..core.surface_points import sample_surface
 from .body_model import RiggedBody
 from .body_parameters import descendants
 from .sampling import rotvec_to_rotmat
@@ -26,7 +28,7 @@ LEAST = 0.003
 
 
 @dataclass(frozen=True, eq=False)
-class Stance:
+class BodyState:
     """One person in one pose, somewhere in space."""
 
     size: float
@@ -40,7 +42,7 @@ class Stance:
 
 
 @dataclass(frozen=True, eq=False)
-class Figure:
+class SampledBody:
     """N points of a body at rest."""
 
     names: tuple[str, ...]
@@ -58,7 +60,7 @@ class Figure:
     """Of each joint's bone; left and right are of one kind."""
 
     @classmethod
-    def of(cls, body: RiggedBody, count: int, seed: int = 0) -> Figure:
+    def of(cls, body: RiggedBody, count: int, seed: int = 0) -> SampledBody:
         """About so many points, spread evenly over each part of the body, denser on small parts, in random order."""
         rng = np.random.default_rng(seed)
         face, share = sample_surface(body.vertices, body.faces, 30 * count, rng)
@@ -81,7 +83,7 @@ class Figure:
             kind=kinds_of_bones(body),
         )
 
-    def first(self, count: int) -> Figure:
+    def first(self, count: int) -> SampledBody:
         """The same with fewer points."""
         arrays = ("vertices", "normals", "components", "weights")
         return replace(self, **{name: getattr(self, name)[:count] for name in arrays})
@@ -103,17 +105,19 @@ class Figure:
         ends = np.cumsum(sizes)
         return {name: slice(end - n, end) for name, n, end in zip(_GROUPS, sizes, ends, strict=True)}
 
-    def mean_person(self, size: float, root: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "J 3 3"]) -> Stance:
+    def mean_person(
+        self, size: float, root: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "J 3 3"]
+    ) -> BodyState:
         """The mean person in a pose."""
         groups = self.unknowns
         shape, bones = (np.zeros(groups[name].stop - groups[name].start) for name in ("shape", "bones"))
-        return Stance(size, root, shape, bones, rotation)
+        return BodyState(size, root, shape, bones, rotation)
 
-    def stepped(self, stance: Stance, step: Float[np.ndarray, " U"]) -> Stance:
+    def stepped(self, stance: BodyState, step: Float[np.ndarray, " U"]) -> BodyState:
         """The stance after a change of all unknowns."""
         size, root, shape, bones, turns = (step[self.unknowns[name]] for name in _GROUPS)
         turned = rotvec_to_rotmat(self.below.T @ turns.reshape(-1, 3)) @ stance.rotation
-        return Stance(
+        return BodyState(
             float(stance.size * np.exp(size[0])), stance.root + root, stance.shape + shape, stance.bones + bones, turned
         )
 
@@ -121,7 +125,7 @@ class Figure:
 _GROUPS = ("size", "root", "shape", "bones", "turns")
 
 
-class Posed:
+class PosedBody:
     """A figure in a stance: its points, and rows of the derivative of what one asks for.
 
     Attributes:
@@ -130,7 +134,7 @@ class Posed:
         joints: (J, 3).
     """
 
-    def __init__(self, figure: Figure, stance: Stance) -> None:
+    def __init__(self, figure: SampledBody, stance: BodyState) -> None:
         self.figure, self.stance = figure, stance
         count = len(figure.one_hot.T)
         length, girth = np.exp(stance.bones.reshape(2, count))[:, figure.kind, None, None]
@@ -199,7 +203,7 @@ class Posed:
         return below @ self.held - (self.figure.weights @ below.T)[..., None] * self.joints
 
     def _blended(self, matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "N 3 3"]:
-        return (self.figure.weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
+        return blend_matrices(self.figure.weights, matrices)
 
 
 def bone_directions(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np.ndarray, " J"]]:

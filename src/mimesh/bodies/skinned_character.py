@@ -16,8 +16,8 @@ from ..core.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)
-class GltfRig:
-    """A character at rest and what holds it, in the units of its file: the fields of `io.gltf_skin.Skin`."""
+class SkinnedCharacter:
+    """A character at rest and what holds it, in the units of its file."""
 
     mesh: Mesh
     """At rest, as `load_mesh` gives it."""

@@ -148,7 +148,8 @@ def animate(
     from ..core.errors import InputError
     from ..io import clip_suffixes, load_clip, load_mesh
     from ..pipeline import animate as run
-    from ..tools.convert import MOVIES, animations_note, taken_rate_note
+    from ..render.movie import MOVIES
+    from ..tools.convert import animations_note, taken_rate_note
 
     output = output or output_beside(identity, driving, ".glb")
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
@@ -237,7 +238,8 @@ def _mesh(result: Result | ClipResult) -> Mesh:
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
-    from ..tools.convert import MOVIES, frames_at
+    from ..render.movie import MOVIES
+    from ..tools.convert import frames_at
 
     length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import Animation, Json, Quiet, print_json, print_next, progress, refuse_inputs
+from .terminal import Animation, BlendShapes, Json, Quiet, print_json, print_next, progress, refuse_inputs
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip
@@ -19,7 +19,7 @@ Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, cl
 def look(files: Files, json: Json = False) -> None:
     """Tell what mesh files hold and what may spoil a transfer."""
     from ..core.errors import InputError
-    from ..tools.inspect import look as examine
+    from ..tools.inspect import inspect_file as examine
 
     facts, errors = {}, []
     for path in files:
@@ -76,9 +76,9 @@ def render(
 
     By default meshes become a sheet, or a movie that turns; clips become strips, or a movie that plays.
     """
-    from ..tools.draw import Wanted, draw
+    from ..tools.draw import RenderOptions, draw
 
-    wanted = Wanted(
+    wanted = RenderOptions(
         *(sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background),
         cut=(start, stop, step),
     )
@@ -105,3 +105,51 @@ def _cut(
     clips = [load_clip(path, fps, animation) for path in files]
     alone = all(len(clip) == 1 for clip in clips)
     return [cut_clip(clip, start, stop, step) if len(clip) > 1 or alone else clip for clip in clips]
+
+
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="A mesh, a clip, a motion or a folder of meshes.")],
+    target: Annotated[Path, typer.Argument(metavar="OUT", help="Its suffix is the format; without one, a folder.")],
+    fps: Annotated[float | None, typer.Option(help="Of IN, where it does not say; else to sample it at.")] = None,
+    animation: Animation = None,
+    frame: Annotated[int | None, typer.Option(help="This frame alone, counted from 0.")] = None,
+    start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
+    stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
+    step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
+    frames_as: Annotated[str | None, typer.Option(metavar="SUFFIX", help="In a folder: obj or ply.")] = None,
+    blendshapes: BlendShapes = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a mesh or clip in another format.
+
+    What moves stays moving where OUT can; .gif, .webp and .mp4 are pictures of it. Formats: see docs/formats.md.
+    """
+    from ..render.movie import MOVIES
+    from ..tools.convert import convert as run
+    from ..tools.convert import frames_at
+
+    refuse_inputs(target, source)
+    with progress("frames", quiet or json) as advance:
+        done = run(
+            source,
+            target,
+            fps=fps,
+            animation=animation,
+            frame=frame,
+            start=start,
+            stop=stop,
+            step=step,
+            frames_as=None if frames_as is None else "." + frames_as.lstrip("."),
+            blendshapes=blendshapes,
+            progress=advance,
+        )
+    facts = {"output": str(target), "vertices": done.vertices, "frames": done.frames, "fps": done.fps}
+    if json:
+        print_json({**facts, "notes": list(done.notes)})
+    elif not quiet:
+        length = "" if done.fps is None else f", {frames_at(done.frames, done.fps)}"
+        print(f"{target}: {done.vertices} vertices{length}")
+        print("".join(f"note: {note}\n" for note in done.notes), end="")
+        if target.suffix.lower() not in MOVIES:
+            print_next("look", target)

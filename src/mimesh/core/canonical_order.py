@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from .geometry import at_barycentric, sample_surface, weld
-from .mesh import Mesh
+from .geometry import weld
 
 TOLERANCE = 1e-6
 """Positions are compared in units of this (normalised frame): rounding of the last bits must not reorder anything."""
@@ -25,7 +24,7 @@ def rank_order(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " N"]:
 
 
 @dataclass(frozen=True, eq=False)
-class Ranked:
+class CanonicalOrder:
     """Distinct positions of a mesh, sorted, and the way to and from its vertices."""
 
     group: Int[np.ndarray, " V"]
@@ -50,14 +49,14 @@ class Ranked:
         return (low + high) / 2
 
 
-def rank_vertices(vertices: Float[np.ndarray, "V 3"]) -> Ranked:
+def canonical_order(vertices: Float[np.ndarray, "V 3"]) -> CanonicalOrder:
     """Weld by exact position and rank."""
     merged, index = weld(vertices)
     rank = np.empty(len(merged), np.int64)
     rank[rank_order(merged)] = np.arange(len(merged))
     group = rank[index]
     order = np.argsort(group, kind="stable")
-    return Ranked(group, order, np.searchsorted(group[order], np.arange(len(merged))))
+    return CanonicalOrder(group, order, np.searchsorted(group[order], np.arange(len(merged))))
 
 
 def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]) -> Int[np.ndarray, "F 3"]:
@@ -66,37 +65,3 @@ def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]
     turned = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
     keys = np.concatenate([rank[turned] for rank in ranks], axis=1)
     return turned[np.lexsort(keys.T[::-1])]
-
-
-@dataclass(frozen=True, eq=False)
-class SurfacePoints:
-    """At least `count` points of a driving mesh, the same ones of its surface in every frame."""
-
-    ranked: Ranked
-    corners: Int[np.ndarray, "N 3"]
-    """Vertices of the triangle that each added point lies in (point clouds: one vertex three times)."""
-    weights: Float[np.ndarray, "N 3"]
-
-    def __len__(self) -> int:
-        return len(self.ranked) + len(self.corners)
-
-    def at(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "P 3"]:
-        """Where the points are in a frame: the welded vertices by rank, then the added points."""
-        added = at_barycentric(vertices, self.corners, np.arange(len(self.corners)), self.weights)
-        return np.concatenate([self.ranked.merge(vertices), added])
-
-
-def surface_points(mesh: Mesh, count: int, rng: np.random.Generator) -> SurfacePoints:
-    """All vertices of a mesh, and as many random points of its surface as are missing to `count`.
-
-    Added points are uniform by area over faces ordered by centroid; a point cloud repeats random vertices.
-    """
-    ranked = rank_vertices(mesh.vertices)
-    missing = max(count - len(ranked), 0)
-    if len(mesh.faces) == 0:
-        first_of_rank = ranked.order[ranked.start]
-        corners = np.repeat(first_of_rank[rng.integers(len(ranked), size=missing)][:, None], 3, axis=1)
-        return SurfacePoints(ranked, corners, np.tile([1.0, 0.0, 0.0], (missing, 1)))
-    faces = mesh.faces[rank_order(mesh.vertices[mesh.faces].mean(axis=1))]
-    chosen, weights = sample_surface(mesh.vertices, faces, missing, rng)
-    return SurfacePoints(ranked, faces[chosen], weights)

@@ -16,13 +16,13 @@ LARGE = 64 * 2**20
 """Bytes from which on frames lie on disk."""
 
 PAGED = 32
-"""Frames that are worked on between two calls of `let_go`."""
+"""Frames that are worked on between two calls of `release_pages`."""
 
 Progress = Callable[[int, int], None]
 """Called as frames get done with (frames done, frames in all)."""
 
 
-def new_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
+def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
     """An array for so many frames, in memory or, for a long clip, in a file that is gone when the array is.
 
     Raises:
@@ -51,28 +51,28 @@ def _reserve(descriptor: int, size: int) -> None:
         ) from error
 
 
-def let_go(frames: Float[np.ndarray, "T V 3"]) -> None:
+def release_pages(frames: Float[np.ndarray, "T V 3"]) -> None:
     """Give back the memory that pages of such a file have taken; the values stay."""
     pages = getattr(frames, "_mmap", None)
     if pages is not None and hasattr(pages, "madvise"):
         pages.madvise(mmap.MADV_DONTNEED)
 
 
-def stored(
+def store_frames(
     frames: Iterable[Float[np.ndarray, "V 3"]],
     count: int,
     vertices: int,
     dtype: type[np.floating] | np.dtype = np.float64,
     progress: Progress | None = None,
 ) -> Float[np.ndarray, "T V 3"]:
-    """Take in `count` frames of so many vertices, one by one, into `new_frames`."""
-    kept = new_frames(count, vertices, dtype)
+    """Take in `count` frames of so many vertices, one by one, into `allocate_frames`."""
+    kept = allocate_frames(count, vertices, dtype)
     done = 0
     for points in frames:
         kept[done] = points
         done += 1
         if done % PAGED == 0:
-            let_go(kept)
+            release_pages(kept)
         if progress is not None:
             progress(done, count)
     assert done == count, f"{done} frames came, {count} were said to"
@@ -86,7 +86,7 @@ def each_frame(
     for t, points in enumerate(vertices):
         yield np.asarray(points, np.float64)
         if t % PAGED == 0:
-            let_go(vertices)
+            release_pages(vertices)
         if progress is not None:
             progress(t + 1, len(vertices))
 

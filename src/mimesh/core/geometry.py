@@ -215,29 +215,6 @@ def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]
     return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 
-def sample_surface(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int, rng: np.random.Generator
-) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
-    """Area-uniform random points as (face index, barycentric weights), to be replayed on every frame of a clip."""
-    areas = face_areas(vertices, faces)
-    chosen = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(max=len(faces) - 1)
-    u, v = rng.random((2, count))
-    flip = u + v > 1
-    u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
-    return chosen, np.stack([1 - u - v, u, v], axis=1)
-
-
-def at_barycentric(
-    vertices: Float[np.ndarray, "*T V 3"],
-    faces: Int[np.ndarray, "F 3"],
-    chosen: Int[np.ndarray, " N"],
-    weights: Float[np.ndarray, "N 3"],
-) -> Float[np.ndarray, "*T N 3"]:
-    """Positions of surface points given as (face index, barycentric weights)."""
-    corners = np.take(vertices, faces[chosen], axis=-2)
-    return (corners * weights[:, :, None]).sum(axis=-2)
-
-
 def closest_on_mesh(
     points: Float[np.ndarray, "N 3"],
     vertices: Float[np.ndarray, "V 3"],

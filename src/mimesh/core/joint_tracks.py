@@ -1,4 +1,4 @@
-"""What joints do in a clip: calmed over time, and a path for the root joint on which feet do not slide."""
+"""Motion of joints in a clip: smoothing over time, and paths of the root joint on which feet do not slide."""
 
 from __future__ import annotations
 
@@ -8,114 +8,117 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from .geometry import nearest_rotation
-from .rig import Rig, Skinned
+from .rig import Rig
+from .skinning import SkinnedMesh
 
-LOW, SLOW = 0.06, 0.15
-"""A foot stands where it is no higher over the ground (leg lengths), nor faster (leg lengths a second)."""
-LANDING = 0.05
-"""Standard deviation (seconds) over which a path that feet correct is smoothed up and down."""
+PLANTED_HEIGHT, PLANTED_SPEED = 0.06, 0.15
+"""A foot is planted below this height over the ground (leg lengths) and this speed (leg lengths a second)."""
+LIFT_SMOOTHING = 0.05
+"""Standard deviation (seconds) of the Gaussian that smooths vertical corrections, so that landings do not jolt."""
 
 
 @dataclass(frozen=True, eq=False)
-class Track:
-    """T frames of J joints, in the world."""
+class JointTrack:
+    """World rotations and positions of J joints in T frames."""
 
     rotation: Float[np.ndarray, "T J 3 3"]
-    places: Float[np.ndarray, "T J 3"]
+    positions: Float[np.ndarray, "T J 3"]
     fps: float
 
-    def smoothed(self, seconds: float) -> Track:
-        """Rotations and places averaged over time, with weights of a Gaussian of this standard deviation.
+    def smoothed(self, seconds: float) -> JointTrack:
+        """Average rotations and positions over time with a Gaussian of this standard deviation.
 
-        Places are averaged about the line from the first to the last, so that the way is as long as before.
+        Positions are averaged about the line from the first to the last, so that the way stays as long as it was.
         """
-        if seconds <= 0 or len(self.places) == 1:
+        if seconds <= 0 or len(self.positions) == 1:
             return self
-        line = np.linspace(self.places[0], self.places[-1], len(self.places))
-        rotation, off = (_blurred(array, seconds * self.fps) for array in (self.rotation, self.places - line))
-        return replace(self, rotation=nearest_rotation(rotation), places=line + off)
+        line = np.linspace(self.positions[0], self.positions[-1], len(self.positions))
+        rotation, off = (_blurred(array, seconds * self.fps) for array in (self.rotation, self.positions - line))
+        return replace(self, rotation=nearest_rotation(rotation), positions=line + off)
 
-    def above(self, feet: Feet) -> Float[np.ndarray, "T F"]:
-        """How high each foot joint is over where it is when it stands; the ground is where the lowest of all stands."""
-        height = self.places[:, list(feet.joints), 1] - feet.theirs
+    def foot_heights(self, feet: FootJoints) -> Float[np.ndarray, "T F"]:
+        """Height of each foot joint over its height when planted; the lowest of the clip is taken to be planted."""
+        height = self.positions[:, list(feet.joints), 1] - feet.driving_height
         return height - height.min()
 
-    def standing(self, feet: Feet) -> Bool[np.ndarray, "T F"]:
-        """Which of the feet's joints stand on the ground: low and slow, as this clip goes."""
-        low = self.above(feet) < LOW * feet.leg
-        if len(self.places) == 1:
+    def planted(self, feet: FootJoints) -> Bool[np.ndarray, "T F"]:
+        """Which foot joints stand on the ground: those that are low and slow."""
+        low = self.foot_heights(feet) < PLANTED_HEIGHT * feet.driving_leg
+        if len(self.positions) == 1:
             return low
-        speed = np.linalg.norm(np.gradient(self.places[:, list(feet.joints)], axis=0), axis=-1) * self.fps
-        return low & (speed < SLOW * feet.leg)
+        speed = np.linalg.norm(np.gradient(self.positions[:, list(feet.joints)], axis=0), axis=-1) * self.fps
+        return low & (speed < PLANTED_SPEED * feet.driving_leg)
 
 
 @dataclass(frozen=True)
-class Feet:
+class FootJoints:
     """Joints that may stand on the ground."""
 
     joints: tuple[int, ...]
-    leg: float
+    driving_leg: float
     """Length of the driving's leg."""
-    soles: Float[np.ndarray, " F"]
+    identity_height: Float[np.ndarray, " F"]
     """Height of each of these joints over the identity's ground when its foot is flat on it."""
-    theirs: Float[np.ndarray, " F"]
+    driving_height: Float[np.ndarray, " F"]
     """The same of the driving."""
 
 
-def soles(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...]) -> Float[np.ndarray, " F"]:
-    """How far the surface that each joint holds most reaches below it, as it sees down: zero for what holds nothing."""
-    most = rig.weights.argmax(axis=1)
-    down = [-(rig.rotation[j].T @ (vertices[most == j] - rig.joints[j]).T)[1] for j in joints]
+def sole_depths(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...]) -> Float[np.ndarray, " F"]:
+    """How far below each joint, in its own frame, the vertices reach whose largest weight it has; 0 without any."""
+    strongest = rig.weights.argmax(axis=1)
+    down = [-(rig.rotation[j].T @ (vertices[strongest == j] - rig.joints[j]).T)[1] for j in joints]
     return np.array([depth.max(initial=0.0) for depth in down])
 
 
-def straight(track: Track, across: float, up: float, drop: bool) -> Float[np.ndarray, "T 3"]:
-    """The root joint's way: the driving's, so many times as long across the ground and up and down.
+def root_path(track: JointTrack, across: float, up: float, in_place: bool) -> Float[np.ndarray, "T 3"]:
+    """Positions of the driving's root joint, scaled by `across` over the ground and by `up` vertically.
 
-    With `drop` it goes up and down alone.
+    With `in_place` it only moves vertically.
     """
-    path = np.array([across, up, across]) * track.places[:, 0]
-    return np.where([drop, False, drop], path[:1], path)
+    path = np.array([across, up, across]) * track.positions[:, 0]
+    return np.where([in_place, False, in_place], path[:1], path)
 
 
-def grounded(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, feet: Feet, up: float) -> np.ndarray:
-    """A path near the given one on which joints that stand in the driving do not slide, and stand on the ground.
+def grounded_path(
+    track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints, up: float
+) -> Float[np.ndarray, "T 3"]:
+    """Correct a root path so that joints planted in the driving do not slide, and stand on the ground.
 
-    Sideways, what stands keeps its place and what is in the air keeps its way. Up and down, what stands is as high over
-    the ground as in the driving (`up` times that), and the way between is blended.
-
-    Returns:
-        Root joint, (T, 3).
+    Over the ground: from frame to frame the root is moved against the mean slide of the joints planted in both; in the
+    air it keeps its displacement. Vertically: planted joints get the driving's height over the ground (times `up`), and
+    corrections are interpolated between and smoothed.
     """
-    stands = track.standing(feet)
-    if not stands.any():
+    planted = track.planted(feet)
+    if not planted.any():
         return path
-    own = np.stack([skinned.places(turned, np.zeros(3))[list(feet.joints)] for turned in track.rotation])
-    off = np.zeros_like(path)
-    both = stands[1:] & stands[:-1]
-    slide = np.diff(own + path[:, None], axis=0)
-    off[1:, [0, 2]] = -np.cumsum(_mean(slide, both)[:, [0, 2]], axis=0)
-    height = feet.soles + up * track.above(feet) - own[..., 1]
-    known = stands.any(axis=1)
-    lift = _mean(height[..., None], stands)[known, 0] - path[known, 1]
-    off[:, 1] = np.interp(np.arange(len(path)), np.flatnonzero(known), lift)
-    off[:, 1] = _blurred(off[:, 1], LANDING * track.fps)
-    return path + off
+    reached = np.stack([skinned.places(turned, np.zeros(3))[list(feet.joints)] for turned in track.rotation])
+    correction = np.zeros_like(path)
+    both = planted[1:] & planted[:-1]
+    slide = np.diff(reached + path[:, None], axis=0)
+    correction[1:, [0, 2]] = -np.cumsum(_masked_mean(slide, both)[:, [0, 2]], axis=0)
+    height = feet.identity_height + up * track.foot_heights(feet) - reached[..., 1]
+    known = planted.any(axis=1)
+    lift = _masked_mean(height[..., None], planted)[known, 0] - path[known, 1]
+    correction[:, 1] = np.interp(np.arange(len(path)), np.flatnonzero(known), lift)
+    correction[:, 1] = _blurred(correction[:, 1], LIFT_SMOOTHING * track.fps)
+    return path + correction
 
 
-def skate(track: Track, path: Float[np.ndarray, "T 3"], skinned: Skinned, feet: Feet) -> float | None:
-    """Mean speed (a second) along the ground of the identity's joints while they stand in the driving; None: never."""
-    stands = track.standing(feet)
-    both = stands[1:] & stands[:-1]
+def foot_skate(
+    track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints
+) -> float | None:
+    """Mean speed (a second) over the ground of the identity's joints while planted in the driving; None: never."""
+    planted = track.planted(feet)
+    both = planted[1:] & planted[:-1]
     if not both.any():
         return None
-    own = np.stack([skinned.places(*frame)[list(feet.joints)] for frame in zip(track.rotation, path, strict=True)])
-    return float(np.linalg.norm(np.diff(own, axis=0)[..., [0, 2]], axis=-1)[both].mean() * track.fps)
+    reached = np.stack([skinned.places(*pose)[list(feet.joints)] for pose in zip(track.rotation, path, strict=True)])
+    return float(np.linalg.norm(np.diff(reached, axis=0)[..., [0, 2]], axis=-1)[both].mean() * track.fps)
 
 
-def _mean(values: Float[np.ndarray, "T F C"], which: Bool[np.ndarray, "T F"]) -> Float[np.ndarray, "T C"]:
-    """Mean over some of the feet; zero where there are none."""
-    return (values * which[..., None]).sum(axis=1) / np.maximum(which.sum(axis=1), 1)[:, None]
+def _masked_mean(values: Float[np.ndarray, "T F C"], mask: Bool[np.ndarray, "T F"]) -> Float[np.ndarray, "T C"]:
+    """Mean over the feet of the mask; zero where there are none."""
+    return (values * mask[..., None]).sum(axis=1) / np.maximum(mask.sum(axis=1), 1)[:, None]
 
 
 def _blurred(array: Float[np.ndarray, "T *C"], frames: float) -> Float[np.ndarray, "T *C"]:

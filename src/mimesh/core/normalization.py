@@ -27,7 +27,7 @@ REACH = 2.2
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class Normalization:
     """A similarity transform: normalised = (rotation @ file - centre) / radius."""
 
     rotation: Float[np.ndarray, "3 3"]
@@ -44,7 +44,7 @@ class Frame:
     """Probability of the chosen facing minus that of the runner-up; 1 where both axes were given."""
 
     @classmethod
-    def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Frame:
+    def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Normalization:
         """Fit to a mesh; axes that are not given ("+y", "-z", "x") are found from the shape, for people.
 
         The detector was fitted to people: for other shapes it gives some axes, the same ones however the file is

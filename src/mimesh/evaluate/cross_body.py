@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
+from ..bodies.body_model import landmarks
 from ..bodies.joint_names import named_joints, require_joints
-from ..bodies.landmarks import landmarks
-from ..bodies.skinned_character import GltfRig
+from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..io.gltf.skin import read_skin
@@ -48,7 +48,7 @@ class CrossBody(Wide):
         played = self.played(split, kind, i, rng)
         return _stage(mover, actor, stand, played)
 
-    def casts(self, split: str) -> list[tuple[GltfRig, GltfRig]]:
+    def casts(self, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
         """Who is moved and who drives, in all ordered pairs of the split.
 
         Raises:
@@ -70,7 +70,9 @@ def cross_body(data: str | Path) -> CrossBody:
     return protocol
 
 
-def pose_on_rig(rig: GltfRig, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "R 3 3"]:
+def pose_on_rig(
+    rig: SkinnedCharacter, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3"]
+) -> Float[np.ndarray, "R 3 3"]:
     """Local joint rotations that give the rig the pose of our body.
 
     Limb bones point exactly where ours point. Joints that we have no name for follow their parent, and a root above
@@ -86,14 +88,14 @@ def pose_on_rig(rig: GltfRig, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3
     return to_local(world[None], rig.parents)[0]
 
 
-def pose_at_rest(rig: GltfRig, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
+def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
     """Our body's local rotations in the pose in which the rig rests: an A-pose, a T-pose with bent elbows."""
     aligned = alignments(rig.joints, named_joints(rig.joint_names, rig.parents), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
     return to_local(world[None], body.parents)[0]
 
 
-def landmarks_on(rig: GltfRig) -> Int[np.ndarray, "M"]:
+def landmarks_on(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
     """Vertices of the rig at `bodies.landmarks.LANDMARKS`: found as on our body, in its T-pose and at its height."""
     body, index = human(), named_joints(rig.joint_names, rig.parents)
     tee = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
@@ -114,16 +116,7 @@ def landmarks_on(rig: GltfRig) -> Int[np.ndarray, "M"]:
     return np.array(list(landmarks(twin).values()))
 
 
-def load_rig(path: str | Path) -> GltfRig:
-    """Read a rigged character.
-
-    Raises:
-        InputError: as `read_skin`.
-    """
-    return GltfRig(**vars(read_skin(path)))
-
-
-def check_person(rig: GltfRig, path: str | Path) -> GltfRig:
+def check_person(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
     """Return the rig if it can take the poses of our body.
 
     Raises:
@@ -148,7 +141,7 @@ def check_person(rig: GltfRig, path: str | Path) -> GltfRig:
 
 
 @cache
-def _casts(data: Path, split: str) -> list[tuple[GltfRig, GltfRig]]:
+def _casts(data: Path, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
     skeletons = _skeletons(data)
     if split == "test":
         groups = [group[1:] if len(group) > 2 else group for group in skeletons]
@@ -166,18 +159,18 @@ def _casts(data: Path, split: str) -> list[tuple[GltfRig, GltfRig]]:
 
 
 @cache
-def _skeletons(data: Path) -> list[list[GltfRig]]:
+def _skeletons(data: Path) -> list[list[SkinnedCharacter]]:
     """The characters of a folder by skeleton (equal joint names and parents), by file name."""
     if not data.is_dir():
         raise InputError(f"{data}: expected a folder of rigged characters, found none; give it with --data")
-    groups: dict[frozenset[tuple[str, str]], dict[Path, GltfRig]] = {}
+    groups: dict[frozenset[tuple[str, str]], dict[Path, SkinnedCharacter]] = {}
     for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
-        rig = load_rig(path)
+        rig = read_skin(path)
         groups.setdefault(rig.bones(), {})[path] = rig
     return [[check_person(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
 
 
-def _stage(mover: GltfRig, actor: GltfRig, stand: Pose, played: Pose) -> Pair:
+def _stage(mover: SkinnedCharacter, actor: SkinnedCharacter, stand: Pose, played: Pose) -> Pair:
     """The mover stands, the actor plays; truth is the mover playing. `copy` needs both to have the same triangles."""
     rest, reference = (rig.posed(pose_on_rig(rig, human(), stand.rotmat)) for rig in (mover, actor))
     truth, driving = (rig.posed(pose_on_rig(rig, human(), played.rotmat)) for rig in (mover, actor))
@@ -195,12 +188,12 @@ def _stage(mover: GltfRig, actor: GltfRig, stand: Pose, played: Pose) -> Pair:
     )
 
 
-def _mesh(rig: GltfRig, vertices: Float[np.ndarray, "V 3"], pose: str) -> Mesh:
+def _mesh(rig: SkinnedCharacter, vertices: Float[np.ndarray, "V 3"], pose: str) -> Mesh:
     name = f"{rig.mesh.name}_{pose}"
     return dataclasses.replace(rig.mesh, vertices=vertices, corner_normals=None, source=None, name=name)
 
 
-def _hangs_on(rig: GltfRig, joint: int, holder: int) -> bool:
+def _hangs_on(rig: SkinnedCharacter, joint: int, holder: int) -> bool:
     while joint >= 0 and joint != holder:
         joint = rig.parents[joint]
     return joint == holder

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
-from .clip_measure import moved_clip
 from .clip_protocols import ClipPair
-from .measure import moved
+from .measure import moved, moved_clip
 from .metrics import in_unit_sphere_of, pmd_of_pair
 from .pairs import Pair
 from .protocols import Protocol

@@ -7,26 +7,44 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Mesh
+from ..core.mesh import Clip, Mesh
 from ..io import load_mesh
-from ..pipeline import transfer
-from .clip_figures import clips_compared, clips_noisy, others_in_motion
-from .measure import moved
+from ..pipeline import animate, transfer
+from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer
+from .cross_body import SUFFIXES
+from .measure import as_known, moved, moved_clip
 from .pairs import Pair, shuffled
-from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE
+from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE, with_noise
 from .run import check_method
-from .tiles import Tile, drawn, folder_of_people
+
+if TYPE_CHECKING:
+    from PIL import Image
 
 ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
 
 IN_MOTION = ("aniformer-regression", "aniformer-plain", "aniformer-motion", "aniformer-appearance", "aniformer-equal")
+
+
+TILE = (300, 360)
+
+
+SHOWN = np.linspace(2, FRAMES - 3, 5).round().astype(int)
+"""Frames that are drawn."""
+
+
+class Tile(NamedTuple):
+    """One mesh of a page; `colors` a vertex instead of its materials."""
+
+    label: str
+    mesh: Mesh
+    colors: Float[np.ndarray, "V 3"] | None = None
 
 
 class Figure(NamedTuple):
@@ -116,6 +134,35 @@ def by_number(count: int) -> Float[np.ndarray, "V 3"]:
     return np.array([colorsys.hsv_to_rgb(0.8 * k / count, 0.65, 0.85) for k in range(count)])
 
 
+def clips_compared(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
+    """Identity and driving, a result for each model, truth (Fig. 3 and 4)."""
+    for i in range(count):
+        yield from _clip_trial(clips_aniformer(data).pair("test", kind, 5 * i), models)
+
+
+def clips_noisy(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """More noise on the driving clip in each pair of rows, drawn anew in every frame (last row of Fig. 5)."""
+    for percent in range(min(count, 6)):
+        trial = CLIPS_ANIFORMER.pair("test", "procedural", 0)
+        rng = CLIPS_ANIFORMER.rng("test", "procedural", 0)
+        frames = np.stack([with_noise(frame, percent / 100, rng) for frame in trial.clip.vertices])
+        mesh = Mesh(frames[0], trial.driving.faces, name=f"noise {percent} %")
+        noisy = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, frames, trial.clip.fps))
+        yield from [*_clip_trial(noisy, models)][:-1]
+
+
+def others_in_motion(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Identities from other makers, of any vertex count, moved as one of our people (Fig. 5)."""
+    for i, path in enumerate(folder_of_people(data)[:count]):
+        clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
+        yield _frames("driving", clip.vertices, clip.mesh.faces)
+        identity = load_mesh(path)
+        for model in models:
+            result = animate(identity, clip, model, driving_up="+y", driving_front="+z")
+            tiles = [Tile(model, result.clip.mesh.with_vertices(result.clip.vertices[t])) for t in SHOWN]
+            yield [Tile(path.stem, identity), *tiles]
+
+
 DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
     "npt-6": Figure("seen poses, beside deformation transfer", partial(compared, kind="seen"), (*DT, "npt"), 4),
@@ -145,7 +192,51 @@ FIGURES = {
 last row of AniFormer's figure 5, noise, is a figure of its own."""
 
 
+def drawn(tiles: list[Tile]) -> Image.Image:
+    """One row of a page."""
+    from ..render.camera import fit
+    from ..render.raster import render, render_mesh
+    from ..render.sheet import captioned, page
+
+    pictures = []
+    for tile in tiles:
+        camera = fit(tile.mesh.vertices, TILE, "three-quarter")
+        if tile.colors is None:
+            picture = render_mesh(tile.mesh, TILE, camera)
+        else:
+            picture = render(tile.mesh.vertices, tile.mesh.faces, camera, TILE, tile.colors)
+        pictures.append(captioned(picture, tile.label))
+    return page(pictures, len(pictures))
+
+
+def folder_of_people(data: Path | None) -> list[Path]:
+    """Mesh files of a folder.
+
+    Raises:
+        InputError: no folder given, or none with meshes.
+    """
+    if data is None or not data.is_dir():
+        raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
+    paths = sorted(path for path in data.iterdir() if path.suffix.lower() in (*SUFFIXES, ".obj", ".ply"))
+    if not paths:
+        raise InputError(f"{data}: expected meshes of people, found none; give another folder with --data")
+    return paths
+
+
 def _trial(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
     results = [Tile(model, Mesh(moved(pair, model), faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
+
+
+def _clip_trial(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:
+    identity, faces = Tile("identity", trial.identity), trial.identity.faces
+    yield [identity, *_frames(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
+    for model in models:
+        known = as_known(trial, model)
+        yield [Tile(model, known.identity), *_frames(model, moved_clip(known, model), known.identity.faces)]
+    yield [identity, *_frames("truth", trial.truth_frames, faces)]
+
+
+def _frames(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
+    return [Tile(f"{label}, frame {t}", Mesh(frames[t].astype(np.float64), faces)) for t in SHOWN]

@@ -12,21 +12,30 @@ from jaxtyping import Float, Int
 
 from ..core import geometry
 from ..core.errors import InputError
+from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Frame, bbox_centre, radius
+from ..core.normalization import Normalization, bbox_centre, radius
 from ..methods.base import Method
 from ..methods.find import find_method, weights_path
-from ..pipeline import transfer
+from ..methods.limp import LIMPMethod
+from ..pipeline import animate, transfer
+from .clip_protocols import ClipPair, on_template
 from .metrics import (
     chamfer,
+    clip_pmd,
     edge_score,
     flipped,
+    foot_skate,
     in_unit_sphere_of,
+    jitter,
     largest_stretch,
+    liveliness,
     mean_error_mm,
+    path_error_mm,
     pmd_of_pair,
     pmd_public,
     resized,
+    unrest_mm,
 )
 from .pairs import Pair
 
@@ -134,7 +143,7 @@ def in_true_size(
 ) -> Float[np.ndarray, "T V 3"]:
     """What such a network makes of a clip: each frame in the size of its truth, the path in that of the first frame."""
     unit = dataclasses.replace(network, target_scale="identity")
-    own, theirs = Frame.fit(identity, "+y", "+z"), Frame.fit(clip.mesh, "+y", "+z")
+    own, theirs = Normalization.fit(identity, "+y", "+z"), Normalization.fit(clip.mesh, "+y", "+z")
     identity, driving = (
         dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
         for mesh, frame in ((identity, own), (clip.mesh, theirs))
@@ -218,3 +227,77 @@ def half_interval(errors: Float[np.ndarray, " N"]) -> float:
     drawn = np.random.default_rng(0).integers(len(errors), size=(RESAMPLES, len(errors)))
     low, high = np.quantile(errors[drawn].mean(axis=1), [0.025, 0.975])
     return float(high - low) / 2
+
+
+STILL = 5
+"""Frames of the clip that stands still."""
+
+
+def moved_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "T V 3"]:
+    """The identity's vertices in all frames, in metres; methods and their help are those of `measure.moved`.
+
+    `copy` is the driving person in one size for the whole clip: its mean radius is that of the truth.
+
+    Raises:
+        NotApplicableError: the method cannot work on this clip.
+    """
+    if method == "copy":
+        sizes = [np.mean([radius(v - v.mean(axis=0)) for v in c]) for c in (trial.truth_frames, trial.aligned_frames)]
+        return trial.aligned_frames * (sizes[0] / sizes[1])
+    if method.startswith("deformation-transfer"):
+        driving, helps = helped(trial, method)
+        frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
+        clip = Clip(driving, frames, trial.clip.fps)
+        return _frames(animate(trial.identity, clip, "deformation-transfer", **AXES, **helps))
+    network = find_method(method, ensemble=ensemble)
+    if knows_no_size(network):
+        return in_true_size(network, trial.identity, trial.clip, trial.truth_frames)
+    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=refine))
+
+
+def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
+    """Figures of one clip, or {"why": ...} where the method cannot work on it.
+
+    Those of shape are means over the frames (the worst, for stretch); `seconds` are those of a frame, all included.
+    LIMP knows its template alone, so it is measured on the trial's vertices that are the template's.
+    """
+    trial = as_known(trial, method)
+    started = time.perf_counter()
+    try:
+        result = moved_clip(trial, method, **options)
+    except NotApplicableError as error:
+        return {"why": str(error)}
+    seconds = (time.perf_counter() - started) / len(result)
+    truth, fps = trial.truth_frames, trial.clip.fps
+    faces = trial.identity.faces
+    surface = (faces, edges(faces), trial.height)
+    shapes = [shape_figures(a, b, *surface) for a, b in zip(result, truth, strict=True)]
+    figures = {name: float(np.mean([shape[name] for shape in shapes])) for name in shapes[0]}
+    return figures | {
+        "pmd_e4": 1e4 * clip_pmd(result, truth),
+        "stretch": max(shape["stretch"] for shape in shapes),
+        "path_mm": path_error_mm(result, truth, trial.height),
+        "jitter": jitter(result, truth, trial.height, fps),
+        "liveliness": liveliness(result, truth),
+        "still_mm": unrest_mm(moved_clip(standing_still(trial), method, **options), trial.height),
+        "skate_cm_s": foot_skate(result, truth, trial.height, fps),
+        "seconds": seconds,
+    }
+
+
+def as_known(trial: ClipPair, method: str) -> ClipPair:
+    """The trial on all vertices, or on those of the template that LIMP knows."""
+    return on_template(trial) if method not in GIVEN and isinstance(find_method(method), LIMPMethod) else trial
+
+
+def standing_still(trial: ClipPair) -> ClipPair:
+    """The same trial with its first frame in all frames, a few of them."""
+    frames = {
+        name: np.repeat(getattr(trial, name)[:1], STILL, axis=0) for name in ("truth_frames", "aligned_frames")
+    }  # fmt: skip
+    clip = dataclasses.replace(trial.clip, vertices=np.repeat(trial.clip.vertices[:1], STILL, axis=0))
+    return dataclasses.replace(trial, clip=clip, **frames)
+
+
+def _frames(result) -> Float[np.ndarray, "T V 3"]:
+    return result.clip.vertices.astype(np.float64)

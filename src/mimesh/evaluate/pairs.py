@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.landmarks import landmarks
+from ..bodies.body_model import landmarks
 from ..core.mesh import Mesh, permute_vertices
 from .remesh import Remesh
 

@@ -186,7 +186,7 @@ class Touching(Wide):
 
 
 @dataclass(frozen=True)
-class Spoilt(HumanNpt):
+class Corrupted(HumanNpt):
     """Table 6 poses, and the same people and poses in all kinds: only what is done to the driving mesh differs."""
 
     def clean(self, split: str, i: int) -> Pair:
@@ -195,7 +195,7 @@ class Spoilt(HumanNpt):
 
 
 @dataclass(frozen=True)
-class CrossTopology(Spoilt):
+class CrossTopology(Corrupted):
     """The driving mesh has other vertices and triangles than the identity."""
 
     def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
@@ -206,7 +206,7 @@ class CrossTopology(Spoilt):
 
 
 @dataclass(frozen=True)
-class Noise(Spoilt):
+class Noise(Corrupted):
     """The driving mesh is noisy or incomplete.
 
     `noise-2`: each coordinate of each driving vertex moves by up to 2 % of the mesh's radius (uniform), and so on.
@@ -224,12 +224,12 @@ class Noise(Spoilt):
 
     def noisy(self, pair: Pair, share: float, rng: np.random.Generator) -> Pair:
         """Uniform noise on the driving's coordinates, and alike on the driving as `copy` gets it."""
-        moved = shaken(pair.driving.vertices, share, rng)
+        moved = with_noise(pair.driving.vertices, share, rng)
         spoilt = dataclasses.replace(pair.driving, vertices=moved)
         return dataclasses.replace(pair, driving=spoilt, aligned=moved)
 
 
-def shaken(vertices: Float[np.ndarray, "V 3"], share: float, rng: np.random.Generator) -> Float[np.ndarray, "V 3"]:
+def with_noise(vertices: Float[np.ndarray, "V 3"], share: float, rng: np.random.Generator) -> Float[np.ndarray, "V 3"]:
     """Points with uniform noise on their coordinates, up to a share of their radius."""
     radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
     return vertices + share * radius * rng.uniform(-1, 1, vertices.shape)

@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..core.geometry import at_barycentric, closest_on_mesh, edges, face_vectors, sample_surface, spatial_order
+from ..core.geometry import closest_on_mesh, edges, face_vectors, spatial_order
+from ..core.surface_points import at_barycentric, sample_surface
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,11 +12,10 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import ALONE, MODELS, ROWS, check_row, weights_path
-from .clip_measure import measure_clip
+from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, weights_path
 from .clip_protocols import ClipPair, clips_aniformer
 from .cross_body import cross_body
-from .measure import GIVEN, measure, summary
+from .measure import GIVEN, measure, measure_clip, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import code_fingerprint, commit, libraries, machine
@@ -54,7 +53,7 @@ def evaluate_command(
         config["data"] = sorted(path.name for path in data.iterdir())
     made = provenance(config)
     question = {**config, "protocol": [protocol, chosen.version], "code": code_fingerprint(), **libraries()}
-    ledger = Ledger(out and out.with_name(out.name + ".partial"), question)
+    ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
     counts = {kind: chosen.count(kind, pairs) for kind in chosen.kinds}
     total, done, rows = sum(counts.values()) * len(methods), 0, []
     for method in methods:
@@ -91,7 +90,7 @@ def figures_of(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, A
     return measure_clip(trial, method, **options) if isinstance(trial, ClipPair) else measure(trial, method, **options)
 
 
-class Ledger:
+class PartialReport:
     """Figures of finished pairs as JSON lines; the first line says what question they answer.
 
     Figures that answer another question (other pairs, code, data or libraries) are put aside as `<name>.old`.
@@ -156,7 +155,9 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the names there are, for a method that cannot be measured."""
     names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *ROWS, *ALONE) and not (method.endswith(".onnx") and Path(method).is_file()):
+    if method not in (*names, *TABLE_MODELS, *WITHOUT_FIT) and not (
+        method.endswith(".onnx") and Path(method).is_file()
+    ):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_row(method)
 

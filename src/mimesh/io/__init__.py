@@ -27,7 +27,7 @@ from .ply import PlySource
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
-    from ..core.rig import Skeleton
+    from ..core.animated_rig import AnimatedRig
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -185,7 +185,7 @@ def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes
         return write_gltf_clip(clip, temporary, progress, blendshapes)
 
 
-def save_skinned(skeleton: Skeleton, fps: float, path: str | Path) -> None:
+def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
     """Write a mesh with joints and their animation as .glb or .gltf (see `gltf_skinned`).
 
     Raises:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh, check_mesh
 from .atomic import whole_folder
 from .obj import read_obj_points
@@ -46,7 +46,7 @@ def read_sequence(
     first = read(paths[0])
     later = (_read_frame(path, first, paths[0], read) for path in paths[1:])
     frames = itertools.chain([first.vertices], later)
-    return Clip(first, stored(frames, len(paths), len(first.vertices), progress=progress), fps)
+    return Clip(first, store_frames(frames, len(paths), len(first.vertices), progress=progress), fps)
 
 
 def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:

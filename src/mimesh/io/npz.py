@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import POINTS, open_archive, read_array
 from .atomic import whole_file
@@ -92,7 +92,7 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
                 frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
                 frames = _read_frames(member.read, count, vertices, dtype)
-            kept = stored(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
+            kept = store_frames(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
     first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
     return Clip(Mesh(first, faces, name=path.stem), kept, float(fps if fps is not None else own_fps))
 

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, each_frame, stored
+from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from .atomic import whole_file
 from .timing import DEFAULT_FPS, between, frame_count, sample_rate
@@ -63,7 +63,7 @@ def read_cache(
     else:
         count = frame_count(float(cache.times[-1] - cache.times[0]), fps)
         frames = _sampled(cache, cache.times[0] + np.arange(count) / fps)
-    kept = stored(frames, count, vertices, dtype, progress)
+    kept = store_frames(frames, count, vertices, dtype, progress)
     first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
     if mesh is None:
         return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), kept, fps)

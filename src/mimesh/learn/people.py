@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from ..bodies import RiggedBody
 from ..bodies.dress import GARMENTS, dressed_body, load_garment
 from ..bodies.sampled_body import bone_directions, kinds_of_bones, mixed
-from ..core import geometry
+from ..core import geometry, surface_points
 
 WAVES = 6
 """Of which a person's bumps are the sum."""
@@ -81,7 +81,7 @@ class SurfaceBody(nn.Module):
         super().__init__()
         dressed = dressed_body(body, GARMENTS)
         self.parents = body.parents
-        face, share = geometry.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
+        face, share = surface_points.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
         corners = dressed.faces[face]
         starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
         bones, branching = bone_directions(body)

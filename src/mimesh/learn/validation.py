@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..bodies import RiggedBody
-from ..core import geometry
+from ..core import geometry, surface_points
 from ..core.mesh import Mesh
 from ..core.normalization import bbox_centre, radius
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
@@ -144,8 +144,8 @@ class MimeValidation(PairValidation):
         return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
 
     def _points(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
-        face, share = geometry.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
-        points = geometry.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
+        points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
         return self._tensor(points), self._tensor(geometry.face_normals(mesh.vertices, mesh.faces)[face])
 
     def _tensor(self, array: np.ndarray) -> Tensor:

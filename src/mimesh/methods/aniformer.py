@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.canonical_order import rank_vertices, surface_points
+from ..core.canonical_order import canonical_order
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
+from ..core.surface_points import padded_vertices
 from .base import Drive
-from .npt import Lengths, batch_of_one, generator
-from .root_motion import sized, travelling
+from .npt import EdgeLengths, batch_of_one, generator
+from .root_motion import check_size, with_root_motion
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -39,7 +40,7 @@ Pairing = tuple[Int[np.ndarray, " W"], Int[np.ndarray, " W"]]
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence:
+class AniFormerMethod:
     """A loaded network, ready for any identity."""
 
     rough: ClassVar[bool] = True
@@ -56,11 +57,11 @@ class Sequence:
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
-        ranked = rank_vertices(identity.vertices)
+        ranked = canonical_order(identity.vertices)
         still = ranked.merge(identity.vertices)
-        points = surface_points(driving.mesh, len(ranked), generator(self.seed, 0))
+        points = padded_vertices(driving.mesh, len(ranked), generator(self.seed, 0))
         pairings = [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
-        lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
+        lengths = EdgeLengths.of(still, edges(ranked.group[identity.faces]))
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
             centred = vertices - bbox_centre(vertices)
@@ -70,7 +71,7 @@ class Sequence:
             return self._run(still, window, pairings)
 
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            ahead, now = itertools.tee(sized(frames, driving.mesh.name))
+            ahead, now = itertools.tee(check_size(frames, driving.mesh.name))
             points = map(points_of, ahead)
             if self.head == "regression":
                 results = middles(points, run, self.frames)
@@ -81,7 +82,7 @@ class Sequence:
                 result = next(results)
                 return (lengths.resized(result, still) if self.target_scale == "truth" else result)[ranked.group]
 
-            return travelling(now, pose, driving.mesh.name)
+            return with_root_motion(now, pose, driving.mesh.name)
 
         return drive
 

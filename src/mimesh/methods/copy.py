@@ -15,7 +15,7 @@ from .base import Drive
 
 
 @dataclass(frozen=True)
-class Copy:
+class CopyMethod:
     """Gives back the driving vertices; vertex i of the driving is taken for vertex i of the identity."""
 
     rough: ClassVar[bool] = False

@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.canonical_order import canonical_faces, rank_vertices
+from ..core.canonical_order import canonical_faces, canonical_order
 from ..core.errors import InputError
 from ..core.geometry import closest_on_mesh, face_normals, face_vectors, factor, gradient_operator, vertex_normals
 from ..core.mesh import Mesh
@@ -104,7 +104,7 @@ def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corn
     Raises:
         InputError: no triangle is left.
     """
-    ranks = [rank_vertices(mesh.vertices).group for mesh in (identity, reference, driving)]
+    ranks = [canonical_order(mesh.vertices).group for mesh in (identity, reference, driving)]
     own = canonical_faces(sound_faces(identity), *ranks)
     source = canonical_faces(sound_faces(reference), *ranks)
     thin = ~_sound(reference.vertices, own)
@@ -125,10 +125,10 @@ def match_by_markers(
     Raises:
         InputError: no triangle is left.
     """
-    ranked = rank_vertices(identity.vertices)
-    theirs_rank = rank_vertices(reference.vertices).group
+    ranked = canonical_order(identity.vertices)
+    theirs_rank = canonical_order(reference.vertices).group
     own = canonical_faces(sound_faces(identity), ranked.group)
-    theirs = canonical_faces(sound_faces(reference), theirs_rank, rank_vertices(driving.vertices).group)
+    theirs = canonical_faces(sound_faces(reference), theirs_rank, canonical_order(driving.vertices).group)
     order = np.lexsort((theirs_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
     marked, seen = markers[order].T
     still, faces = ranked.merge(identity.vertices), ranked.group[own]

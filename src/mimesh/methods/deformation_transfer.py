@@ -25,13 +25,13 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.canonical_order import rank_vertices
+from ..core.canonical_order import canonical_order
 from ..core.errors import InputError
 from ..core.geometry import edges, face_areas, factor, gradient_operator
 from ..core.mesh import Clip, Mesh
 from .base import Drive
 from .correspondence import match_by_index, match_by_markers, turned_alike, vertex_pairs
-from .root_motion import travelling
+from .root_motion import with_root_motion
 
 TIE = 1e-4
 """Weight of a tie, where an edge of the mesh has about 1."""
@@ -64,13 +64,13 @@ class DeformationTransfer:
             own, theirs = match_by_index(identity, reference, driving.mesh)
         else:
             own, theirs = match_by_markers(identity, reference, driving.mesh, self.markers)
-        ranked = rank_vertices(identity.vertices)
+        ranked = canonical_order(identity.vertices)
         follow = follower(ranked.merge(identity.vertices), ranked.group[own], reference.vertices[theirs])
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             return follow(vertices[theirs])[ranked.group]
 
-        return lambda frames: travelling(frames, pose, driving.mesh.name)
+        return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
 
 
 def triangle_frames(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3 3"]:

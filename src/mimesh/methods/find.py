@@ -13,28 +13,28 @@ from ..core.mesh import Mesh
 from .base import Method
 
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
-ROWS = (
+TABLE_MODELS = (
     *("mime-table", "npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
 """Lines of the papers' tables, to be compared rather than used: not shipped, but in a checkout's folder `rows`."""
-ALONE = {"mime-network": "mime", "mime-table-network": "mime-table"}
+WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
 """What networks of mime read, without the fit of the body that starts from it: what the fit is worth."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 
 def weights_path(model: str) -> Path:
     """Where the weights of a network lie: one that is shipped, one of ROWS or ALONE, or the path of an `.onnx` file."""
-    model = ALONE.get(model, model)
+    model = WITHOUT_FIT.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
-    return Path("rows", f"{model}.onnx") if model in ROWS else Path(model)
+    return Path("rows", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
 
 
 def check_row(model: str) -> None:
     """Raise InputError if this is one of ROWS, or of ALONE, whose weights are not here."""
-    if ALONE.get(model, model) in ROWS and not weights_path(model).is_file():
+    if WITHOUT_FIT.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
             "repository, or train them with scripts/train_rows.py"
@@ -61,24 +61,24 @@ def find_method(
     Raises:
         InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
     """
-    from .copy import Copy
+    from .copy import CopyMethod
     from .onnx_models import load_network
 
     if ensemble < 1:
         raise InputError(f"--ensemble: expected 1 or more pairings, found {ensemble}; give a positive number")
     if model == "copy":
-        return Copy()
+        return CopyMethod()
     if model == "deformation-transfer":
         from .deformation_transfer import DeformationTransfer
 
         return DeformationTransfer(reference, markers)
     if model == "skeleton":
-        from .skeleton import Skeleton
+        from .skeleton import SkeletonBaseline
 
-        return Skeleton(seed=seed)
+        return SkeletonBaseline(seed=seed)
     check_row(model)
     path = weights_path(model)
     if path.suffix == ".onnx":
-        name = model if model in ALONE else path.stem
-        return load_network(path, name=name, ensemble=ensemble, seed=seed, fits=model not in ALONE)
+        name = model if model in WITHOUT_FIT else path.stem
+        return load_network(path, name=name, ensemble=ensemble, seed=seed, fits=model not in WITHOUT_FIT)
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

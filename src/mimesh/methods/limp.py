@@ -19,15 +19,15 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
 from .base import Drive
-from .npt import Lengths, batch_of_one
-from .root_motion import travelling
+from .npt import EdgeLengths, batch_of_one
+from .root_motion import with_root_motion
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 
 @dataclass(frozen=True, eq=False)
-class Limp:
+class LIMPMethod:
     """A loaded network. Its results are the template's vertices, so that is what an identity must be."""
 
     rough: ClassVar[bool] = False
@@ -50,7 +50,7 @@ class Limp:
                 f"{self.name}: expected the template of {self.vertices} vertices that it was trained on, "
                 f"found an identity of {len(still)}; it is made for comparison, choose another model"
             )
-        lengths = Lengths.of(still, edges(identity.faces))
+        lengths = EdgeLengths.of(still, edges(identity.faces))
         person = batch_of_one(still)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
@@ -60,6 +60,6 @@ class Limp:
             return lengths.resized(result, still) if self.target_scale == "truth" else result
 
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-            return travelling(frames, pose, driving.mesh.name)
+            return with_root_motion(frames, pose, driving.mesh.name)
 
         return drive

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from ..core.canonical_order import rank_vertices, surface_points
+from ..core.canonical_order import canonical_order
 from ..core.geometry import edges, spatial_order
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
+from ..core.surface_points import padded_vertices
 from .base import Drive
-from .root_motion import travelling
+from .root_motion import with_root_motion
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -30,7 +31,7 @@ PATCHES = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Network:
+class NPTMethod:
     """A loaded network, ready for any identity."""
 
     rough: ClassVar[bool] = True
@@ -39,21 +40,21 @@ class Network:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """"identity", or "truth": then the result's size is unknown and is set by the identity's lengths (`Lengths`)."""
+    """"identity", or "truth": then the result's size is unknown and is set by the identity's lengths (`EdgeLengths`)."""
     ensemble: int = 1
     seed: int = 0
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
-        ranked = rank_vertices(identity.vertices)
+        ranked = canonical_order(identity.vertices)
         still = ranked.merge(identity.vertices)
         pooled = self.pose_code == "global_max"
-        points = surface_points(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
+        points = padded_vertices(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
         taken = min(len(points), POOLED_POINTS) if pooled else len(ranked)
         # A pooled pose has no pairing to average over.
         rounds = 1 if pooled else self.ensemble
         pairings = [generator(self.seed, 1 + k).permutation(len(points))[:taken] for k in range(rounds)]
-        lengths = Lengths.of(still, edges(ranked.group[identity.faces]))
+        lengths = EdgeLengths.of(still, edges(ranked.group[identity.faces]))
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             centred = vertices - bbox_centre(vertices)
@@ -62,7 +63,7 @@ class Network:
                 result = lengths.resized(result, still)
             return result[ranked.group]
 
-        return lambda frames: travelling(frames, pose, driving.mesh.name)
+        return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
 
     def _run(
         self,
@@ -79,14 +80,14 @@ class Network:
 
 
 @dataclass(frozen=True, eq=False)
-class Lengths:
+class EdgeLengths:
     """Distances between the middles of neighbouring patches of a surface: a size that roughness hardly changes."""
 
     patch: Int[np.ndarray, " W"]
     pairs: Int[np.ndarray, "E 2"]
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> Lengths:
+    def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> EdgeLengths:
         """Up to PATCHES patches of equally many vertices, and which of them touch."""
         count, patch = min(PATCHES, len(points)), np.empty(len(points), np.int64)
         patch[spatial_order(points)] = np.arange(len(points)) * count // len(points)

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from .aniformer import Sequence
+from .aniformer import AniFormerMethod
 from .base import Method
-from .limp import Limp
-from .mime.drive import Mime
-from .npt import Network
+from .limp import LIMPMethod
+from .mime.drive import MimeMethod
+from .npt import NPTMethod
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -46,13 +46,13 @@ def load_network(
     session = _open_session(path, threads)
     card = _card(session, path)
     if card["model"] == "aniformer":
-        return Sequence(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
+        return AniFormerMethod(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
     if card["model"] == "limp":
-        return Limp(name, session, card["vertices"], card["target_scale"])
+        return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
-        return Mime(name, session, joints, parents, legs, card["points"], fits, seed)
-    return Network(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
+        return MimeMethod(name, session, joints, parents, legs, card["points"], fits, seed)
+    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:

@@ -1,4 +1,4 @@
-"""Where results stand: a method that knows shapes only lets them walk as the driving does, in the identity's size."""
+"""Displacement of results of methods that predict shapes only: the driving's, in the identity's size."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from jaxtyping import Float
 from ..core.errors import InputError
 from ..core.normalization import bbox_centre, radius
 
-Pose = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
-"""Driving vertices of one frame to the identity's vertices in that pose, standing anywhere."""
+PoseFunction = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
+"""Driving vertices of one frame to the identity's vertices in that pose, placed anywhere."""
 
 
-def travelling(frames: Iterable[Float[np.ndarray, "U 3"]], pose: Pose, name: str) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Pose every frame, its bounding box centred where the driving's is.
-
-    The first result's size says how large the identity is beside its driving, whose path is scaled by it.
+def with_root_motion(
+    frames: Iterable[Float[np.ndarray, "U 3"]], pose: PoseFunction, name: str
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Pose every frame and centre its bounding box at that of the driving frame, times the size of the first result.
 
     Raises:
-        InputError: a frame without size, called by the clip's name.
+        InputError: a frame of the clip `name` without size.
     """
-    travel = None
-    for vertices in sized(frames, name):
+    scale = None
+    for vertices in check_size(frames, name):
         result = pose(vertices)
         result = result - bbox_centre(result)
-        travel = radius(result) if travel is None else travel
-        yield result + bbox_centre(vertices) * travel
+        scale = radius(result) if scale is None else scale
+        yield result + bbox_centre(vertices) * scale
 
 
-def sized(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
-    """The frames, as long as each has some size.
+def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
+    """Yield the frames of the clip `name`, as long as their vertices are not all at one point.
 
     Raises:
-        InputError: one has none, called by the clip's name.
+        InputError: they are.
     """
     for t, vertices in enumerate(frames):
         if not np.ptp(vertices, axis=0).any():

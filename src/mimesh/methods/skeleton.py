@@ -14,21 +14,22 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.body_parameters import Fit, thin_body
+from ..bodies.body_parameters import BodyParameters, thin_body
 from ..bodies.chamfer_fit import fit_points
-from ..core.canonical_order import TOLERANCE, Ranked, rank_vertices
-from ..core.geometry import at_barycentric, sample_surface
+from ..core.canonical_order import CanonicalOrder, canonical_order
 from ..core.mesh import Clip, Mesh
+from ..core.skinning import place_joints, skin_points
+from ..core.surface_points import rounded, surface_sampler
 from .base import Drive
 from .heat_weights import heat_weights
-from .root_motion import travelling
+from .root_motion import with_root_motion
 
 POINTS = 4000
 """Points of each mesh, and of the body, that the fits compare."""
 
 
 @dataclass(frozen=True, eq=False)
-class Skeleton:
+class SkeletonBaseline:
     """Moves people only, shaped and posed somewhat like our body: anything else gets some result."""
 
     rough: ClassVar[bool] = False
@@ -42,47 +43,25 @@ class Skeleton:
         sample = surface_sampler(identity, POINTS, np.random.default_rng([self.seed, 0]))
         own = fit_points(thin, sample(identity.vertices), seed=self.seed)
         # Everything is moved in ranked order: sums of a matrix product may depend on the row that they stand in.
-        ranked = rank_vertices(identity.vertices)
+        ranked = canonical_order(identity.vertices)
         still, weights = ranked.merge(identity.vertices), bind(identity, ranked, thin, own)
         watch = surface_sampler(driving.mesh, POINTS, np.random.default_rng([self.seed, 0]))
 
         def poser() -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]:
-            last: Fit | None = None
+            last: BodyParameters | None = None
 
             def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
                 nonlocal last
                 last = fit_points(thin, watch(vertices), last, self.seed)
                 rotation, offset = bone_transforms(thin, own, last)
-                blended = (weights @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
-                return (np.einsum("vkl,vl->vk", blended, still) + weights @ offset)[ranked.group]
+                return skin_points(still, weights, rotation, offset)[ranked.group]
 
             return pose
 
-        return lambda frames: travelling(frames, poser(), driving.mesh.name)
+        return lambda frames: with_root_motion(frames, poser(), driving.mesh.name)
 
 
-def surface_sampler(
-    mesh: Mesh, count: int, rng: np.random.Generator
-) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "N 3"]]:
-    """Where `count` points spread evenly over a mesh are in a frame; of a point cloud, some or all of its vertices.
-
-    Neither the order of vertices or faces, nor the last bits of positions, matter.
-    """
-    ranked = rank_vertices(mesh.vertices)
-    if len(mesh.faces) == 0:
-        chosen = rng.permutation(len(ranked))[:count]
-        return lambda vertices: rounded(ranked.merge(vertices)[chosen])
-    faces = np.unique(np.sort(ranked.group[mesh.faces], axis=1), axis=0)
-    triangles, weights = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
-    return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, triangles, weights))
-
-
-def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """To TOLERANCE: a search among nearest points would make much of a last bit."""
-    return np.round(points / TOLERANCE) * TOLERANCE
-
-
-def bind(identity: Mesh, ranked: Ranked, body: RiggedBody, fit: Fit) -> Float[np.ndarray, "W J"]:
+def bind(identity: Mesh, ranked: CanonicalOrder, body: RiggedBody, fit: BodyParameters) -> Float[np.ndarray, "W J"]:
     """Heat weights of the identity's distinct positions for the joints of the fit."""
     vertices = rounded(ranked.merge(identity.vertices))
     faces = ranked.group[identity.faces]
@@ -92,7 +71,7 @@ def bind(identity: Mesh, ranked: Ranked, body: RiggedBody, fit: Fit) -> Float[np
     return heat_weights(vertices, faces, segments, owners, len(body.parents))
 
 
-def bone_segments(body: RiggedBody, fit: Fit) -> tuple[Float[np.ndarray, "S 2 3"], Int[np.ndarray, " S"]]:
+def bone_segments(body: RiggedBody, fit: BodyParameters) -> tuple[Float[np.ndarray, "S 2 3"], Int[np.ndarray, " S"]]:
     """Segments from each joint to its children, and the joint that owns each.
 
     The last joint of a limb ends as far beyond the middle of its points as this is from the joint.
@@ -115,11 +94,11 @@ def _middle(points: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, " V"]) 
 
 
 def bone_transforms(
-    body: RiggedBody, own: Fit, other: Fit
+    body: RiggedBody, own: BodyParameters, other: BodyParameters
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
     """What each bone of the skeleton `own` does to take the directions of `other`: x -> rotation x + offset."""
     rotation = other.rotations(body) @ own.rotations(body).transpose(0, 2, 1)
-    joints, place = own.joints(body), np.empty((len(body.parents), 3))
-    for j, p in enumerate(body.parents):
-        place[j] = joints[j] if p < 0 else place[p] + rotation[p] @ (joints[j] - joints[p])
-    return rotation, place - np.einsum("jkl,jl->jk", rotation, joints)
+    joints = own.joints(body)
+    bones = joints[1:] - joints[list(body.parents[1:])]
+    places = place_joints(joints[0], bones, rotation, body.parents)
+    return rotation, places - np.einsum("jkl,jl->jk", rotation, joints)

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, stored
+from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
@@ -154,7 +154,7 @@ def motion_clip(
     shape = np.zeros(0) if shape is None else shape
     _, root = _fitted(body, motion, shape)
     frames = chain.from_iterable(_posed_chunks(body, shape, motion.rotmat, root))
-    vertices = stored(frames, len(motion), len(body.vertices), dtype, progress)
+    vertices = store_frames(frames, len(motion), len(body.vertices), dtype, progress)
     rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
     return Clip(rest, vertices, motion.fps)
 

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
-from ..core.normalization import Frame
+from ..core.normalization import Normalization
 from ..methods.base import Method
 from ..methods.find import find_method
-from .result import ClipResult, Result, no_time_yet, timed
-from .run import Choice, Travel, move
+from .result import ClipResult, Result, Timer
+from .run import Choice, MotionOptions, move
 
 
 def transfer(
@@ -50,14 +50,14 @@ def transfer(
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
     """
-    seconds = no_time_yet()
-    with timed(seconds, "load"):
+    timer = Timer()
+    with timer.step("load"):
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
-    method = _choice(model, ensemble, seed, reference, markers)
-    done = move(identity, Clip.still(driving), method, axes, refine, seconds)
-    moved = identity.with_vertices(done.vertices[0])
-    return Result(moved, _name(model), seconds, done.report, done.notes, identity, driving)
+    choice = _choice(model, ensemble, seed, reference, markers)
+    moved = move(identity, Clip.still(driving), choice, axes, refine, timer)
+    mesh = identity.with_vertices(moved.vertices[0])
+    return Result(mesh, _name(model), timer, moved.report, moved.notes, identity, driving)
 
 
 def animate(
@@ -103,20 +103,20 @@ def animate(
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
     """
-    seconds = no_time_yet()
-    with timed(seconds, "load"):
+    timer = Timer()
+    with timer.step("load"):
         identity = _read_mesh(identity)
         clip = cut_clip(_read_clip(driving, fps, animation), start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
-    method = _choice(model, ensemble, seed, reference, markers)
-    travel = Travel(root, ground, smooth, skinned)
-    done = move(identity, clip, method, axes, refine, seconds, travel, progress, np.float32)
-    notes = done.notes
+    choice = _choice(model, ensemble, seed, reference, markers)
+    options = MotionOptions(root, ground, smooth, skinned)
+    moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32)
+    notes = moved.notes
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
-    mesh = identity.with_vertices(done.vertices[0].astype(np.float64))
-    moved = Clip(mesh, done.vertices, clip.fps)
-    return ClipResult(moved, _name(model), seconds, done.report, notes, done.skeleton, identity, clip)
+    mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))
+    result = Clip(mesh, moved.vertices, clip.fps)
+    return ClipResult(result, _name(model), timer, moved.report, notes, moved.skeleton, identity, clip)
 
 
 def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
@@ -131,7 +131,7 @@ def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -
     elif markers is not None:
         markers = _pairs(markers)
 
-    def choose(frame: Frame) -> Method:
+    def choose(frame: Normalization) -> Method:
         third = None if mesh is None else dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
         return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
 

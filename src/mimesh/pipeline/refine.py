@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.canonical_order import Ranked, rank_vertices
+from ..core.canonical_order import CanonicalOrder, canonical_order
 from ..core.geometry import edges, factor, nearest_rotation
 from ..core.mesh import Mesh
 from ..core.normalization import bbox_centre, radius
@@ -32,7 +32,7 @@ ROUNDS = 3
 class Refinement:
     """An identity's surface, ready to pull results back to its shape."""
 
-    ranked: Ranked
+    ranked: CanonicalOrder
     """Vertices at one place are one: a seam cannot open."""
     pairs: Int[np.ndarray, "E 2"]
     rest: Float[np.ndarray, "E 3"]
@@ -50,7 +50,7 @@ class Refinement:
         """For an identity; None for a point cloud, which has no surface to keep."""
         from scipy.sparse import csr_array, diags_array
 
-        ranked = rank_vertices(identity.vertices)
+        ranked = canonical_order(identity.vertices)
         faces = ranked.group[identity.faces]
         pairs = edges(faces) if len(faces) else np.zeros((0, 2), np.int64)
         pairs = pairs[pairs[:, 0] != pairs[:, 1]]

@@ -1,29 +1,129 @@
-"""What transfer() and animate() give."""
+"""What transfer() and animate() return: the moved identity, how it was made, and how it is saved and shown."""
 
 from __future__ import annotations
 
 import contextlib
+import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
-from ..core.rig import Skeleton
+from ..io import save_clip, save_mesh
+
+if TYPE_CHECKING:
+    from ..player.pack import Panel
+    from ..player.page import Download
+
+LARGEST_DOWNLOAD = 32 * 2**20
+"""Bytes; a page links to larger files instead of holding them."""
+
+
+class Timer(dict[str, float]):
+    """Wall time in seconds that each step has taken so far."""
+
+    def __init__(self) -> None:
+        super().__init__(dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0))
+
+    @contextlib.contextmanager
+    def step(self, name: str) -> Iterator[None]:
+        """Add the wall time of the block to that of the step."""
+        begin = time.perf_counter()
+        yield
+        self[name] += time.perf_counter() - begin
+
+
+class _Playable:
+    """What both kinds of results share: an offline page that shows identity, driving and result side by side."""
+
+    model: str
+    report: dict
+    notes: tuple[str, ...]
+    identity: Mesh | None
+    driving: Mesh | Clip | None
+
+    @property
+    def moved(self) -> Clip:
+        """The result as a clip; a pose is a clip of one frame."""
+        raise NotImplementedError
+
+    def panels(self) -> list[Panel] | None:
+        """Identity, driving and result, each seen from the front that the report names; None without the inputs."""
+        from ..player.pack import Panel
+
+        if self.identity is None or self.driving is None:
+            return None
+        identity_axes, driving_axes = (
+            {key: self.report[which][key] for key in ("up", "front")} for which in ("identity", "driving")
+        )
+        driving = self.driving if isinstance(self.driving, Clip) else Clip.still(self.driving)
+        return [
+            Panel("identity", Clip.still(self.identity), **identity_axes),
+            Panel("driving", driving, **driving_axes),
+            Panel("result", self.moved, **identity_axes),
+        ]
+
+    def player(self, path: str | Path, *, output: Path | None = None, title: str | None = None) -> Path:
+        """Write an HTML page that plays identity, driving and result; it needs no other file and no network.
+
+        Args:
+            output: the file this result was saved to; a button of the page downloads it, as .glb where possible.
+            title: of the page; by default the name of the path up to its first dot.
+
+        Raises:
+            InputError: a result that does not know its identity and driving, or a path that cannot be written.
+        """
+        from ..player.page import write_player
+
+        path, shown = Path(path), self.panels()
+        if shown is None:
+            raise InputError(
+                f"{path}: expected a result of transfer or animate, found one without its inputs; run it again"
+            )
+        title = title or path.name.split(".")[0]
+        download = None if output is None else self._download(output)
+        return write_player(path, shown, title=title, download=download, model=self.model, notes=self.notes)
+
+    def _repr_html_(self) -> str | None:
+        from ..player.page import notebook_frame
+
+        shown = self.panels()
+        return None if shown is None else notebook_frame(shown, model=self.model, notes=self.notes)
+
+    def _download(self, output: Path) -> Download:
+        """The .glb that was written, else one made of the result, else a link to the output."""
+        from ..player.page import Download
+
+        if output.suffix.lower() == ".glb":
+            content = output.read_bytes() if output.stat().st_size <= LARGEST_DOWNLOAD else None
+            return Download(output.name, content)
+        clip = self.moved
+        if clip.vertices.size * 4 > LARGEST_DOWNLOAD:
+            return Download(output.name, None)
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "result.glb"
+            if isinstance(self.driving, Clip):
+                save_clip(clip, path)
+            else:
+                save_mesh(clip.mesh, path)
+            return Download(f"{output.stem}.glb", path.read_bytes())
 
 
 @dataclass(frozen=True, eq=False)
-class Result:
+class Result(_Playable):
     """The identity in the driving's pose, in the identity's own axes, unit and place."""
 
     mesh: Mesh
     model: str
-    seconds: dict[str, float]
+    seconds: Timer
     """Wall time of each step: load, prepare, drive, refine, write."""
     report: dict
     notes: tuple[str, ...] = ()
@@ -35,41 +135,28 @@ class Result:
     def vertices(self) -> Float[np.ndarray, "V 3"]:
         return self.mesh.vertices
 
+    @property
+    def moved(self) -> Clip:
+        return Clip.still(self.mesh)
+
     def save(self, path: str | Path) -> Path:
         """Write the mesh in the format of the suffix; the identity's own suffix keeps all that its file had."""
-        from ..io import save_mesh
-
-        with timed(self.seconds, "write"):
+        with self.seconds.step("write"):
             save_mesh(self.mesh, Path(path))
         return Path(path)
 
-    def player(self, path: str | Path) -> Path:
-        """Write an HTML page that shows identity, driving and result; it needs nothing beside it, and no network.
-
-        Raises:
-            InputError: a result that does not know its identity and driving, or a path that cannot be written.
-        """
-        from ..player.page import write_result
-
-        return write_result(self, Path(path))
-
-    def _repr_html_(self) -> str | None:
-        from ..player.page import notebook_frame
-
-        return notebook_frame(self)
-
 
 @dataclass(frozen=True, eq=False)
-class ClipResult:
+class ClipResult(_Playable):
     """The identity moving as the driving clip does, in the identity's own axes, unit and place."""
 
     clip: Clip
     model: str
-    seconds: dict[str, float]
+    seconds: Timer
     """Wall time of each step: load, prepare, drive, refine, write."""
     report: dict
     notes: tuple[str, ...] = ()
-    skeleton: Skeleton | None = None
+    skeleton: AnimatedRig | None = None
     """What moved the identity, if the model has joints."""
     identity: Mesh | None = field(default=None, repr=False)
     """What was moved and what it imitated, frame by frame; the driving's frames stay in memory, or on disk if many."""
@@ -79,34 +166,23 @@ class ClipResult:
     def fps(self) -> float:
         return self.clip.fps
 
+    @property
+    def moved(self) -> Clip:
+        return self.clip
+
     def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or a folder of meshes where it has none.
 
         `blendshapes` makes a .glb or .gltf of so many morph targets in all instead of one a frame; `report` then says
         how far the farthest vertex is from its frame, over the mesh's size.
         """
-        from ..tools.convert import write_clip
+        from ..render.movie import write_clip
 
-        with timed(self.seconds, "write"):
+        with self.seconds.step("write"):
             deviation = write_clip(self.clip, Path(path), blendshapes=blendshapes, progress=progress)
         if deviation is not None:
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
-
-    def player(self, path: str | Path) -> Path:
-        """Write an HTML page that plays identity, driving and result; it needs nothing beside it, and no network.
-
-        Raises:
-            InputError: a result that does not know its identity and driving, or a path that cannot be written.
-        """
-        from ..player.page import write_result
-
-        return write_result(self, Path(path))
-
-    def _repr_html_(self) -> str | None:
-        from ..player.page import notebook_frame
-
-        return notebook_frame(self)
 
     def save_skinned(self, path: str | Path) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and an animation of turns.
@@ -120,19 +196,7 @@ class ClipResult:
 
         if self.skeleton is None:
             raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
-        with timed(self.seconds, "write"):
+        with self.seconds.step("write"):
             save_skinned(self.skeleton, self.fps, Path(path))
         self.report["skinned_deviation"] = self.skeleton.deviation(self.clip.vertices)
         return Path(path)
-
-
-def no_time_yet() -> dict[str, float]:
-    return dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0)
-
-
-@contextlib.contextmanager
-def timed(seconds: dict[str, float], step: str) -> Iterator[None]:
-    """Add the wall time of the block to `seconds[step]`."""
-    begin = time.perf_counter()
-    yield
-    seconds[step] += time.perf_counter() - begin

@@ -1,4 +1,7 @@
-"""The way of all results: normalise, prepare, drive, refine, place, undo, and say how well it went."""
+"""The steps of every transfer: normalise, prepare, drive, refine, place, undo the normalisation, and report.
+
+No model is named here. A method that moves joints returns a `SkinnedDrive`; only those take `MotionOptions`.
+"""
 
 from __future__ import annotations
 
@@ -10,30 +13,32 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
-from ..core.frame_buffer import PAGED, Progress, each_frame, let_go, new_frames
-from ..core.joint_tracks import Track, skate
+from ..core.frame_buffer import PAGED, Progress, allocate_frames, each_frame, release_pages
+from ..core.joint_tracks import JointTrack, foot_skate
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Frame
-from ..core.rig import Rig, Skeleton
-from ..methods.base import Drive, Method
-from ..methods.mime.drive import Mime, Puppet
+from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
+from ..core.rig import Rig
+from ..methods.base import Drive, Method, QuickPredictor, SkinnedDrive, SkinnedMethod
+from ..methods.confidence import Confidence
 from .refine import Refinement
-from .reorient import known
-from .report import accelerations, doubt_notes, doubts, facing, facing_note, quality
-from .result import no_time_yet, timed
+from .report import accelerations, facing, facing_note, quality
+from .result import Timer
 
-Choice = Callable[[Frame], Method]
-"""A method with its options, but for the driving's frame."""
+Choice = Callable[[Normalization], Method]
+"""A method with its options, given the driving's normalisation."""
 Axes = tuple[str | None, str | None, str | None, str | None]
-"""Up and front of the identity and of the driving; None is found."""
-GLIMPSES = 16
-"""Frames of a clip that a method may look at before it begins."""
+"""Up and front of the identity and of the driving; None is detected."""
+KEYFRAMES = 16
+"""Frames of a clip, evenly spread, that a method sees while preparing."""
 ROOTS = ("scale", "keep", "drop")
+MIN_GAIN = 0.15
+"""Nats by which the entropy of the skinning weights must fall for other axes to be taken (docs/LOG.md)."""
 
 
 @dataclass(frozen=True)
-class Travel:
+class MotionOptions:
     """What is wanted of a model with joints; see `pipeline.animate`."""
 
     root: str = "scale"
@@ -42,12 +47,12 @@ class Travel:
     skinned: bool = False
 
     def check(self, method: Method) -> None:
-        """Raise InputError where a value makes no sense, or needs joints that the model has not."""
+        """Raise InputError where a value makes no sense, or needs joints that the model does not have."""
         if self.root not in ROOTS:
             raise InputError(f"--root: expected one of {', '.join(ROOTS)}, found {self.root!r}; choose one of them")
         if not 0 <= self.smooth < np.inf:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
-        if not isinstance(method, Mime):
+        if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
                 if getattr(self, field.name) != field.default:
                     raise InputError(
@@ -56,78 +61,119 @@ class Travel:
 
 
 @dataclass(frozen=True, eq=False)
-class Moved:
+class MovedIdentity:
     """A result in the identity's axes, unit and place."""
 
     vertices: Float[np.ndarray, "T V 3"]
-    skeleton: Skeleton | None
+    skeleton: AnimatedRig | None
     """What moved the identity, if the method has joints."""
     report: dict
     notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class _Played:
-    """What a puppet does in a clip."""
+class _JointMotion:
+    """The motion of a skinned identity's joints over a whole clip."""
 
-    puppet: Puppet
-    track: Track
+    drive: SkinnedDrive
+    track: JointTrack
     path: Float[np.ndarray, "T 3"]
+    """Positions of the root joint."""
 
     def frames(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        return (self.puppet.posed(*pose) for pose in zip(self.track.rotation, self.path, strict=True))
+        return (self.drive.posed(*pose) for pose in zip(self.track.rotation, self.path, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
-class Ready:
-    """An identity and a clip that have been read: frames follow without looking at either again."""
+class Prepared:
+    """An identity and a clip after all work that is done once: frames follow one by one."""
 
     identity: Mesh
     clip: Clip
     method: Method
     drive: Drive
-    own: Frame
-    theirs: Frame
-    still: Mesh
-    """The identity in its Frame."""
+    identity_norm: Normalization
+    driving_norm: Normalization
+    rest: Mesh
+    """The identity, normalised."""
     surface: Refinement | None
-    """What results are refined on."""
+    """Refines results; None leaves them as they are."""
 
-    def refined(self, refine: bool | None) -> Ready:
-        """The same with results refined, or not, or as the model has it (None)."""
-        surface = Refinement.of(self.still) if (self.method.rough if refine is None else refine) else None
+    def refined(self, refine: bool | None) -> Prepared:
+        """The same with results refined, or not, or as the method has it (None)."""
+        surface = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
         return dataclasses.replace(self, surface=surface)
 
 
-def prepare(identity: Mesh, clip: Clip, choice: Choice, axes: Axes, refine: bool | None, travel: Travel) -> Ready:
-    """All that is done before the first frame; of `travel` only whether the model can do it is looked at.
+def prepare(
+    identity: Mesh, clip: Clip, choice: Choice, axes: Axes, refine: bool | None, options: MotionOptions
+) -> Prepared:
+    """Normalise both inputs, choose the method and prepare it.
+
+    The options are only checked against the method here: joints move in `play`.
 
     Raises:
         InputError: an axis, the model or its options cannot be used.
     """
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-    own, theirs = Frame.fit(identity, *axes[:2]), Frame.fit(first, *axes[2:])
-    method = choice(theirs)
-    travel.check(method)
-    drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
-    if isinstance(method, Mime) and isinstance(drive, Puppet):
-        before, (ours, others) = (own, theirs), drive.doubts
-        own, theirs = known(method, identity, own, axes[:2], ours), known(method, first, theirs, axes[2:], others)
-        if (own, theirs) != before:
-            drive = method.prepare(_seen(identity, own), _glimpses(clip, first, theirs))
-    return Ready(identity, clip, method, drive, own, theirs, _seen(identity, own), None).refined(refine)
+    norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
+    method = choice(norms[1])
+    options.check(method)
+    drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+    if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive):
+        better = (
+            reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
+            reorient(method, first, norms[1], axes[2:], drive.confidence[1]),
+        )
+        if better != norms:
+            norms = better
+            drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+    rest = _normalised(identity, norms[0])
+    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).refined(refine)
 
 
-def posed(ready: Ready, t: int) -> Float[np.ndarray, "V 3"]:
-    """The identity in frame t alone, where that frame of the whole clip stands; models of windows see it out of line.
+def reorient(
+    method: QuickPredictor,
+    mesh: Mesh,
+    norm: Normalization,
+    axes: tuple[str | None, str | None],
+    confidence: Confidence,
+) -> Normalization:
+    """Correct axes that were detected wrongly: the same normalisation, or a better one.
 
-    Paths of joints that are smoothed, grounded or not scaled are for whole clips: see `play`.
+    Only where the method hardly recognises the mesh. All orientations that the user's axes leave are tried, the one
+    with the most decided skinning weights wins, and the predicted hips then say where up and front are in it.
+    """
+    if not norm.detected or confidence.recognised:
+        return norm
+    up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
+    allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
+    tried = []
+    for names in allowed:
+        fitted = Normalization.fit(mesh, *names)
+        entropy, hips = method.quick_predict(_normalised(mesh, fitted))
+        tried.append((entropy, fitted, hips))
+    least, best, hips = min(tried, key=lambda each: each[0])
+    names = tuple(_nearest_axis(best.rotation.T @ hips[:, k]) for k in (1, 2))
+    chosen = Normalization.fit(mesh, *names) if names in allowed else best
+    before = next(entropy for entropy, fitted, _ in tried if (fitted.up, fitted.front) == (norm.up, norm.front))
+    if least > before - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
+        return norm
+    return dataclasses.replace(chosen, detected=True, margin=0.0)
+
+
+def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
+    """The identity in frame t alone, where that frame of the whole clip stands.
+
+    Methods that work in windows of frames see it out of context. Paths of joints that are smoothed, grounded or not
+    scaled are for whole clips: see `play`.
     """
     chosen = [0] if t == 0 else [0, t]
-    given = (ready.theirs.apply(np.asarray(ready.clip.vertices[k], np.float64)) for k in chosen)
-    shift, frames = _placed(_refined(ready.drive(given), ready.surface, no_time_yet()), ready.still.vertices)
+    driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in chosen)
+    refined = _refined(prepared.drive(driving), prepared.surface, Timer())
+    shift, frames = _placed(refined, prepared.rest.vertices)
     *_, vertices = frames
-    return ready.own.undo(vertices + shift)
+    return prepared.identity_norm.undo(vertices + shift)
 
 
 def move(
@@ -136,137 +182,152 @@ def move(
     choice: Choice,
     axes: Axes,
     refine: bool | None,
-    seconds: dict[str, float],
-    travel: Travel = Travel(),
+    timer: Timer,
+    options: MotionOptions = MotionOptions(),
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
-) -> Moved:
-    """Give the identity the motion of a clip; `seconds` of each step are added up on the way.
+) -> MovedIdentity:
+    """Give the identity the motion of a clip.
 
     Raises:
         InputError: an axis, the model or its options cannot be used.
     """
-    with timed(seconds, "prepare"):
-        ready = prepare(identity, clip, choice, axes, refine, travel)
-    return play(ready, seconds, travel, progress, dtype)
+    with timer.step("prepare"):
+        prepared = prepare(identity, clip, choice, axes, refine, options)
+    return play(prepared, timer, options, progress, dtype)
 
 
 def play(
-    ready: Ready,
-    seconds: dict[str, float],
-    travel: Travel = Travel(),
+    prepared: Prepared,
+    timer: Timer,
+    options: MotionOptions = MotionOptions(),
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
-) -> Moved:
-    """All frames of a clip, and what is to be said of them; `travel` has been checked."""
-    identity, clip, own, theirs, still = ready.identity, ready.clip, ready.own, ready.theirs, ready.still
-    with timed(seconds, "drive"):
-        count, size = len(clip), theirs.radius / own.radius
-        given, played, done = _normalised(clip, theirs), None, 0
-        if isinstance(ready.drive, Puppet):
-            # The driving is followed to its end before the first frame is made: half of the work.
-            given, done = _told(given, progress, count), count
-            played = _played(ready.drive, given, clip.fps, travel, size)
-        frames = ready.drive(given) if played is None else played.frames()
-        shift, frames = _placed(_refined(frames, ready.surface, seconds), still.vertices)
-        moved = new_frames(count, len(identity.vertices), dtype)
+) -> MovedIdentity:
+    """All frames of a clip and their report; the options have been checked."""
+    identity, clip, rest = prepared.identity, prepared.clip, prepared.rest
+    identity_norm, driving_norm = prepared.identity_norm, prepared.driving_norm
+    with timer.step("drive"):
+        driving = (driving_norm.apply(vertices) for vertices in each_frame(clip.vertices))
+        motion, passes = None, 1
+        if isinstance(prepared.drive, SkinnedDrive):
+            # All joints are found before the first frame is made: the clip is passed through twice.
+            passes = 2
+            driving = _counted(driving, progress, len(clip))
+            scale = driving_norm.radius / identity_norm.radius
+            motion = _joint_motion(prepared.drive, driving, clip.fps, options, scale)
+        frames = prepared.drive(driving) if motion is None else motion.frames()
+        shift, frames = _placed(_refined(frames, prepared.surface, timer), rest.vertices)
+        moved = allocate_frames(len(clip), len(identity.vertices), dtype)
+        before = (passes - 1) * len(clip)
         for t, vertices in enumerate(frames):
-            moved[t] = own.undo(vertices + shift)
+            moved[t] = identity_norm.undo(vertices + shift)
             if t % PAGED == 0:
-                let_go(moved)
+                release_pages(moved)
             if progress is not None:
-                progress((done + t + 1) * count // (done + count), count)
-    report = {
-        **quality(identity, moved),
-        **accelerations(clip, moved),
-        "identity": facing(own),
-        "driving": facing(theirs),
-    }
-    name = clip.mesh.name
-    notes = facing_note(own, identity.name, "--front") + facing_note(theirs, name, "--driving-front")
+                progress((before + t + 1) // passes, len(clip))
+    report = _report(prepared, moved)
+    notes = facing_note(identity_norm, identity.name, "--front")
+    notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
     skeleton = None
-    if played is not None:
-        skeleton = _skeleton(identity, played, own, shift)
-        notes += _judged(played, report, (identity.name, name), np.ptp(still.vertices[:, 1]))
-        if travel.root == "drop":
+    if motion is not None:
+        skeleton = _animated_rig(identity, motion, identity_norm, shift)
+        notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
+        if options.root == "drop":
             report["foot_skate"] = None  # in place, feet slide as they should
-    return Moved(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))
+    return MovedIdentity(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))
 
 
-def _played(
-    puppet: Puppet, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float, travel: Travel, size: float
-) -> _Played:
-    """What the puppet does, and its way through the world; `size` is the driving's unit over the identity's."""
-    track = puppet.track(frames, fps).smoothed(travel.smooth)
-    across = size if travel.root == "keep" else None
-    return _Played(puppet, track, puppet.path(track, across, travel.root == "drop", travel.ground))
+def _report(prepared: Prepared, moved: Float[np.ndarray, "T V 3"]) -> dict:
+    return {
+        **quality(prepared.identity, moved),
+        **accelerations(prepared.clip, moved),
+        "identity": facing(prepared.identity_norm),
+        "driving": facing(prepared.driving_norm),
+    }
 
 
-def _judged(played: _Played, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
-    """Add to the report what the puppet knows of itself; notes where that is little."""
+def _joint_motion(
+    drive: SkinnedDrive,
+    frames: Iterable[Float[np.ndarray, "U 3"]],
+    fps: float,
+    options: MotionOptions,
+    scale: float,
+) -> _JointMotion:
+    """The joints' motion with its options; `scale` is the driving's unit over the identity's."""
+    track = drive.track(frames, fps).smoothed(options.smooth)
+    across = scale if options.root == "keep" else None
+    return _JointMotion(drive, track, drive.path(track, across, options.root == "drop", options.ground))
+
+
+def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
+    """Add confidences and foot skate (identity heights a second) to the report; return notes where confidence is low."""
     notes = ()
-    for which, doubt, name in zip(("identity", "driving"), played.puppet.doubts, names, strict=True):
-        report[which] |= doubts(doubt)
-        notes += doubt_notes(doubt, name)
-    slide = skate(played.track, played.path, played.puppet.skinned, played.puppet.feet)
-    report["foot_skate"] = None if slide is None else slide / height
+    for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
+        report[which] |= confidence.facts()
+        notes += confidence.notes(name)
+    speed = foot_skate(motion.track, motion.path, motion.drive.skinned, motion.drive.feet)
+    report["foot_skate"] = None if speed is None else speed / height
     return notes
 
 
-def _normalised(clip: Clip, frame: Frame) -> Iterator[Float[np.ndarray, "U 3"]]:
-    """The driving's frames in its Frame, without keeping what was read."""
-    return (frame.apply(vertices) for vertices in each_frame(clip.vertices))
-
-
-def _told(frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int) -> Iterator[np.ndarray]:
-    """The frames; each counts half."""
+def _counted(
+    frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int
+) -> Iterator[Float[np.ndarray, "U 3"]]:
+    """The frames of the first of two passes."""
     for t, vertices in enumerate(frames):
         yield vertices
         if progress is not None:
             progress((t + 1) // 2, count)
 
 
-def _seen(mesh: Mesh, frame: Frame) -> Mesh:
-    """A mesh in its Frame."""
-    return dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
+def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
+    return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
 
 
-def _glimpses(clip: Clip, first: Mesh, frame: Frame) -> Clip:
-    """The driving as methods are prepared for it: normalised, a few frames of it."""
-    chosen = np.linspace(0, len(clip) - 1, min(len(clip), GLIMPSES)).round().astype(int)
-    vertices = frame.apply(clip.vertices[chosen])
+def _keyframes(clip: Clip, first: Mesh, norm: Normalization) -> Clip:
+    """The driving as methods are prepared for it: a few frames, normalised."""
+    chosen = np.linspace(0, len(clip) - 1, min(len(clip), KEYFRAMES)).round().astype(int)
+    vertices = norm.apply(clip.vertices[chosen])
     return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
 
 
 def _refined(
-    frames: Iterable[Float[np.ndarray, "V 3"]], surface: Refinement | None, seconds: dict[str, float]
+    frames: Iterable[Float[np.ndarray, "V 3"]], surface: Refinement | None, timer: Timer
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The frames on the identity's surface; the time that takes is taken off that of driving."""
+    """The frames, refined; the time this takes is moved from the step "drive", inside which it runs, to "refine"."""
     for vertices in frames:
-        before = seconds["refine"]
-        with timed(seconds, "refine"):
+        before = timer["refine"]
+        with timer.step("refine"):
             refined = vertices if surface is None else surface(vertices)
-        seconds["drive"] -= seconds["refine"] - before
+        timer["drive"] -= timer["refine"] - before
         yield refined
 
 
 def _placed(
-    frames: Iterator[Float[np.ndarray, "V 3"]], still: Float[np.ndarray, "V 3"]
+    frames: Iterator[Float[np.ndarray, "V 3"]], rest: Float[np.ndarray, "V 3"]
 ) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
-    """What shifts all frames so that the first stands on the identity's ground, in the middle of its place; frames."""
+    """The shift of all frames after which the first stands where the identity stood; and the frames."""
     first = next(frames)
-    return _stand(still) - _stand(first), itertools.chain([first], frames)
+    return _ground_point(rest) - _ground_point(first), itertools.chain([first], frames)
 
 
-def _skeleton(identity: Mesh, played: _Played, own: Frame, shift: Float[np.ndarray, " 3"]) -> Skeleton:
-    """The joints of a result in the identity's axes, unit and place."""
-    back, puppet = own.rotation.T, played.puppet
-    rig = Rig(back @ puppet.rig.rotation, own.undo(puppet.rig.joints), puppet.rig.weights)
-    turned, root = back @ played.track.rotation, own.undo(played.path + shift)
-    return Skeleton(identity, puppet.joints, puppet.skinned.parents, rig, turned, root)
-
-
-def _stand(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
-    """Middle of the bounding box across the ground, its lowest point along up (y)."""
+def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
+    """Middle of the bounding box over the ground (x and z), its lowest point along up (y)."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+
+
+def _animated_rig(
+    identity: Mesh, motion: _JointMotion, norm: Normalization, shift: Float[np.ndarray, " 3"]
+) -> AnimatedRig:
+    """The joints of a result in the identity's axes, unit and place."""
+    back, drive = norm.rotation.T, motion.drive
+    rig = Rig(back @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
+    turned, root = back @ motion.track.rotation, norm.undo(motion.path + shift)
+    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, turned, root)
+
+
+def _nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:
+    k = int(np.abs(direction).argmax())
+    return AXES[k if direction[k] > 0 else k + 3]

@@ -25,7 +25,7 @@ SAMPLES = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class Quantization:
     """Where a clip's points are: `centre[t] + low + step * q`, with whole q in 0..STEPS."""
 
     centre: Float[np.ndarray, "T 3"]
@@ -52,7 +52,7 @@ def text(content: bytes) -> str:
     return base64.b64encode(content).decode("ascii")
 
 
-def boxed(vertices: Float[np.ndarray, "T V 3"]) -> Box:
+def boxed(vertices: Float[np.ndarray, "T V 3"]) -> Quantization:
     """The box of a clip's frames, each about its own middle."""
     centre, low, high = [], np.full(3, np.inf), np.full(3, -np.inf)
     for points in each_frame(vertices):
@@ -60,10 +60,10 @@ def boxed(vertices: Float[np.ndarray, "T V 3"]) -> Box:
         centre.append(middle)
         low, high = np.minimum(low, (points - middle).min(axis=0)), np.maximum(high, (points - middle).max(axis=0))
     size = float((high - low).max())
-    return Box(np.array(centre), low, size / STEPS if size > 0 else 1.0)
+    return Quantization(np.array(centre), low, size / STEPS if size > 0 else 1.0)
 
 
-def coded_frames(vertices: Float[np.ndarray, "T V 3"], box: Box) -> str:
+def coded_frames(vertices: Float[np.ndarray, "T V 3"], box: Quantization) -> str:
     """All frames in steps of the box, as differences from the frame before; in the first, from the number before."""
     packer = zlib.compressobj(LEVEL)
     pieces, before = [], None
@@ -74,7 +74,7 @@ def coded_frames(vertices: Float[np.ndarray, "T V 3"], box: Box) -> str:
     return text(b"".join([*pieces, packer.flush()]))
 
 
-def cost(vertices: Float[np.ndarray, "T V 3"], box: Box) -> int:
+def cost(vertices: Float[np.ndarray, "T V 3"], box: Quantization) -> int:
     """About how many letters `coded_frames` will take, from a few of the frames."""
     count = len(vertices)
     size = len(zlib.compress(_coded(box.quantised(0, vertices[0]).T.ravel(), None), LEVEL))

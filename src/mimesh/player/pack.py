@@ -17,9 +17,9 @@ from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.mesh import Clip, Mesh
 from ..render import camera
-from .encoding import Box, coded_frames, packed
-from .pictures import Pictures
-from .split_vertices import Facets, facets
+from .encoding import Quantization, coded_frames, packed
+from .pictures import TextureStore
+from .split_vertices import SplitMesh, split_vertices
 from .thinning import DENSE, simplified, thinned, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
@@ -28,7 +28,7 @@ BUDGET = 24 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
-class Shown:
+class Panel:
     """One panel: a clip, or a mesh as `Clip.still`."""
 
     role: str
@@ -41,7 +41,7 @@ class Shown:
 
 
 def pack_scene(
-    shown: Sequence[Shown],
+    shown: Sequence[Panel],
     *,
     title: str = "",
     model: str = "",
@@ -63,7 +63,7 @@ def pack_scene(
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
     shown = [_lightened(panel, budget, left_out) for panel in shown]
-    pictures, surfaces, owners = Pictures(), [], []
+    pictures, surfaces, owners = TextureStore(), [], []
     for panel in shown:
         owners.append(_surface_of(panel, owners, shown, surfaces, pictures))
     images = pictures.packed(budget // 3, left_out)
@@ -87,7 +87,7 @@ def pack_scene(
     }
 
 
-def _panel(panel: Shown, clip: Clip, box: Box, place: dict[str, Any], owner: int) -> dict[str, Any]:
+def _panel(panel: Panel, clip: Clip, box: Quantization, place: dict[str, Any], owner: int) -> dict[str, Any]:
     """One panel; `clip` is what is left of its clip."""
     return {
         "role": panel.role,
@@ -105,7 +105,7 @@ def _panel(panel: Shown, clip: Clip, box: Box, place: dict[str, Any], owner: int
     }
 
 
-def _lightened(panel: Shown, budget: int, left_out: list[str]) -> Shown:
+def _lightened(panel: Panel, budget: int, left_out: list[str]) -> Panel:
     """A dense driving clip with fewer vertices, where it would take a share of the budget that is the result's."""
     if panel.role != "driving" or not too_dense(panel.clip, budget // 3):
         return panel
@@ -123,7 +123,7 @@ def _size(value: Any) -> int:
 
 
 def _surface_of(
-    panel: Shown, owners: list[int], shown: Sequence[Shown], surfaces: list[dict[str, Any]], pictures: Pictures
+    panel: Panel, owners: list[int], shown: Sequence[Panel], surfaces: list[dict[str, Any]], pictures: TextureStore
 ) -> int:
     """The number of a panel's packed surface: that of a panel before it that is the same, or a new one.
 
@@ -133,7 +133,7 @@ def _surface_of(
     for owner, other in zip(owners, shown, strict=False):
         if mesh is other.clip.mesh or ("mesh" not in (panel.role, other.role) and _same_surface(mesh, other.clip.mesh)):
             return owner
-    surfaces.append(_surface(mesh, facets(mesh), pictures))
+    surfaces.append(_surface(mesh, split_vertices(mesh), pictures))
     return len(surfaces) - 1
 
 
@@ -145,7 +145,7 @@ def _same_surface(a: Mesh, b: Mesh) -> bool:
     return len(a.vertices) == len(b.vertices) and same_looks and same_normals and same_faces
 
 
-def _surface(mesh: Mesh, split: Facets, pictures: Pictures) -> dict[str, Any]:
+def _surface(mesh: Mesh, split: SplitMesh, pictures: TextureStore) -> dict[str, Any]:
     groups: list[dict[str, Any]] = []
     for part in mesh.parts:
         looks = None
@@ -169,7 +169,7 @@ def _surface(mesh: Mesh, split: Facets, pictures: Pictures) -> dict[str, Any]:
     }
 
 
-def _places(shown: Sequence[Shown]) -> list[dict[str, Any]]:
+def _places(shown: Sequence[Panel]) -> list[dict[str, Any]]:
     """How each panel is turned, where it stands, and how large it is; what is moved and what moves it are made alike.
 
     `size` is the mean diagonal of a frame's bounding box. In one pose, result and driving have about the same share of

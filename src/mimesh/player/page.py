@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import json
 import os
-import tempfile
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,17 +14,12 @@ from typing import Any
 from urllib.parse import quote
 
 from ..core.errors import InputError
-from ..core.mesh import Clip
-from ..io import save_clip, save_mesh
 from ..io.atomic import whole_file, writing
-from ..pipeline.result import ClipResult, Result
 from .encoding import LEVEL, text
-from .pack import BUDGET, Shown, pack_scene
+from .pack import BUDGET, Panel, pack_scene
 
 NOTEBOOK = 3 * 2**20
 """Bytes of a page in a notebook."""
-LARGEST = 32 * 2**20
-"""Bytes from which on a file is not tried to be put into a page."""
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -57,7 +51,7 @@ class Download:
 
 
 def player_page(
-    shown: Sequence[Shown],
+    shown: Sequence[Panel],
     *,
     title: str,
     model: str = "",
@@ -80,7 +74,7 @@ def player_page(
     return PAGE.format(title=plain, style=style, scene=embedded(scene), script=script)
 
 
-def write_player(path: str | Path, shown: Sequence[Shown], **options: Any) -> Path:
+def write_player(path: str | Path, shown: Sequence[Panel], **options: Any) -> Path:
     """Write `player_page` into a file, whole or not at all.
 
     Raises:
@@ -95,73 +89,11 @@ def write_player(path: str | Path, shown: Sequence[Shown], **options: Any) -> Pa
     return Path(path)
 
 
-def write_result(
-    result: Result | ClipResult, path: Path, download: Download | None = None, title: str | None = None
-) -> Path:
-    """Write the page of a result: identity, driving and result, with the model and the notes of its report.
-
-    Its title is the name of the path up to the first dot, unless another is given.
-
-    Raises:
-        InputError: the result does not know its identity and driving, or the path cannot be written.
-    """
-    shown = result_panels(result)
-    if shown is None:
-        raise InputError(
-            f"{path}: expected a result of transfer or animate, found one without its inputs; run it again"
-        )
-    return write_player(path, shown, title=title or path.name.split(".")[0], download=download, **_words(result))
-
-
-def notebook_frame(result: Result | ClipResult) -> str | None:
-    """The page of a result as a frame for notebooks, small so that they stay light; None where it knows no inputs."""
-    shown = result_panels(result)
-    if shown is None:
-        return None
-    page = player_page(shown, title=shown[0].clip.mesh.name, budget=NOTEBOOK, **_words(result))
+def notebook_frame(shown: Sequence[Panel], **options: Any) -> str:
+    """A page as an `iframe` for notebooks, of at most NOTEBOOK bytes."""
+    page = player_page(shown, title=shown[0].clip.mesh.name, budget=NOTEBOOK, **options)
     style = "width:100%;height:520px;border:0;border-radius:12px"
     return f'<iframe srcdoc="{html.escape(page)}" style="{style}" title="mimesh player"></iframe>'
-
-
-def result_panels(result: Result | ClipResult) -> list[Shown] | None:
-    """Identity, driving and result as panels, each seen from the front that the report names; None without inputs."""
-    if result.identity is None or result.driving is None:
-        return None
-    own, theirs = ({key: result.report[which][key] for key in ("up", "front")} for which in ("identity", "driving"))
-    driving = result.driving if isinstance(result.driving, Clip) else Clip.still(result.driving)
-    moved = Clip.still(result.mesh) if isinstance(result, Result) else result.clip
-    return [
-        Shown("identity", Clip.still(result.identity), **own),
-        Shown("driving", driving, **theirs),
-        Shown("result", moved, **own),
-    ]
-
-
-def download_of(result: Result | ClipResult, output: Path) -> Download:
-    """The result for the page's button: the .glb that was written, else one made of it, else a link to the output."""
-    frames = 1 if isinstance(result, Result) else len(result.clip)
-    if output.suffix.lower() == ".glb":
-        content = output.read_bytes() if output.stat().st_size <= LARGEST else None
-        return Download(output.name, content)
-    mesh = result.mesh if isinstance(result, Result) else result.clip.mesh
-    if frames * mesh.vertices.size * 4 > LARGEST:
-        return Download(output.name, None)
-    return Download(f"{output.stem}.glb", _made(result))
-
-
-def _made(result: Result | ClipResult) -> bytes:
-    """The bytes of a new .glb of a result."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "result.glb"
-        if isinstance(result, Result):
-            save_mesh(result.mesh, path)
-        else:
-            save_clip(result.clip, path)
-        return path.read_bytes()
-
-
-def _words(result: Result | ClipResult) -> dict[str, Any]:
-    return {"model": result.model, "notes": result.notes}
 
 
 def embedded(value: Any) -> str:

@@ -17,7 +17,7 @@ SMALLEST = 256
 """Pixels; sides of textures are not halved below it."""
 
 
-class Pictures:
+class TextureStore:
     """Collects the textures of the panels, each once; those that are damaged are left out, and counted."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ ALIKE = 0.98
 
 
 @dataclass(frozen=True, eq=False)
-class Facets:
+class SplitMesh:
     """The split surface; R render vertices, in the order of the mesh's."""
 
     corners: Int[np.ndarray, "F 3"]
@@ -28,7 +28,7 @@ class Facets:
     uv: Float[np.ndarray, "R 2"] | None
 
 
-def facets(mesh: Mesh) -> Facets:
+def split_vertices(mesh: Mesh) -> SplitMesh:
     """Split the vertices of a mesh; a point cloud stays as it is.
 
     Hard edges are where the file's corner normals part, or where `paint.creased_normals` part if it gave none. Normals
@@ -36,7 +36,7 @@ def facets(mesh: Mesh) -> Facets:
     """
     count = len(mesh.vertices)
     if len(mesh.faces) == 0:
-        return Facets(np.zeros((0, 3), np.int64), np.arange(count), np.arange(count), None)
+        return SplitMesh(np.zeros((0, 3), np.int64), np.arange(count), np.arange(count), None)
     normals = creased_normals(mesh.vertices, mesh.faces) if mesh.corner_normals is None else mesh.corner_normals
     shared = smoothing(mesh, normals).ravel()
     textured = mesh.corner_uv is not None and any(part.material and part.material.texture for part in mesh.parts)
@@ -45,7 +45,7 @@ def facets(mesh: Mesh) -> Facets:
     if uv is not None:
         key = _number(key, np.unique(uv.view(np.uint64).ravel(), return_inverse=True)[1])
     first, corners = np.unique(key, return_index=True, return_inverse=True)[1:]
-    return Facets(
+    return SplitMesh(
         corners.reshape(-1, 3),
         mesh.faces.ravel()[first].astype(np.int64),
         np.unique(shared[first], return_inverse=True)[1],

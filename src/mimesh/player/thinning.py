@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..core.frame_buffer import each_frame, stored
+from ..core.frame_buffer import each_frame, store_frames
 from ..core.mesh import Clip, Mesh
-from .encoding import Box, boxed, cost
+from .encoding import Quantization, boxed, cost
 
 DENSE = 20_000
 """Vertices that are left of a driving clip with more, where it is too large."""
@@ -19,7 +19,7 @@ BYTES = 5
 """Letters that a vertex takes in a frame, at least and before it is measured."""
 
 
-def thinned(clips: Sequence[Clip], room: int, left_out: list[str]) -> tuple[list[Clip], list[Box]]:
+def thinned(clips: Sequence[Clip], room: int, left_out: list[str]) -> tuple[list[Clip], list[Quantization]]:
     """Every n-th frame of all clips, with the smallest n that lets them fit, and where the points of those frames are.
 
     They play as fast as before. Words about it go to `left_out`; a single frame is never left out.
@@ -58,7 +58,7 @@ def simplified(clip: Clip, count: int) -> Clip:
     faces = renamed[np.asarray(faces, np.int64)]
     whole = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
     frames = (points[chosen] for points in each_frame(clip.vertices))
-    vertices = stored(frames, len(clip), len(chosen), np.float32)
+    vertices = store_frames(frames, len(clip), len(chosen), np.float32)
     mesh = Mesh(vertices[0].astype(np.float64), faces[whole], name=clip.mesh.name)
     return dataclasses.replace(clip, mesh=mesh, vertices=vertices)
 

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.frame_buffer import PAGED, let_go
+from ..core.frame_buffer import PAGED, Progress, counted, release_pages
 from ..core.geometry import normal_turner
 from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization
+from ..io import save_clip
 from ..io.atomic import whole_file, writing
 from .camera import Camera, extremes, fit, follow, orbit
 from .raster import render_mesh
@@ -23,6 +25,38 @@ from .sheet import Color, captioned, page
 
 if TYPE_CHECKING:
     from PIL import Image
+
+MOVIES = (".gif", ".mp4", ".webp")
+"""Suffixes of clips that are written as pictures."""
+MOVIE_SIZE = (640, 720)
+"""Width and height, in pixels, of a movie whose size nobody chose."""
+
+
+def write_clip(
+    clip: Clip,
+    path: Path,
+    frames_as: str | None = None,
+    blendshapes: int | None = None,
+    progress: Progress | None = None,
+) -> float | None:
+    """Write a clip as a file, a folder of frames or a movie.
+
+    Args:
+        blendshapes: .glb and .gltf alone: so many morph targets in all instead of one a frame; see `io.blend_shapes`.
+
+    Returns:
+        With `blendshapes`, how far a vertex is from its frame at most, over the size of the mesh.
+
+    Raises:
+        InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
+    """
+    if path.suffix.lower() not in MOVIES or blendshapes is not None:
+        error = save_clip(clip, path, frames_as, progress, blendshapes)
+        return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
+    stands = Normalization.fit(clip.mesh)
+    pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=stands.up, front=stands.front)
+    save_movie(counted(pictures, len(clip), progress), path, clip.fps)
+    return None
 
 
 def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:
@@ -98,7 +132,7 @@ def clip_frames(
             tiles.append(captioned(picture, label if label and labels else None))
         if k % PAGED == 0:
             for _, clip in named:
-                let_go(clip.vertices)
+                release_pages(clip.vertices)
         yield page(tiles, len(tiles))
 
 

@@ -14,13 +14,13 @@ from pathlib import Path
 import uvicorn
 
 from ..core.errors import InputError
+from ..methods.base import SkinnedMethod
 from ..methods.find import find_method
-from ..methods.mime.drive import Mime
 from .app import make_app
-from .security import Guard, new_token
-from .session import Desk
+from .security import AccessControl, new_token
+from .session import Session
 from .state import STUDIO_MODELS
-from .uploads import Workplace
+from .uploads import UploadFolder
 
 IN_ALL = 4
 """Uploads may take so many times the limit of one."""
@@ -62,7 +62,7 @@ def serve(
         server.run(sockets=[listening])
 
 
-def make_server(desk: Desk, token: str, host: str, port: int) -> uvicorn.Server:
+def make_server(desk: Session, token: str, host: str, port: int) -> uvicorn.Server:
     """What serves a desk to whoever has the token."""
 
     def closing() -> bool:
@@ -70,7 +70,7 @@ def make_server(desk: Desk, token: str, host: str, port: int) -> uvicorn.Server:
 
     server = uvicorn.Server(
         uvicorn.Config(
-            Guard(make_app(desk, closing), token, host, port),
+            AccessControl(make_app(desk, closing), token, host, port),
             log_level="error",
             access_log=False,
             server_header=False,
@@ -80,7 +80,7 @@ def make_server(desk: Desk, token: str, host: str, port: int) -> uvicorn.Server:
     return server
 
 
-def make_desk(files: list[Path], limit: int, model: str = "mime") -> Desk:
+def make_desk(files: list[Path], limit: int, model: str = "mime") -> Session:
     """A desk with these files on it, and their models to be chosen; see `serve`.
 
     Raises:
@@ -92,9 +92,9 @@ def make_desk(files: list[Path], limit: int, model: str = "mime") -> Desk:
     own = [str(file) for file in files if file.suffix == ".onnx"]
     models = tuple(dict.fromkeys((*STUDIO_MODELS, *own, model)))
     chosen = [name for name in models if name not in STUDIO_MODELS]
-    jointed = tuple(name for name in chosen if isinstance(find_method(name), Mime))
+    jointed = tuple(name for name in chosen if isinstance(find_method(name), SkinnedMethod))
     given = [file for file in files if file.suffix != ".onnx"]
-    desk = Desk(Workplace(limit, IN_ALL * limit), models, model, jointed)
+    desk = Session(UploadFolder(limit, IN_ALL * limit), models, model, jointed)
     with contextlib.ExitStack() as undo:
         undo.callback(desk.close)
         if len(given) > 1 or (given and given[0].is_dir()):

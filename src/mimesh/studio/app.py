@@ -21,11 +21,10 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ..core.errors import InputError
-from .jobs import Dropped, words
-from .picking import called, clip, meshes
-from .session import Desk
+from .jobs import Cancelled, words
+from .session import Session
 from .state import described, scene
-from .uploads import TooLarge, Upload
+from .uploads import TooLarge, Upload, called, clip, meshes
 
 PATIENCE = 20.0
 """Seconds that a question for the state may wait for a change."""
@@ -41,7 +40,7 @@ SERVED = (PAGE, "player.js", "studio.js", "studio.css")
 Handler = Callable[[Request], Awaitable[Response]]
 
 
-def make_app(desk: Desk, closing: Callable[[], bool]) -> Starlette:
+def make_app(desk: Session, closing: Callable[[], bool]) -> Starlette:
     """The application, to be put behind a Guard; `closing` says whether the server ends."""
     routes = Routes(desk, closing)
     table: list[tuple[str, str, Handler]] = [
@@ -72,7 +71,7 @@ def make_app(desk: Desk, closing: Callable[[], bool]) -> Starlette:
 class Routes:
     """What is done for each request."""
 
-    def __init__(self, desk: Desk, closing: Callable[[], bool]) -> None:
+    def __init__(self, desk: Session, closing: Callable[[], bool]) -> None:
         self._desk, self._closing = desk, closing
 
     async def _unless_closing(self, future: Awaitable[Any]) -> Any:
@@ -80,7 +79,7 @@ class Routes:
         waiting = asyncio.ensure_future(future)
         while not waiting.done():
             if self._closing():
-                raise Dropped
+                raise Cancelled
             await asyncio.wait([waiting], timeout=LOOKS)
         return waiting.result()
 
@@ -144,13 +143,13 @@ class Routes:
         return JSONResponse({})
 
     async def demo(self, request: Request) -> Response:
-        from ..bodies.characters import CAST
+        from ..bodies.characters import CHARACTERS
         from ..motions import load_motion
 
         given = await _json(request)
         what, name, motion = (str(given.get(key, usual)) for key, usual in DEMO.items())
-        if name not in CAST:
-            raise InputError(f"character: expected one of {', '.join(CAST)}, found {name[:60]!r}; choose one")
+        if name not in CHARACTERS:
+            raise InputError(f"character: expected one of {', '.join(CHARACTERS)}, found {name[:60]!r}; choose one")
         await self._in_thread(load_motion, motion)
         self._desk.use_demo(what, name, motion)
         return JSONResponse({})
@@ -216,7 +215,7 @@ def _in_words(handler: Handler) -> Handler:
             return JSONResponse({"error": words(error)}, 413)
         except InputError as error:
             return JSONResponse({"error": words(error)}, 422)
-        except Dropped:
+        except Cancelled:
             return JSONResponse({"error": "no longer wanted"}, 409)
         except LookupError:
             return JSONResponse({"error": "nothing of that name is here"}, 404)
@@ -228,7 +227,7 @@ async def _nothing_there(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": "nothing of that name is here"}, 404)
 
 
-def _laid(desk: Desk, upload: Upload, role: str) -> list[int]:
+def _laid(desk: Session, upload: Upload, role: str) -> list[int]:
     """Unpack an upload if need be, and lay it on the desk."""
     for archive in [path for path in upload.files if path.suffix.lower() == ".zip"]:
         desk.workplace.unzip(upload, archive)
@@ -240,7 +239,7 @@ def _laid(desk: Desk, upload: Upload, role: str) -> list[int]:
     return [desk.set_driving(path, called(path, upload), upload.number)]
 
 
-async def _stored(desk: Desk, upload: Upload, path: Path, request: Request) -> int:
+async def _stored(desk: Session, upload: Upload, path: Path, request: Request) -> int:
     """Write the body of a request to a file, counted; nothing is left of one that is too large or breaks off."""
     size = whole = 0
     try:

@@ -13,7 +13,8 @@ from ..io import save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FRAME_SUFFIXES, MESH_WRITERS
 from ..pipeline.result import ClipResult
-from ..tools.convert import MOVIES, blend_note, not_kept, part, rate_note
+from ..render.movie import MOVIES
+from ..tools.convert import blend_note, not_kept, part, rate_note
 from .uploads import safe_name
 
 KEPT = 12

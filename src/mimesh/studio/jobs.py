@@ -21,7 +21,7 @@ Work = Callable[[Progress], Any]
 """What a job does; it is given what to tell its progress to."""
 
 
-class Dropped(Exception):
+class Cancelled(Exception):
     """The job is no longer wanted."""
 
 
@@ -54,7 +54,7 @@ class Worker:
         with self._changed:
             self.drop(key)
             if self._closed:
-                job.future.set_exception(Dropped())
+                job.future.set_exception(Cancelled())
                 return job.future
             self._waiting.append(job)
             self._changed.notify()
@@ -68,7 +68,7 @@ class Worker:
             dropped = [job for job in self._waiting if job.key == key]
             self._waiting = [job for job in self._waiting if job.key != key]
         for job in dropped:
-            job.future.set_exception(Dropped())
+            job.future.set_exception(Cancelled())
 
     def close(self, seconds: float = 0.5) -> None:
         """Take no more work, drop what there is, and wait a little for what runs."""
@@ -77,7 +77,7 @@ class Worker:
             left, self._waiting = self._waiting, []
             self._changed.notify()
         for job in left:
-            job.future.set_exception(Dropped())
+            job.future.set_exception(Cancelled())
         self._thread.join(seconds)
 
     def _work(self) -> None:
@@ -104,8 +104,8 @@ class Worker:
         try:
             given = job.work(lambda done, total: self._between(job))
             if job.unwanted:
-                raise Dropped
-        except (Dropped, InputError) as error:
+                raise Cancelled
+        except (Cancelled, InputError) as error:
             job.future.set_exception(error)
         except Exception as error:
             # A bug of ours must be seen, and must not end the thread.
@@ -120,7 +120,7 @@ class Worker:
     def _between(self, job: Job) -> None:
         """Between two frames of a job: end it if it is unwanted, and do what is urgent first if it is not."""
         if job.unwanted or self._closed:
-            raise Dropped
+            raise Cancelled
         while not job.urgent and (urgent := self._next(urgent=True)) is not None:
             self._do(urgent)
 

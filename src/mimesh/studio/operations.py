@@ -14,14 +14,14 @@ from jaxtyping import Float
 from ..bodies import load_body
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Frame
+from ..core.normalization import Normalization
 from ..io import load_clip, load_mesh
 from ..io.beside import confined
 from ..methods.find import find_method
 from ..pipeline import driving_axes
 from ..pipeline.report import facing
-from ..pipeline.result import ClipResult, no_time_yet
-from ..pipeline.run import Axes, Ready, Travel, play, posed, prepare
+from ..pipeline.result import ClipResult, Timer
+from ..pipeline.run import Axes, MotionOptions, Prepared, play, pose_frame, prepare
 from ..tools.demo import played
 from .options import Options
 
@@ -29,7 +29,7 @@ __all__ = [
     "animations",
     "demo_clip",
     "for_page",
-    "posed",
+    "pose_frame",
     "prepared",
     "read_clip",
     "read_mesh",
@@ -70,9 +70,9 @@ def stands(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[st
     """How a mesh, or a clip in its first frame, is found to stand (see `report.facing`), and whether that is unsure."""
     if isinstance(content, Clip):
         first = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
-        frame = Frame.fit(first, *driving_axes(content, *axes))
+        frame = Normalization.fit(first, *driving_axes(content, *axes))
     else:
-        frame = Frame.fit(content, *axes)
+        frame = Normalization.fit(content, *axes)
     return {**facing(frame), "unsure": frame.unsure}
 
 
@@ -82,17 +82,17 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepared(identity: Mesh, clip: Clip, model: str, axes: Axes) -> Ready:
+def prepared(identity: Mesh, clip: Clip, model: str, axes: Axes) -> Prepared:
     """Both read by the model, nothing refined yet."""
     theirs = driving_axes(clip, *axes[2:])
-    return prepare(identity, clip, lambda frame: find_method(model), (*axes[:2], *theirs), False, Travel())
+    return prepare(identity, clip, lambda frame: find_method(model), (*axes[:2], *theirs), False, MotionOptions())
 
 
-def result(ready: Ready, options: Options, progress: Progress) -> ClipResult:
+def result(ready: Prepared, options: Options, progress: Progress) -> ClipResult:
     """The whole clip, as `pipeline.animate` gives it, or the one pose, as `pipeline.transfer` does."""
-    seconds, clip = no_time_yet(), ready.clip
+    seconds, clip = Timer(), ready.clip
     dtype = np.float64 if len(clip) == 1 else np.float32
-    moved = play(ready, seconds, options.travel(ready.method), progress, dtype)
+    moved = play(ready, seconds, options.motion(ready.method), progress, dtype)
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
     shown = Clip(ready.identity.with_vertices(first), moved.vertices, clip.fps)
     return ClipResult(shown, ready.method.name, seconds, moved.report, moved.notes, moved.skeleton)

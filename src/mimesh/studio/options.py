@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..core.errors import InputError
-from ..methods.base import Method
-from ..methods.mime.drive import Mime
-from ..pipeline.run import ROOTS, Travel
+from ..methods.base import Method, SkinnedMethod
+from ..pipeline.run import ROOTS, MotionOptions
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,11 @@ class Options:
         values["smooth"] = float(smooth)
         return Options(**values)
 
-    def travel(self, method: Method) -> Travel:
+    def motion(self, method: Method) -> MotionOptions:
         """What is asked of a model with joints; nothing of others."""
-        return Travel(self.root, self.ground, self.smooth) if isinstance(method, Mime) else Travel()
+        return (
+            MotionOptions(self.root, self.ground, self.smooth) if isinstance(method, SkinnedMethod) else MotionOptions()
+        )
 
 
 def rate(value: Any) -> float | None:

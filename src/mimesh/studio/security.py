@@ -42,7 +42,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(32)
 
 
-class Guard:
+class AccessControl:
     """Checks every request before the application sees it.
 
     * The Host header names this machine, so that no name of another site that points here is served (DNS rebinding).

@@ -10,6 +10,7 @@ import shutil
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,19 +24,18 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import parse_axis
 from ..pipeline.result import ClipResult
-from ..pipeline.run import Ready
-from . import operations as acts
+from ..pipeline.run import Prepared
+from . import operations
 from .exports import KEPT, Export, write
-from .items import Item, Outcome, check_room, finished, wants
-from .jobs import Dropped, Worker, words
+from .jobs import Cancelled, Worker, words
 from .options import Options, rate
-from .uploads import Workplace
+from .uploads import UploadFolder
 
 
-class Desk:
+class Session:
     """The state of a session."""
 
-    def __init__(self, workplace: Workplace, models: tuple[str, ...], model: str, jointed: tuple[str, ...]) -> None:
+    def __init__(self, workplace: UploadFolder, models: tuple[str, ...], model: str, jointed: tuple[str, ...]) -> None:
         self.workplace, self.models, self.jointed = workplace, models, jointed
         self.options = Options(model)
         self.identities: dict[int, Item] = {}
@@ -69,13 +69,13 @@ class Desk:
             item = Item(self.next_number(), path.name, path, upload)
             self.identities[item.number] = item
             added.append(item.number)
-            self._read(item, partial(acts.read_mesh, path, self._folder(upload)))
+            self._read(item, partial(operations.read_mesh, path, self._folder(upload)))
         return added
 
     def set_driving(self, path: Path, name: str, upload: int | None = None) -> int:
         """Read what to imitate, a file or a folder of frames, in place of what was there."""
         item = self._new_driving(name, path, upload)
-        self._read(item, partial(acts.read_clip, path, self._folder(upload), name, None, None))
+        self._read(item, partial(operations.read_clip, path, self._folder(upload), name, None, None))
         return item.number
 
     def use_demo(self, what: str, name: str, motion: str) -> None:
@@ -86,7 +86,7 @@ class Desk:
             self.identities[item.number] = item
             self._read(item, partial(character, name))
         if what in ("driving", "both"):
-            self._read(self._new_driving(motion), partial(acts.demo_clip, motion))
+            self._read(self._new_driving(motion), partial(operations.demo_clip, motion))
 
     def remove(self, number: int) -> None:
         """Take a mesh or the driving off the desk, with its files if nothing else on the desk came with them."""
@@ -122,12 +122,15 @@ class Desk:
             raise InputError(f"{item.name}: expected up and front on two axes, found {up} and {front}; change one")
         item.up, item.front = up, front
         if item.content is not None:
-            item.facing = acts.stands(item.content, item.axes)
+            item.facing = operations.stands(item.content, item.axes)
         if item is self.driving and given.keys() & {"animation", "fps"} and item.path is not None:
             item.animation = given.get("animation", item.animation) or None
             item.fps = rate(given.get("fps", item.fps))
             self._read(
-                item, partial(acts.read_clip, item.path, self._folder(item.upload), item.name, item.fps, item.animation)
+                item,
+                partial(
+                    operations.read_clip, item.path, self._folder(item.upload), item.name, item.fps, item.animation
+                ),
             )
         self.refresh()
 
@@ -160,7 +163,7 @@ class Desk:
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
             ready = self._prepared(item)
-            return acts.posed(ready, min(max(frame, 0), len(ready.clip) - 1))
+            return operations.pose_frame(ready, min(max(frame, 0), len(ready.clip) - 1))
 
         return self.worker.put(("pose", number), work, urgent=True)
 
@@ -181,7 +184,7 @@ class Desk:
             error = future.exception()
             if error is None:
                 export.path = future.result()
-            elif not isinstance(error, Dropped):
+            elif not isinstance(error, Cancelled):
                 export.error = self.said(error)
             self.changed()
 
@@ -222,17 +225,17 @@ class Desk:
 
         def done(future: Future) -> None:
             error = future.exception()
-            if isinstance(error, Dropped):
+            if isinstance(error, Cancelled):
                 return
             item.error = "" if error is None else self.said(error)
             if error is None:
                 content, item.facing = future.result()
-                item.content, item.animations = content, acts.animations(content)
+                item.content, item.animations = content, operations.animations(content)
             self.refresh()
 
         def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:
             content = read()
-            return content, acts.stands(content, item.axes)
+            return content, operations.stands(content, item.axes)
 
         self.worker.put(("read", item.number), work).add_done_callback(done)
         self.changed()
@@ -256,13 +259,13 @@ class Desk:
                 progress(done, total)
                 self._tell(outcome, done / total)
 
-            return acts.result(self._prepared(item), options, told)
+            return operations.result(self._prepared(item), options, told)
 
         self.worker.put(("result", item.number), work).add_done_callback(partial(self._made, outcome))
 
     def _made(self, outcome: Outcome, future: Future) -> None:
         error = future.exception()
-        if isinstance(error, Dropped):
+        if isinstance(error, Cancelled):
             return
         if error is None:
             outcome.result, outcome.current, outcome.done = future.result(), True, 1.0
@@ -275,15 +278,15 @@ class Desk:
             outcome.done = done
             self.changed()
 
-    def _prepared(self, item: Item) -> Ready:
+    def _prepared(self, item: Item) -> Prepared:
         """The mesh and the driving, read by the model; once for all options that do not matter to it."""
         driving, mesh = self.driving, item.content
         if driving is None or not isinstance(mesh, Mesh) or not isinstance(driving.content, Clip):
-            raise Dropped
+            raise Cancelled
         wanted, options, kept = wants(item, driving, self.options), self.options, item.ready
         if kept is None or kept[0] != wanted:
             axes = (*item.axes, *driving.axes)
-            kept = (wanted, False, acts.prepared(mesh, driving.content, options.model, axes))
+            kept = (wanted, False, operations.prepared(mesh, driving.content, options.model, axes))
         if kept[1] != options.refine:
             kept = (wanted, options.refine, kept[2].refined(options.refine))
         item.ready = kept
@@ -295,4 +298,73 @@ class Desk:
 
     def said(self, error: BaseException) -> str:
         """An error in words that fit the page: files by the names they were given."""
-        return acts.for_page(words(error), self.workplace.folder)
+        return operations.for_page(words(error), self.workplace.folder)
+
+
+MOST_IDENTITIES = 32
+"""Each is kept with its result."""
+
+
+@dataclass(eq=False)
+class Item:
+    """A mesh to move or what to imitate, as far as it has been read, and what became of it."""
+
+    number: int
+    name: str
+    path: Path | None = None
+    """None for what is shipped."""
+    upload: int | None = None
+    content: Mesh | Clip | None = None
+    animations: tuple[str, ...] = ()
+    animation: str | None = None
+    fps: float | None = None
+    up: str | None = None
+    front: str | None = None
+    error: str = ""
+    facing: dict[str, Any] = field(default_factory=dict)
+    """How it stands, as `report.facing` says it, and whether that is unsure."""
+    read: int = 0
+    """Grows with every reading, so that what was made from an older one is known."""
+    outcome: Outcome | None = None
+    ready: tuple[tuple, bool | None, Prepared] | None = None
+    """What was prepared last, and for what."""
+
+    @property
+    def axes(self) -> tuple[str | None, str | None]:
+        return self.up, self.front
+
+
+@dataclass(eq=False)
+class Outcome:
+    """What came of one mesh to move with the driving and the options of now."""
+
+    version: int
+    done: float = 0.0
+    error: str = ""
+    stopped: bool = False
+    result: ClipResult | None = None
+    """Until this one is done, that of before."""
+    shown: int = 0
+    """Version of the desk when the result came."""
+    current: bool = False
+    """Whether the result is that of now."""
+    wanted: tuple = ()
+    """What it is made of."""
+
+
+def check_room(count: int) -> None:
+    """Raises InputError where so many meshes to move cannot lie on one desk."""
+    if count > MOST_IDENTITIES:
+        raise InputError(f"meshes to move: expected {MOST_IDENTITIES} or fewer, found {count}; remove some")
+
+
+def finished(item: Item) -> ClipResult:
+    """Raises InputError where the result of now is not there."""
+    if item.outcome is None or item.outcome.result is None or not item.outcome.current:
+        raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see what is said of it")
+    return item.outcome.result
+
+
+def wants(item: Item, driving: Item, options: Options) -> tuple:
+    """What a result is prepared for."""
+    return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes)

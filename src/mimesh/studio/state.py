@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from ..bodies.characters import CAST
+from ..bodies.characters import CHARACTERS
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES
-from ..methods.find import ALONE, MODELS
+from ..methods.find import MODELS, WITHOUT_FIT
 from ..motions.clips import SEGMENTS
 from ..pipeline.run import ROOTS
-from ..player.pack import Shown, pack_scene
-from . import operations as acts
+from ..player.pack import Panel, pack_scene
+from . import operations
 from .exports import Export, formats
-from .session import Desk, Item
+from .session import Item, Session
 
 STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
 """Models that need nothing but the two meshes."""
@@ -22,7 +22,7 @@ SCENE_BUDGET = 256 * 2**20
 """Letters of a scene: it travels within this machine."""
 
 
-def described(desk: Desk) -> dict[str, Any]:
+def described(desk: Session) -> dict[str, Any]:
     """Everything the panel shows."""
     driving = desk.driving
     frames = len(driving.content) if driving and isinstance(driving.content, Clip) else 0
@@ -35,7 +35,7 @@ def described(desk: Desk) -> dict[str, Any]:
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
-        "characters": tuple(CAST),
+        "characters": tuple(CHARACTERS),
         "formats": formats(frames != 1),
         "moving": frames != 1,
         "exports": [_export(export) for export in list(desk.exports.values())],
@@ -46,17 +46,17 @@ def described(desk: Desk) -> dict[str, Any]:
 
 def has_joints(model: str, others: tuple[str, ...]) -> bool:
     """Whether root, ground, smooth and skinned files can be asked of a model."""
-    return model == "mime" or model in ALONE or model in others
+    return model == "mime" or model in WITHOUT_FIT or model in others
 
 
-def scene_key(desk: Desk) -> str:
+def scene_key(desk: Session) -> str:
     """Changes when the stage has to be drawn anew."""
     parts = [f"{item.number}.{item.read}.{item.up}.{item.front}" for item in _shown_items(desk)]
     results = [item.outcome.shown for item in _shown_items(desk) if item.outcome is not None]
     return " ".join(map(str, (*parts, *results)))
 
 
-def scene(desk: Desk) -> dict[str, Any]:
+def scene(desk: Session) -> dict[str, Any]:
     """What the stage shows, and the number of the mesh in each panel: one mesh beside what it imitates and its result.
 
     Of several meshes only the results, which stand as their meshes do until they are there.
@@ -71,31 +71,31 @@ def scene(desk: Desk) -> dict[str, Any]:
     return {"key": key, "numbers": [item.number for item, _ in shown], "scene": packed}
 
 
-def _shown_items(desk: Desk) -> list[Item]:
+def _shown_items(desk: Session) -> list[Item]:
     items = [desk.driving, *desk.identities.values()]
     return [item for item in items if item is not None and item.content is not None]
 
 
-def _at_rest(item: Item) -> Shown:
+def _at_rest(item: Item) -> Panel:
     assert isinstance(item.content, Mesh)
-    return Shown("identity", Clip.still(item.content), item.name, item.facing["up"], item.facing["front"])
+    return Panel("identity", Clip.still(item.content), item.name, item.facing["up"], item.facing["front"])
 
 
-def _driving(item: Item) -> Shown:
+def _driving(item: Item) -> Panel:
     assert isinstance(item.content, Clip)
-    return Shown("driving", item.content, item.name, item.facing["up"], item.facing["front"])
+    return Panel("driving", item.content, item.name, item.facing["up"], item.facing["front"])
 
 
-def _result(item: Item) -> Shown:
+def _result(item: Item) -> Panel:
     """The result of now or, until it is there, of before; before the first the mesh itself stands for it."""
     result = item.outcome.result if item.outcome else None
     if result is None:
         return dataclasses.replace(_at_rest(item), role="result")
     used = result.report["identity"]
-    return Shown("result", result.clip, item.name, used["up"], used["front"])
+    return Panel("result", result.clip, item.name, used["up"], used["front"])
 
 
-def _mesh(desk: Desk, item: Item) -> dict[str, Any]:
+def _mesh(desk: Session, item: Item) -> dict[str, Any]:
     content = item.content
     mesh = content.mesh if isinstance(content, Clip) else content
     clip = content if isinstance(content, Clip) else None
@@ -120,7 +120,7 @@ def _mesh(desk: Desk, item: Item) -> dict[str, Any]:
     }
 
 
-def _outcome(desk: Desk, item: Item) -> dict[str, Any] | None:
+def _outcome(desk: Session, item: Item) -> dict[str, Any] | None:
     outcome = item.outcome
     if outcome is None:
         return None
@@ -132,7 +132,7 @@ def _outcome(desk: Desk, item: Item) -> dict[str, Any] | None:
         "version": outcome.version,
         "done": outcome.done,
         "error": outcome.error,
-        "notes": [] if result is None else [acts.for_page(note, folder) for note in result.notes],
+        "notes": [] if result is None else [operations.for_page(note, folder) for note in result.notes],
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
         "model": "" if result is None else result.model,
         "joints": result is not None and result.skeleton is not None,

@@ -8,19 +8,17 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress, counted
+from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
-from ..io import clip_suffixes, load_clip, load_mesh, save_clip, save_mesh
+from ..io import clip_suffixes, load_clip, load_mesh, save_mesh
 from ..io.formats import FRAMES_ONLY, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
+from ..render.movie import MOVIES, write_clip
 
-MOVIES = (".gif", ".mp4", ".webp")
-"""Written as pictures, to be looked at."""
 RATELESS = (".npy", ".pc2")
 """Formats whose files, as folders of frames, do not say how fast they are."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a user is told how it gets smaller."""
-MOVIE_SIZE = (640, 720)
 POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
@@ -96,36 +94,6 @@ def convert(
     if frame is None and animation is None:
         notes += animations_note(clip.mesh, source)
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
-
-
-def write_clip(
-    clip: Clip,
-    path: Path,
-    frames_as: str | None = None,
-    blendshapes: int | None = None,
-    progress: Progress | None = None,
-) -> float | None:
-    """Write a clip as a file, a folder of frames or a movie.
-
-    Args:
-        blendshapes: .glb and .gltf alone: so many morph targets in all instead of one a frame; see `io.blend_shapes`.
-
-    Returns:
-        With `blendshapes`, how far a vertex is from its frame at most, over the size of the mesh.
-
-    Raises:
-        InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
-    """
-    if path.suffix.lower() not in MOVIES or blendshapes is not None:
-        error = save_clip(clip, path, frames_as, progress, blendshapes)
-        return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
-    from ..core.normalization import Frame
-    from ..render.movie import clip_frames, save_movie
-
-    stands = Frame.fit(clip.mesh)
-    pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=stands.up, front=stands.front)
-    save_movie(counted(pictures, len(clip), progress), path, clip.fps)
-    return None
 
 
 def blend_note(deviation: float | None) -> tuple[str, ...]:

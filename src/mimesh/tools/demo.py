@@ -14,7 +14,6 @@ from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from ..motions import DEMO, load_motion, motion_clip
 from ..pipeline import animate
-from ..player.page import download_of, write_result
 from ..render.sheet import DRIVING_TINT, page, stack, strip
 from .preview import save_picture, still
 
@@ -38,7 +37,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     save_clip(driving, files["driving.glb"])
     result.save(files["result.glb"])
     picture = draw(identity, driving, result.clip, folder / "preview.png")
-    page = write_result(result, folder / "player.html", download_of(result, files["result.glb"]), title="mimesh demo")
+    page = result.player(folder / "player.html", output=files["result.glb"], title="mimesh demo")
     return {
         "output": str(files["result.glb"]),
         "motion": MOTION,

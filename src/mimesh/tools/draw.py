@@ -14,9 +14,10 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Clip, cut_clip
 from ..io import load_clip
-from ..player.pack import Shown
+from ..player.pack import Panel
 from ..player.page import write_player
 from ..render import heat, movie, sheet
+from ..render.movie import MOVIES
 from ..render.shading import BACKGROUND
 from .preview import save_picture
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
     from PIL import Image
 
 PICTURES = (".png", ".jpg", ".jpeg")
-MOVIES = (".webp", ".gif", ".mp4")
 PAGE = ".html"
 FIXED = ("view", "size", "width", "clay", "labels", "background")
 """Options that pictures and movies have, and pages not: whoever looks at them chooses."""
@@ -34,7 +34,7 @@ PAPERS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.125, 0
 
 
 @dataclass(frozen=True)
-class Wanted:
+class RenderOptions:
     """The options of `mimesh render`."""
 
     sheet: bool = False
@@ -137,7 +137,7 @@ def background_of(name: str) -> sheet.Color:
 
 
 def draw(
-    wanted: Wanted, names: Sequence[str], clips: Sequence[Clip], output: Path, progress: Progress | None = None
+    wanted: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path, progress: Progress | None = None
 ) -> str:
     """Write a picture, movie or page of clips (a mesh is one of one frame), and return what kind it is.
 
@@ -156,10 +156,10 @@ def draw(
     return kind
 
 
-def _write_page(wanted: Wanted, names: Sequence[str], clips: Sequence[Clip], output: Path) -> None:
+def _write_page(wanted: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path) -> None:
     """A page that plays the files side by side; with a truth, the last of them is measured against it."""
     up, front = wanted.up, wanted.front
-    shown = [Shown("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
+    shown = [Panel("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
     if wanted.truth is not None:
         truth = _truth(wanted, wanted.truth, clips[-1].fps * wanted.cut[2])
         counts = len(clips[-1].mesh.vertices), len(truth.mesh.vertices)
@@ -168,8 +168,8 @@ def _write_page(wanted: Wanted, names: Sequence[str], clips: Sequence[Clip], out
                 f"{wanted.truth}: expected the truth to have {counts[0]} vertices, found {counts[1]}; "
                 "give one of the same mesh"
             )
-        shown[-1] = Shown("result", clips[-1], names[-1], up, front)
-        shown.append(Shown("truth", truth, wanted.truth.name, up, front))
+        shown[-1] = Panel("result", clips[-1], names[-1], up, front)
+        shown.append(Panel("truth", truth, wanted.truth.name, up, front))
     write_player(output, shown, title=output.stem)
 
 
@@ -201,7 +201,7 @@ def _picture(kind, wanted, names, clips) -> Image.Image:
     return sheet.contact_sheet(items, tile=wanted.tile(5 / 6), **options)
 
 
-def _heat(wanted: Wanted, clip: Clip) -> Iterator[Image.Image]:
+def _heat(wanted: RenderOptions, clip: Clip) -> Iterator[Image.Image]:
     if wanted.truth is not None:
         truth = _truth(wanted, wanted.truth)
         points = truth.vertices if len(truth) > 1 else truth.mesh.vertices
@@ -212,7 +212,7 @@ def _heat(wanted: Wanted, clip: Clip) -> Iterator[Image.Image]:
     return heat.heat_frames(clip, measure, unit, wanted.tile(5 / 6), track=wanted.track, **wanted.look)
 
 
-def _truth(wanted: Wanted, path: Path, fps: float | None = None) -> Clip:
+def _truth(wanted: RenderOptions, path: Path, fps: float | None = None) -> Clip:
     """The truth, cut as the clips are; a truth of one frame is that of all."""
     truth = load_clip(path, fps=fps)
     return cut_clip(truth, *wanted.cut) if len(truth) > 1 else truth

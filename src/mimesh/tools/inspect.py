@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Frame
+from ..core.normalization import Normalization
 
 PERSON = (1.4, 2.1)
 """Metres: the longest side of a standing person, arms spread or not."""
@@ -20,7 +20,7 @@ UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
 
 
 @dataclass(frozen=True)
-class Facts:
+class FileFacts:
     """Everything `mimesh look` says about one file; None where a question has no answer."""
 
     name: str
@@ -95,7 +95,7 @@ class Facts:
         return dataclasses.asdict(self) | {"size": self.size, "warnings": self.warnings()}
 
 
-def look(path: str | Path) -> Facts:
+def inspect_file(path: str | Path) -> FileFacts:
     """Read a mesh, a clip or a folder of frames and tell what it holds.
 
     Raises:
@@ -111,7 +111,7 @@ def look(path: str | Path) -> Facts:
     return dataclasses.replace(facts, animations=animations, details=facts.details + details)
 
 
-def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> Facts:
+def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> FileFacts:
     """The facts of a mesh in memory, and of the clip and file it belongs to where they are given."""
     path = None if path is None else Path(path)
     merged, index = weld(mesh.vertices)
@@ -122,7 +122,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material))
     consistent = not (balance != 0)[counts == 2].any()
     moving = clip is not None and len(clip) > 1
-    return Facts(
+    return FileFacts(
         name=path.name if path else mesh.name,
         format=_format(path),
         vertices=len(mesh.vertices),
@@ -157,7 +157,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     )
 
 
-def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
+def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
     yield from facts.details
@@ -181,7 +181,7 @@ def _rows(facts: Facts) -> Iterator[tuple[str, str]]:
         yield "clip", f"{facts.frames:,} frames at {facts.fps:g} per second, {facts.seconds:.2f} s"
 
 
-def _warnings(facts: Facts) -> Iterator[str]:
+def _warnings(facts: FileFacts) -> Iterator[str]:
     if facts.inside_out:
         yield "the faces look inwards; flip them"
     if not facts.consistent_winding:
@@ -196,17 +196,17 @@ def _warnings(facts: Facts) -> Iterator[str]:
         yield f"{_plural(facts.loose_vertices, 'vertex', 'vertices')} of no face; delete them if they mean nothing"
 
 
-def _in_unit(facts: Facts) -> str:
+def _in_unit(facts: FileFacts) -> str:
     return f" (a person, if the unit is {facts.unit_guess})" if facts.unit_guess else ""
 
 
-def _surface(facts: Facts) -> str:
+def _surface(facts: FileFacts) -> str:
     if facts.watertight:
         return "closed"
     return f"open, {_plural(facts.boundary_edges, 'boundary edge')}" if facts.boundary_edges else "closed, non-manifold"
 
 
-def _looks(facts: Facts) -> str:
+def _looks(facts: FileFacts) -> str:
     found = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals + ["vertex colours"] * facts.has_colors
     if facts.textures:
         found.append(_plural(facts.textures, "texture"))
@@ -248,7 +248,7 @@ def _played(joints: int) -> tuple[str, str]:
 
 
 def _stands(mesh: Mesh) -> str:
-    frame = Frame.fit(mesh)
+    frame = Normalization.fit(mesh)
     return f"up {frame.up}, front {frame.front}, taken for a person{' (a guess)' if frame.unsure else ''}"
 
 

@@ -19,11 +19,9 @@ TILE = (360, 440)
 
 def beside(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
     """Write `output`.preview.png and `output`.preview.html, the page that plays it; returns their paths."""
-    from ..player.page import download_of, write_result
-
     picture, page = names_beside(output)
     save_picture(result_picture(result), picture)
-    return picture, write_result(result, page, download_of(result, output))
+    return picture, result.player(page, output=output)
 
 
 def names_beside(output: Path) -> tuple[Path, Path]:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.errors import InputError
-from ...core.frame_buffer import Progress, stored
+from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Material, Mesh, Part
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import DEFAULT_FPS, frame_count, sample_rate, usual_rate
@@ -48,7 +48,7 @@ def read_alembic_clip(path: Path, fps: float | None = None, progress: Progress |
         mesh = _join(shapes, start, others, path)
         times, rate = frame_times(shapes, fps)
         frames = _frames(shapes, _counts(shapes), times, path)
-        return Clip(mesh, stored(frames, len(times), len(mesh.vertices), progress=progress), rate)
+        return Clip(mesh, store_frames(frames, len(times), len(mesh.vertices), progress=progress), rate)
 
 
 def frame_times(shapes: list[Shape], fps: float | None) -> tuple[Float[np.ndarray, " T"], float]:

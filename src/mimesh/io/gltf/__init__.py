@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...core.frame_buffer import Progress, stored
+from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, played_channels
@@ -77,7 +77,7 @@ def read_gltf_clip(
     channels = played_channels(document, animation)
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = baked_frames(document, mesh.source.rest, channels, fps)
-    vertices = stored(frames, count, len(mesh.vertices), progress=progress)
+    vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from ...core.errors import InputError
-from ...core.frame_buffer import Progress, let_go
+from ...core.frame_buffer import Progress, release_pages
 from ...core.mesh import Clip
 
 BLOCK = 32 * 2**20
@@ -92,7 +92,7 @@ def _blocks(clip: Clip) -> list[slice]:
 def _differences(clip: Clip, block: slice) -> Float[np.ndarray, "T C"]:
     """How every frame differs from the first in some vertices, flattened."""
     points = clip.vertices[:, block].astype(np.float64)
-    let_go(clip.vertices)
+    release_pages(clip.vertices)
     return (points - points[0]).reshape(len(points), -1)
 
 

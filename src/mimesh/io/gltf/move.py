@@ -16,7 +16,7 @@ Arrays = dict[str, Float[np.ndarray, "V C"]]
 
 
 @dataclass(frozen=True, eq=False)
-class Wanted:
+class ChangedData:
     """What a primitive's vertices shall be in the world, and how the surface around each has turned since rest."""
 
     points: Float[np.ndarray, "V 3"]
@@ -31,7 +31,7 @@ def local_attributes(
     matrices: Float[np.ndarray, "M 3 4"],
     weights: list[float],
     T_world_local: Float[np.ndarray, "4 4"],
-    wanted: Wanted,
+    wanted: ChangedData,
     keep_targets: bool,
 ) -> tuple[Arrays, list[Arrays]]:
     """POSITION, NORMAL and TANGENT, and the same of each morph target, in the frame of the node that will show them.

@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from ...core.mesh import Mesh
 from .document import Document
 from .draft import INDEX_DATA, VERTEX_DATA, Carrier
-from .move import Wanted, local_attributes
+from .move import ChangedData, local_attributes
 from .read import Rest, Run, primitive_of, rest_normals, rest_points
 from .scene import morph_weights, vertex_matrices
 
@@ -89,7 +89,7 @@ def _unmoved(edit: Edit, node: int, index: int, T_world_local: Float[np.ndarray,
     if "POSITION" not in primitive["attributes"] or not (moved or (primitive.get("targets") and not edit.keep_targets)):
         return carried_primitive(edit.carrier, primitive)
     points = rest_points(edit.document, node, index, T_world_node)
-    wanted = Wanted(points, rest_normals(edit.document, node, index, T_world_node), np.eye(3)[None])
+    wanted = ChangedData(points, rest_normals(edit.document, node, index, T_world_node), np.eye(3)[None])
     return _rebuilt(edit.carrier, primitive, *_added(edit, node, primitive, T_world_local, wanted, None))
 
 
@@ -111,13 +111,13 @@ def _corner_of(edit: Edit, run: Run, group: list[int]) -> Int[np.ndarray, " N"]:
     return corner_of
 
 
-def _wanted(edit: Edit, run: Run, primitive: int, corner_of: Int[np.ndarray, " N"]) -> Wanted:
+def _wanted(edit: Edit, run: Run, primitive: int, corner_of: Int[np.ndarray, " N"]) -> ChangedData:
     normals = rest_normals(edit.document, run.node, primitive, edit.rest.T_world_node)
     if normals is not None and edit.mesh.corner_normals is not None:
         used = corner_of >= 0
         normals[used] = edit.mesh.corner_normals.reshape(-1, 3)[corner_of[used]]
     turns = edit.turns if len(edit.turns) == 1 else edit.turns[run.start : run.stop]
-    return Wanted(edit.mesh.vertices[run.start : run.stop], normals, turns)
+    return ChangedData(edit.mesh.vertices[run.start : run.stop], normals, turns)
 
 
 def _added(
@@ -125,7 +125,7 @@ def _added(
     node: int,
     primitive: dict[str, Any],
     T_world_local: Float[np.ndarray, "4 4"],
-    wanted: Wanted,
+    wanted: ChangedData,
     positions: int | None,
 ) -> tuple[dict[str, int], list[dict[str, int]]]:
     """Accessors in the draft of a primitive's new attributes and morph targets; `positions` if it is there already."""

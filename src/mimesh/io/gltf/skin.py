@@ -14,32 +14,13 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
-from ...core.mesh import Mesh
 from .. import load_mesh
 from .document import Document
 from .edit import GltfSource
 from .read import Rest, Run, primitive_of
 from .scene import influences, joint_matrices, morph_weights, morphed, parents_first, parents_of, transform
-
-
-@dataclass(frozen=True, eq=False)
-class Skin:
-    """A Mesh and what holds it; world coordinates and units of the file."""
-
-    mesh: Mesh
-    """As `load_mesh` gives it."""
-    joint_names: tuple[str, ...]
-    parents: tuple[int, ...]
-    """Index of each joint's nearest ancestor that is a joint, -1 for roots; parents come before children."""
-    T_world_joint: Float[np.ndarray, "J 4 4"]
-    """Where the joints' nodes are at rest, with their scales."""
-    joint_of: Int[np.ndarray, "V K"]
-    """Joint of each influence; J stands for the world, which never moves."""
-    weights: Float[np.ndarray, "V K"]
-    """Rows sum to 1."""
-    points: Float[np.ndarray, "V K 3"]
-    """Where each influence alone puts the vertex at rest."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +40,7 @@ class _Tree:
         return self.joint.get(node, -1)
 
 
-def read_skin(path: str | Path) -> Skin:
+def read_skin(path: str | Path) -> SkinnedCharacter:
     """Read a .glb, .vrm or .gltf character with its skeleton: all joints of the skins that its default scene shows.
 
     Morph targets stay at their default weights. Animations are not read.
@@ -82,7 +63,9 @@ def read_skin(path: str | Path) -> Skin:
     joint_of, weights, points = (np.concatenate([_widened(run[k], most) for run in runs]) for k in range(3))
     names = [source.document.gltf["nodes"][node].get("name", f"node{node}") for node in tree.nodes]
     parents = tuple(tree.holder(tree.above[node]) for node in tree.nodes)
-    return Skin(mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points)
+    return SkinnedCharacter(
+        mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points
+    )
 
 
 def _find_joints(document: Document, rest: Rest) -> _Tree:

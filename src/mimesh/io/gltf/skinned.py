@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...core.rig import Skeleton
+from ...core.animated_rig import AnimatedRig
 from .build import build_document, standing
 from .draft import VERTEX_DATA, Draft
 from .edit import GltfSource, edit_document, with_normals
@@ -21,7 +21,7 @@ from .primitives import Placed
 BYTES, FLOATS = 5121, 5126
 
 
-def write_gltf_skinned(skeleton: Skeleton, fps: float, path: Path) -> None:
+def write_gltf_skinned(skeleton: AnimatedRig, fps: float, path: Path) -> None:
     """Write the mesh of a skeleton, its joints and what they do, as .glb or .gltf by the suffix.
 
     A mesh that came from a glTF file keeps all of it but skins, animations and morph targets of its own.
@@ -40,7 +40,7 @@ def write_gltf_skinned(skeleton: Skeleton, fps: float, path: Path) -> None:
     draft.save(path)
 
 
-def _add_joints(draft: Draft, skeleton: Skeleton) -> list[int]:
+def _add_joints(draft: Draft, skeleton: AnimatedRig) -> list[int]:
     """A node for each joint, standing as the mesh does; the root's at the root of the scene."""
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
     turns = local_frames(skeleton, skeleton.rig.rotation[None])[0]
@@ -56,7 +56,7 @@ def _add_joints(draft: Draft, skeleton: Skeleton) -> list[int]:
     return list(range(start, start + len(skeleton.names)))
 
 
-def _add_weights(draft: Draft, placed: list[Placed], skeleton: Skeleton) -> None:
+def _add_weights(draft: Draft, placed: list[Placed], skeleton: AnimatedRig) -> None:
     """Joints and weights of every element of the primitives."""
     joints, weights = skeleton.strongest()
     spare = ((0, 0), (0, 4 - joints.shape[1]))
@@ -71,7 +71,7 @@ def _add_weights(draft: Draft, placed: list[Placed], skeleton: Skeleton) -> None
             primitive["attributes"] = {**primitive["attributes"], **attributes}
 
 
-def _add_skin(draft: Draft, skeleton: Skeleton, bones: list[int], T_world_local: Float[np.ndarray, "4 4"]) -> int:
+def _add_skin(draft: Draft, skeleton: AnimatedRig, bones: list[int], T_world_local: Float[np.ndarray, "4 4"]) -> int:
     """A skin for a mesh whose vertices are in the frame of a node."""
     stand = np.tile(np.eye(4), (len(bones), 1, 1))
     stand[:, :3, :3], stand[:, :3, 3] = skeleton.rig.rotation, skeleton.rig.joints
@@ -105,7 +105,7 @@ def _scene(draft: Draft) -> dict[str, Any]:
     return draft.gltf["scenes"][draft.gltf.get("scene", 0)]
 
 
-def _animation(draft: Draft, skeleton: Skeleton, bones: list[int], fps: float) -> dict[str, Any]:
+def _animation(draft: Draft, skeleton: AnimatedRig, bones: list[int], fps: float) -> dict[str, Any]:
     times = draft.add_floats(np.arange(len(skeleton.root))[:, None] / fps, bounds=True)
     turns = local_frames(skeleton, skeleton.rotation)
     tracks = [(j, "rotation", turns[:, j]) for j in range(len(bones))] + [(0, "translation", skeleton.root)]
@@ -119,7 +119,7 @@ def _animation(draft: Draft, skeleton: Skeleton, bones: list[int], fps: float) -
     return {"name": skeleton.mesh.name, "samplers": samplers, "channels": channels}
 
 
-def local_frames(skeleton: Skeleton, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
+def local_frames(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
     """Quaternions (x, y, z, w) of every joint as its parent sees it; each near that of the frame before."""
     from scipy.spatial.transform import Rotation
 

@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 from pxr import Sdf, Usd, UsdGeom
 
 from ...core.errors import InputError
-from ...core.frame_buffer import Progress, stored
+from ...core.frame_buffer import Progress, store_frames
 from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Clip, Material, Mesh, Part
 from ..polygons import fan_corners, joined_corners, with_face_normals
@@ -29,7 +29,7 @@ from .looks import (
     uv_name,
 )
 from .skin import Body, moved_by, with_skins
-from .source import Run, UsdSource, notes_of
+from .source import FaceRun, UsdSource, notes_of
 from .stage import REST, open_stage, shown_meshes, stage_span, stands_by_default
 
 # usd-core tells type checkers nothing of what is in it.
@@ -88,7 +88,7 @@ def read_clip(path: Path, fps: float | None = None, progress: Progress | None = 
         )
     count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
     times = [start + k * step for k in range(count)]
-    vertices = stored(_frames(bodies, times, path), count, len(mesh.vertices), progress=progress)
+    vertices = store_frames(_frames(bodies, times, path), count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(np.array(vertices[0])), vertices, fps or codes)
 
 
@@ -144,7 +144,7 @@ def _joined(stage: Usd.Stage, bodies: list[Body], path: Path) -> Mesh:
     face_ends = np.cumsum([0] + [len(piece.mesh.faces) for piece in pieces]).tolist()
     faces = np.concatenate([piece.mesh.faces + start for piece, start in zip(pieces, ends, strict=False)])
     runs = tuple(
-        Run(str(body.prim.GetPath()), ends[k], ends[k + 1], face_ends[k], piece.corner_of, piece.mirrored)
+        FaceRun(str(body.prim.GetPath()), ends[k], ends[k + 1], face_ends[k], piece.corner_of, piece.mirrored)
         for k, (body, piece) in enumerate(zip(bodies, pieces, strict=True))
     )
     counts = [len(piece.mesh.faces) for piece in pieces]

@@ -40,7 +40,7 @@ _OF_SKINS = (
 
 
 @dataclass(frozen=True)
-class Run:
+class FaceRun:
     """Vertices `start:stop` of the Mesh and its faces from `first_face` on: those of one prim."""
 
     prim: str
@@ -63,7 +63,7 @@ class UsdSource:
     """The Mesh's vertices as they were read."""
     sizes: Int[np.ndarray, " P"] = field(repr=False)
     """Corners of the polygons that the Mesh's faces are fans of."""
-    runs: tuple[Run, ...] = field(repr=False)
+    runs: tuple[FaceRun, ...] = field(repr=False)
     by_default: bool
     """Whether it was read at the default time, else at `first`."""
     first: float
@@ -225,7 +225,7 @@ def _set_points(prim: Usd.Prim, points: Float[np.ndarray, "V 3"]) -> None:
             attribute.Block()
 
 
-def _set_normals(prim: Usd.Prim, time: Usd.TimeCode, run: Run, normals: Float[np.ndarray, "F 3 3"]) -> None:
+def _set_normals(prim: Usd.Prim, time: Usd.TimeCode, run: FaceRun, normals: Float[np.ndarray, "F 3 3"]) -> None:
     """Normals at all times, where the file has any; those of corners without a face stay."""
     given = authored_normals(prim, time)
     if given is None:

@@ -16,9 +16,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...bodies import load_body
-from ...bodies.sampled_body import Figure, Posed, Stance
-from ...core.rig import hanging
-from .confidence import LIMBS
+from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
+from ...core.rig import descendants
+from ..confidence import LIMBS
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -29,7 +29,7 @@ ROUNDS, ROUGH, FEW = 6, 3, 400
 """How often points are matched, how many of the first times are for FEW points of the body."""
 FAR, NEAR = 0.03, 0.003
 """Distance (metres of the body) that matched points are thought to have, in the first round and in the last."""
-WILD = 3.0
+OUTLIER_SCALE = 3.0
 """So many times that, and a match counts a quarter."""
 CERTAIN = 0.3
 """Of all matches: neighbours are wrong together."""
@@ -37,19 +37,19 @@ READ_TURN, READ_JOINT = 0.2, 0.1
 """How far a network's rotations (radians) and joints (metres) may well be off."""
 SHAPE, BONES = 3.0, 0.1
 """How far shape coefficients and the logarithms of bones' lengths and girths are from zero."""
-AWAY, LEFT_OVER = 0.05, 0.08
+UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Metres of the body: so far from the surface a point of the body has missed it, and the other way round."""
 
 
 @dataclass(frozen=True, eq=False)
-class Cloud:
+class SurfaceSample:
     """A surface as points in random order, spread evenly: the first few stand for all."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     """Of unit length, or zero where they are not known."""
 
-    def outward(self, posed: Posed) -> Cloud:
+    def outward(self, posed: PosedBody) -> SurfaceSample:
         """The same with normals that look as the body's near them do, should most of them be turned over."""
         from scipy.spatial import KDTree
 
@@ -59,56 +59,56 @@ class Cloud:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class BodyFit:
     """What was found of a surface."""
 
     rotation: Float[np.ndarray, "J 3 3"]
     joints: Float[np.ndarray, "J 3"]
-    astray: dict[str, float]
-    """Share of each limb of the body that is AWAY from the surface."""
-    bare: float
-    """Share of the surface that is LEFT_OVER from the body."""
+    unmatched_body: dict[str, float]
+    """Share of each limb of the body that is UNMATCHED_BODY from the surface."""
+    unmatched_surface: float
+    """Share of the surface that is UNMATCHED_SURFACE from the body."""
 
 
 @cache
-def figure() -> Figure:
+def sampled_body() -> SampledBody:
     """The shipped body in few points."""
-    return Figure.of(load_body(), POINTS)
+    return SampledBody.of(load_body(), POINTS)
 
 
-def fitted(cloud: Cloud, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> Fit:
+def fit_body(cloud: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> BodyFit:
     """Rotation and place of every joint of a surface, from what was read of them.
 
     Any unit, place and heading will do. Joints are those of the shipped body, in its order.
     """
     from scipy.spatial import KDTree
 
-    body, tree = figure(), KDTree(cloud.points)
+    body, tree = sampled_body(), KDTree(cloud.points)
     stance = body.mean_person(_size(body, joints), joints[0].copy(), rotation)
-    cloud = cloud.outward(Posed(body, stance))
+    cloud = cloud.outward(PosedBody(body, stance))
     stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud, tree)
-    posed = Posed(body, stance)
-    away = tree.query(posed.points)[0] > AWAY * stance.size
-    astray = {limb: float(away[which].mean()) for limb, which in _limbs().items()}
-    bare = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > LEFT_OVER * stance.size
-    return Fit(stance.rotation, posed.joints, astray, float(bare.mean()))
+    posed = PosedBody(body, stance)
+    away = tree.query(posed.points)[0] > UNMATCHED_BODY * stance.size
+    unmatched_body = {limb: float(away[which].mean()) for limb, which in _limbs().items()}
+    unmatched_surface = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > UNMATCHED_SURFACE * stance.size
+    return BodyFit(stance.rotation, posed.joints, unmatched_body, float(unmatched_surface.mean()))
 
 
 @cache
 def _limbs() -> dict[str, Bool[np.ndarray, " N"]]:
     """Which points of the body each limb holds."""
-    body = figure()
-    held = {limb: hanging([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
+    body = sampled_body()
+    held = {limb: descendants([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
     return {limb: body.weights[:, joints].sum(axis=1) > 0.5 for limb, joints in held.items()}
 
 
-def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud, tree: KDTree) -> Stance:
+def _descended(body: SampledBody, stance: BodyState, prior: Prior, cloud: SurfaceSample, tree: KDTree) -> BodyState:
     """Match, take a step of Gauss-Newton, and again; from rough to fine."""
     few, spread = body.first(FEW), 0.0
     for k in range(ROUNDS):
         expected = max(stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1)), spread)
-        posed = Posed(few if k < ROUGH else body, stance)
-        rows, residual, weight = _matches(posed, cloud, tree, WILD * expected)
+        posed = PosedBody(few if k < ROUGH else body, stance)
+        rows, residual, weight = _matches(posed, cloud, tree, OUTLIER_SCALE * expected)
         spread = 1.48 * float(np.median(np.abs(residual)))  # the deviation of a normal distribution of that median
         weight *= CERTAIN / expected**2
         normal, slope = (rows * weight[:, None]).T @ rows, rows.T @ (weight * residual)
@@ -117,7 +117,7 @@ def _descended(body: Figure, stance: Stance, prior: Prior, cloud: Cloud, tree: K
     return stance
 
 
-def _matches(posed: Posed, cloud: Cloud, tree: KDTree, wild: float):
+def _matches(posed: PosedBody, cloud: SurfaceSample, tree: KDTree, wild: float):
     """Rows, residuals and weights: the body's points to the nearest of the surface, and the other way round."""
     from scipy.spatial import KDTree
 
@@ -138,7 +138,7 @@ def _matches(posed: Posed, cloud: Cloud, tree: KDTree, wild: float):
 class Prior:
     """What was read, and what people are like, as terms of least squares."""
 
-    def __init__(self, body: Figure, size: float, rotation: np.ndarray, joints: np.ndarray) -> None:
+    def __init__(self, body: SampledBody, size: float, rotation: np.ndarray, joints: np.ndarray) -> None:
         self.rotation, self.joints = rotation, joints
         self.joint = 1 / (READ_JOINT * size) ** 2
         self.turns = body.unknowns["turns"]
@@ -148,7 +148,7 @@ class Prior:
         self.plain = np.zeros(self.turns.stop)
         self.plain[shape], self.plain[bones] = SHAPE**-2, BONES**-2
 
-    def __call__(self, posed: Posed) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
+    def __call__(self, posed: PosedBody) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
         """Left and right side of the normal equations."""
         stance, rows = posed.stance, posed.of_joints()
         held = self.joint * rows.T @ rows + np.diag(self.plain)
@@ -161,7 +161,7 @@ class Prior:
         return held, pull
 
 
-def _size(body: Figure, joints: Float[np.ndarray, "J 3"]) -> float:
+def _size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
     """How much longer bones are than the body's, where those are long enough to tell."""
     above = list(body.parents[1:])
     bones, own = (np.linalg.norm(places[1:] - places[above], axis=1) for places in (joints, body.joints))

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from ...core.canonical_order import Ranked, rank_vertices
+from ...core.canonical_order import CanonicalOrder, canonical_order
 from ...core.geometry import edges, face_vectors, links
 from ...core.mesh import Mesh
 
@@ -29,18 +29,18 @@ MOST = 12
 
 
 @dataclass(frozen=True, eq=False)
-class Calm:
+class Denoiser:
     """A mesh whose frames are smoothed where they are noisy, and left to the last bit where they are not."""
 
-    ranked: Ranked
+    ranked: CanonicalOrder
     faces: Int[np.ndarray, "F 3"]
     beside: Int[np.ndarray, "P 2"]
     """Faces that share an edge; none of a point cloud."""
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Calm:
+    def of(cls, mesh: Mesh) -> Denoiser:
         """For all frames of a mesh."""
-        ranked = rank_vertices(mesh.vertices)
+        ranked = canonical_order(mesh.vertices)
         faces = ranked.group[mesh.faces]
         return cls(ranked, faces, _beside(faces) if len(faces) else np.zeros((0, 2), np.int64))
 
@@ -69,7 +69,7 @@ class Calm:
         return float(((one * other).sum(axis=1) < 0).mean()) if len(self.beside) else 0.0
 
 
-def outward(mesh: Mesh) -> Mesh:
+def face_outward(mesh: Mesh) -> Mesh:
     """The mesh, its faces turned over if they all look inwards, as after a mirroring."""
     vectors = face_vectors(mesh.vertices - mesh.vertices.mean(axis=0), mesh.faces)
     corners = mesh.vertices[mesh.faces[:, 0]] - mesh.vertices.mean(axis=0)

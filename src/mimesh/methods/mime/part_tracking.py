@@ -23,7 +23,7 @@ ROUNDS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Parts:
+class PartTracker:
     """Points of a surface at rest as its joints hold them."""
 
     blend: Float[np.ndarray, "N K"]
@@ -42,7 +42,7 @@ class Parts:
         weights: Float[np.ndarray, "N J"],
         joints: Float[np.ndarray, "J 3"],
         parents: tuple[int, ...],
-    ) -> Parts:
+    ) -> PartTracker:
         """Parts of a surface with skinning weights and joints; -1 is the root's parent."""
         count, held = weights.shape
         size = np.square(points - points.mean(axis=0)).sum(axis=1).mean()

@@ -16,7 +16,7 @@ FAR = 5
 """Joints so many bones apart do not hold neighbouring vertices."""
 
 
-def without_islands(
+def clean_weights(
     weights: Float[np.ndarray, "V J"],
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
@@ -25,7 +25,7 @@ def without_islands(
     """Weights where no vertex is held by joints far from its strongest one, and islands take those of their shores."""
     if len(faces) == 0:
         return weights
-    apart, pairs = bones_apart(parents), edges(faces)
+    apart, pairs = bone_distances(parents), edges(faces)
     holder = weights.argmax(axis=1)
     lost = _islands(apart[holder[pairs[:, 0]], holder[pairs[:, 1]]] >= FAR, pairs, vertices, faces)
     near = np.where(apart[holder] < FAR, weights, 0.0)
@@ -33,7 +33,7 @@ def without_islands(
     return _filled(near, lost, pairs) if lost.any() else near
 
 
-def bones_apart(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
+def bone_distances(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
     """How many bones lie between each two joints; -1 is the root's parent."""
     apart = np.zeros((len(parents), len(parents)), np.int64)
     for j, parent in enumerate(parents):
