@@ -48,7 +48,7 @@ def _drawing(name: str) -> str:
 
 
 def models() -> str:
-    """A line for each model that -m takes."""
+    """One row for each model that -m takes."""
     shipped = {card["name"]: card for card in cards()}
     rows = [[f"[`{name}`](#{name})", WHAT[name], *_facts(shipped.get(name))] for name in MODELS]
     return grid(["`-m`", "what it is", "weights", "PMD ×1e-4, seen / unseen"], rows)
@@ -66,18 +66,20 @@ def _measured(card: dict) -> str:
 
 
 def card(name: str) -> str:
-    """The card of shipped weights in words."""
+    """The card of shipped weights as a table."""
     assert name in SHIPPED_NETWORKS
     found = next(card for card in cards() if card["name"] == name)
     before = found.get("before", [])
     minutes = sum(run["seconds_trained"] for run in (*before, found)) / 60
     pairs = sum(run["pairs"] for run in (*before, found))
     test = found["metrics"]["test"]
+    stages = f" in {len(before) + 1} stages; the card has the configuration of the last one only" if before else ""
+    dirty = " (a working tree with uncommitted changes)" if found["commit"].endswith("-dirty") else ""
     rows = [
         ["licence", found["license"]],
         ["trained on", found["data"]],
-        ["how long", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs"],
-        ["of commit", f"`{found['commit']}`, seed {found['seed']}"],
+        ["training", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs{stages}"],
+        ["commit", f"`{found['commit']}`{dirty}, seed {found['seed']}"],
         ["PMD ×1e-4 on new people, seen / unseen", _measured(found)],
         ["`copy` on the same", f"{_figure(test['copy_seen_pmd_e4'])} / {_figure(test['copy_unseen_pmd_e4'])}"],
         ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
@@ -92,7 +94,7 @@ def table(name: str) -> str:
 
 
 def speed() -> str:
-    """What a frame costs, from benchmarks/mime.json."""
+    """Times per frame, from benchmarks/mime.json."""
     found = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
     counts = [key for key in found if key.isdigit()]
     lines = {
@@ -118,29 +120,29 @@ def _figure(value: float) -> str:
 
 
 def transcript(name: str) -> str:
-    """Commands and what they answered."""
+    """Commands and their output."""
     said = json.loads((DOCS / "transcripts.json").read_text())[name]
     lines = "\n\n".join(f"$ {command}\n{output}" for command, output in said)
     return f"```console\n{lines}\n```"
 
 
 def notes(name: str, which: str = "notes") -> str:
-    """What mimesh said of a picture of the page of troubleshooting."""
+    """The notes that mimesh printed for a picture of the troubleshooting page."""
     found = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
     return "\n".join(f"> note: {note}" for note in found) or "> mimesh prints no note here."
 
 
 def helped(name: str) -> str:
-    """What it says with the remedy."""
+    """The notes that it printed with the remedy applied."""
     return notes(name, "helped")
 
 
 def minute() -> str:
-    """How long it takes from a clone to the demo on the screen."""
+    """The time from `git clone` to the demo in the browser."""
     found = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
     return (
-        f"From `git clone` to this person moving in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
-        f"cores, all downloads included, {found['seconds']['install']:.0f} of them for the installation "
+        f"From `git clone` to the animation in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
+        f"cores with all downloads, of which the installation takes {found['seconds']['install']:.0f} s "
         "(`benchmarks/first_minute.py`)."
     )
 
