@@ -91,7 +91,7 @@ def results_page(folder: Path) -> str:
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
     every = list(reports.values())
     parts = [HEAD, "## Everything on one page", LOWEST, lowest(every)]
-    for title, fits in (("Methods that fit the shipped body", True), ("Methods that do not", False)):
+    for title, fits in (("Methods that fit the shipped body", True), ("Other methods", False)):
         for figure, label in FIGURES.items():
             parts += [f"### {title}: {label}", one_page(every, figure, fits)]
     for name in TABLES:
