@@ -27,17 +27,17 @@ PAGE = ROOT / "docs" / "gallery.md"
 PICTURES = ROOT / "docs" / "gallery"
 MOVING = ROOT / "docs" / "images" / "moving.webp"
 CHORUS = (("imp", -2.5, 0.45), ("dancer", -1.35, -0.4), ("heavy", 1.3, -0.4), ("runner", 2.55, 0.35))
-"""Who dances on top of the README, and where (metres to the left, towards the viewer)."""
+"""Characters of the first picture of the README, and their positions (metres to the left, towards the viewer)."""
 QUALITY, BEST = 70, 82
-"""Of the movies of the page, and of the one on top of the README; 0 to 100."""
+"""Quality of the movies of the page, and of the first picture of the README; 0 to 100."""
 HEAD = """# Gallery
 
-Made by one command, `make gallery`, which runs the commands below. To run them yourself, let
-`python scripts/build_gallery.py --inputs` write the files they read into `gallery/inputs/`, and go to `gallery/`. Every
-command also writes pictures of its own beside its result. Who drives is blue; captions tell what it is.
+Made by `make gallery`, which runs the commands below. To run them yourself, write their input files into
+`gallery/inputs/` with `python scripts/build_gallery.py --inputs`, and change to `gallery/`. Every command also writes a
+picture and a page next to its result. The driving mesh is blue; captions name it.
 
 People and clothes are the shipped body's, the jump is from the CMU Motion Capture Database (mocap.cs.cmu.edu), the
-other motions are made up. Nothing is retouched, and the last one fails.
+other motions are generated. Pictures are not retouched. The last example fails.
 """
 
 
@@ -90,7 +90,7 @@ def save(picture: Picture, path: Path, quality: int = QUALITY) -> None:
 
 
 def make_moving(folder: Path) -> None:
-    """The picture on top of the README: identities at rest, and below them all dancing with the one who drives."""
+    """The first picture of the README: identities at rest, and below them the same, animated from one person."""
     for name, *_ in CHORUS:
         execute(f"mimesh animate inputs/{name}.glb inputs/dance.bvh -o {name}-dance.glb", folder)
     rest = [Panel(f"inputs/{who[0]}.glb", "", place=(1.35 * k - 2.0, 0.0)) for k, who in enumerate(CHORUS)]
@@ -105,7 +105,7 @@ def make_moving(folder: Path) -> None:
 def page(folder: Path) -> str:
     """The text of docs/gallery.md."""
     sizes = [(folder / f"runner-{kind}.glb").stat().st_size / 2**20 for kind in ("skinned", "dance")]
-    size = f"{sizes[0]:.1f} MiB beside {sizes[1]:.1f}"
+    size = f"{sizes[0]:.1f} MiB instead of {sizes[1]:.1f} MiB"
     parts = [HEAD]
     for entry in ENTRIES:
         commands = "\n".join(f"    {command}" for command in entry.commands)

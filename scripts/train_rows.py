@@ -3,7 +3,8 @@
     python scripts/train_rows.py -o runs/rows [--minutes 20] [ROW ...]
 
 Rows that are there are continued or left alone, so the command may be stopped and given again. Each ends as
-`<folder>/<row>.onnx` with its card beside it; those measured in docs/results lie in `rows/`.
+`<folder>/<row>.onnx` with its card beside it; those measured in docs/results lie in `rows/`. Two of these were not made
+here but with `mimesh train`: `npt-table` (npt, configuration `table`, minutes=42) and `mime-table` (mime, `table`).
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""The README's file map is complete, and its commands are ones that exist."""
+"""README: length, commands, figures; and the relative links of all Markdown pages."""
 
+import json
 import re
 from pathlib import Path
 
@@ -9,16 +10,62 @@ from mimesh.cli import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-FILES = [p for folder in ("src", "scripts", "benchmarks", "docs") for p in (ROOT / folder).rglob("*")]
-SOURCES = sorted(p for p in FILES if p.suffix in (".py", ".md") and p.name != "__init__.py")
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+LINK = re.compile(r"\]\((?!https?:|mailto:)([^)\s#]*)(?:#([^)\s]+))?\)")
+COLUMNS = (("human-npt", "unseen"), ("human-wide", "limits"), ("cross-body", "table6"))
+"""Protocol and kind of each column of the table of errors."""
 
 
-@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(ROOT)))
-def test_the_file_map_names_it(path):
-    assert f"`{path.name}`" in README
+def reports() -> dict[tuple[str, str, str], dict]:
+    """The measured rows by protocol, kind and method."""
+    files = [json.loads(path.read_text()) for path in (ROOT / "docs" / "results").glob("*.json")]
+    return {(file["protocol"], row["split"], row["method"]): row for file in files for row in file["results"]}
 
 
-def test_its_commands_exist():
-    used = set(re.findall(r"^    mimesh (\w+)", README, re.MULTILINE))
+def two_digits(value: float) -> str:
+    return f"{value:.0f}" if value >= 99.5 else f"{value:#.2g}".rstrip(".")
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as Sphinx and code hosts make them."""
+    headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_readme_has_at_most_150_lines():
+    assert len(README.splitlines()) <= 150
+
+
+def test_commands_of_the_readme_exist():
+    used = set(re.findall(r"^    (?:\.venv/bin/)?mimesh (\w+)", README, re.MULTILINE))
     assert used
     assert used <= {command.__name__ for command in COMMANDS}
+    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert set(re.findall(r"(?:^    |`)make (\w+)", README, re.MULTILINE)) <= targets
+
+
+@pytest.mark.skipif(not (ROOT / "docs" / "results").exists(), reason="a package without its docs")
+def test_errors_in_the_readme_are_the_measured_ones():
+    measured = reports()
+    lines = re.findall(r"^\| `([\w-]+)`[^|]*\|(.+)\|$", README, re.MULTILINE)
+    assert len(lines) == 6
+    for name, cells in lines:
+        method = name.replace("deformation-transfer", "deformation-transfer-13")
+        for (protocol, kind), cell in zip(COLUMNS, cells.split("|"), strict=True):
+            row = measured[protocol, kind, method]
+            if "pmd_e4" not in row:
+                assert cell.strip() == "not possible"
+                continue
+            mm, mean, median = (two_digits(row[key]) for key in ("mm", "pmd_e4", "pmd_e4_median"))
+            assert cell.strip() == f"{mm} mm, {mean} ({median})"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_relative_links_of_a_page_resolve(page):
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target, anchor in LINK.findall(text):
+        found = page.parent / target if target else page
+        assert found.exists(), f"{page.name}: {target}"
+        if anchor and found.suffix == ".md":
+            made = set(re.findall(r"insert: (\w+)", found.read_text(encoding="utf-8")))
+            assert anchor in anchors(found) or "commands" in made, f"{page.name}: {target}#{anchor}"

@@ -48,38 +48,47 @@ def _drawing(name: str) -> str:
 
 
 def models() -> str:
-    """A line for each model that -m takes."""
-    shipped = {card["name"]: card for card in cards()}
-    rows = [[f"[`{name}`](#{name})", WHAT[name], *_facts(shipped.get(name))] for name in MODELS]
-    return grid(["`-m`", "what it is", "weights", "PMD ×1e-4, seen / unseen"], rows)
+    """One row for each model that -m takes."""
+    rows = []
+    for name in MODELS:
+        row = _report_row(name, "unseen")
+        pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
+        rows.append([f"[`{name}`](#{name})", WHAT[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
+    return grid(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
-def _facts(card: dict | None) -> list[str]:
-    if card is None:
-        return ["none", "-"]
-    return [f"{card['bytes'] / 2**20:.1f}\N{NO-BREAK SPACE}MiB", _measured(card)]
-
-
-def _measured(card: dict) -> str:
-    test = card["metrics"]["test"]
-    return f"{_figure(test['seen_pmd_e4'])} / {_figure(test['unseen_pmd_e4'])}"
+def _report_row(name: str, kind: str) -> dict:
+    """The measured figures of a model on new people: of poses, or of clips for aniformer."""
+    protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
+    method = {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
+    for path in sorted((DOCS / "results").glob("*.json")):
+        report = json.loads(path.read_text())
+        for row in report["results"]:
+            if (report["protocol"], row["method"], row["split"]) == (protocol, method, kind):
+                return row
+    raise KeyError(name)
 
 
 def card(name: str) -> str:
-    """The card of shipped weights in words."""
+    """The card of shipped weights as a table."""
     assert name in SHIPPED_NETWORKS
     found = next(card for card in cards() if card["name"] == name)
     before = found.get("before", [])
     minutes = sum(run["seconds_trained"] for run in (*before, found)) / 60
     pairs = sum(run["pairs"] for run in (*before, found))
-    test = found["metrics"]["test"]
+    seen, unseen = (_report_row(name, kind) for kind in ("seen", "unseen"))
+    copied = found["metrics"]["test"]
+    stages = f" in {len(before) + 1} stages; the card has the configuration of the last one only" if before else ""
+    dirty = " (a working tree with uncommitted changes)" if found["commit"].endswith("-dirty") else ""
     rows = [
         ["licence", found["license"]],
         ["trained on", found["data"]],
-        ["how long", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs"],
-        ["of commit", f"`{found['commit']}`, seed {found['seed']}"],
-        ["PMD ×1e-4 on new people, seen / unseen", _measured(found)],
-        ["`copy` on the same", f"{_figure(test['copy_seen_pmd_e4'])} / {_figure(test['copy_unseen_pmd_e4'])}"],
+        ["training", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs{stages}"],
+        ["commit", f"`{found['commit']}`{dirty}, seed {found['seed']}"],
+        ["PMD ×1e-4 on new people, seen / unseen", _both(seen["pmd_e4"], unseen["pmd_e4"])],
+        ["its median", _both(seen["pmd_e4_median"], unseen["pmd_e4_median"])],
+        ["distance, for a person of 1.7 m", f"{_both(seen['mm'], unseen['mm'])} mm"],
+        ["PMD of `copy` on the same", _both(copied["copy_seen_pmd_e4"], copied["copy_unseen_pmd_e4"])],
         ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
     ]
     return grid(["card", ""], rows)
@@ -92,7 +101,7 @@ def table(name: str) -> str:
 
 
 def speed() -> str:
-    """What a frame costs, from benchmarks/mime.json."""
+    """Times per frame, from benchmarks/mime.json."""
     found = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
     counts = [key for key in found if key.isdigit()]
     lines = {
@@ -113,34 +122,38 @@ def _ms(value: float | None) -> str:
     return "-" if value is None else f"{_figure(value)} ms"
 
 
+def _both(seen: float, unseen: float) -> str:
+    return f"{_figure(seen)} / {_figure(unseen)}"
+
+
 def _figure(value: float) -> str:
     return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
 
 
 def transcript(name: str) -> str:
-    """Commands and what they answered."""
+    """Commands and their output."""
     said = json.loads((DOCS / "transcripts.json").read_text())[name]
     lines = "\n\n".join(f"$ {command}\n{output}" for command, output in said)
     return f"```console\n{lines}\n```"
 
 
 def notes(name: str, which: str = "notes") -> str:
-    """What mimesh said of a picture of the page of troubleshooting."""
+    """The notes that mimesh printed for a picture of the troubleshooting page."""
     found = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
     return "\n".join(f"> note: {note}" for note in found) or "> mimesh prints no note here."
 
 
 def helped(name: str) -> str:
-    """What it says with the remedy."""
+    """The notes that it printed with the remedy applied."""
     return notes(name, "helped")
 
 
 def minute() -> str:
-    """How long it takes from a clone to the demo on the screen."""
+    """The time from `git clone` to the demo in the browser."""
     found = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
     return (
-        f"From `git clone` to this person moving in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
-        f"cores, all downloads included, {found['seconds']['install']:.0f} of them for the installation "
+        f"From `git clone` to the animation in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
+        f"cores with all downloads, of which the installation takes {found['seconds']['install']:.0f} s "
         "(`benchmarks/first_minute.py`)."
     )
 

@@ -37,7 +37,7 @@ def check_row(model: str) -> None:
     if WITHOUT_FIT.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, or train them with scripts/train_rows.py"
+            "repository, or train them with scripts/train_rows.py (npt-table, mime-table: docs/training.md)"
         )
 
 
