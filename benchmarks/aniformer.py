@@ -27,6 +27,7 @@ from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.methods.aniformer import OVERLAP, AniFormerMethod
 from mimesh.methods.find import find_method
+from mimesh.methods.onnx_runtime import import_onnxruntime
 from mimesh.motions import motion_clip, walk_motion
 
 VERTICES = 6890
@@ -62,7 +63,6 @@ def speed() -> dict[str, dict[str, float]]:
 
 def frame_cost(config) -> dict[str, float]:
     """Fastest of a few runs of a window, over the frames that it adds to the result."""
-    import onnxruntime
     import torch
 
     from mimesh.learn.aniformer import AniFormer
@@ -70,7 +70,9 @@ def frame_cost(config) -> dict[str, float]:
 
     torch.manual_seed(0)
     model = AniFormer(config)
-    session = onnxruntime.InferenceSession(to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"])
+    session = import_onnxruntime().InferenceSession(
+        to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]
+    )
     rng = np.random.default_rng(0)
     inputs = {
         "identity": rng.uniform(-1, 1, (1, VERTICES, 3)).astype(np.float32),

@@ -8,6 +8,9 @@ import pytest
 import mimesh
 
 ROOT = Path(mimesh.__file__).parent
+CHECKOUT = Path(__file__).parents[1]
+GUARDS = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+IMPORTERS = ("import_module", "__import__", "importorskip")
 CLI = {"cli", "commands", "__main__"}
 BASE = {"archive", "mesh", "geometry", "frame", "paging", "rig", "track"}
 ALLOWED = {name: BASE for name in BASE} | {"bodies": BASE | {"bodies"}, "motions": BASE | {"motions", "bodies"}}
@@ -36,6 +39,52 @@ def test_imports_go_one_way(path):
     assert "learn" not in ours or home in CLI | {"learn"}
     if home in ALLOWED:
         assert ours <= ALLOWED[home] | {"__version__"}
+
+
+def imports_onnxruntime(source: str) -> bool:
+    """Whether a file imports onnxruntime when it runs, by a statement or by a function; type checkers may."""
+    nodes = list(ast.walk(ast.parse(source)))
+    guards = (node for node in nodes if isinstance(node, ast.If) and ast.unparse(node.test) in GUARDS)
+    skipped = {inner for guard in guards for statement in guard.body for inner in ast.walk(statement)}
+    for node in nodes:
+        if node in skipped:
+            continue
+        names: list[object] = []
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            names = [node.module]
+        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in IMPORTERS:
+            names = [argument.value for argument in node.args if isinstance(argument, ast.Constant)]
+        if any(str(name).split(".")[0] == "onnxruntime" for name in names):
+            return True
+    return False
+
+
+@pytest.mark.parametrize("folder", ["src", "scripts", "benchmarks", "blender", "examples", "docs", "tests"])
+def test_one_module_imports_onnxruntime(folder):
+    names = {"src": ["mimesh/methods/onnx_runtime.py"], "tests": ["test_privacy.py"]}
+    files = sorted((CHECKOUT / folder).rglob("*.py"))
+    assert files
+    allowed = [CHECKOUT / folder / name for name in names.get(folder, [])]
+    assert [path for path in files if imports_onnxruntime(path.read_text())] == allowed
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("def run():\n    import onnxruntime as ort", True),
+        ("from onnxruntime.capi import errors", True),
+        ("import importlib\nimportlib.import_module('onnxruntime')", True),
+        ("pytest.importorskip('onnxruntime')", True),
+        ("if TYPE_CHECKING:\n    from onnxruntime import InferenceSession", False),
+        ("if TYPE_CHECKING:\n    pass\nelse:\n    import onnxruntime", True),
+        ("if not TYPE_CHECKING:\n    import onnxruntime", True),
+        ("from .onnx_runtime import import_onnxruntime", False),
+    ],
+)
+def test_an_import_of_onnxruntime_is_found(source, found):
+    assert imports_onnxruntime(source) == found
 
 
 def test_importing_the_package_loads_nothing_heavy():

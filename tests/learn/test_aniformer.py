@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from mimesh.learn.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
 from mimesh.learn.export import infer_onnx, smaller, to_onnx
+from mimesh.methods.onnx_runtime import import_onnxruntime
 
 TINY = {"encoder": (8, 16, 24), "layers": (24, 16, 16, 8), "heads": 2}
 VARIANTS = [
@@ -240,13 +241,12 @@ def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(expo
 
 def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_one_head(exported):
     """Run with every intermediate as an output and look at the sizes themselves."""
-    import onnxruntime
-
     model, network = exported
     vertices, frames, widest = 3000, model.config.frames, max(model.config.layers)
     watched = type(network).FromString(network.SerializeToString())
     names = {name for node in watched.graph.node for name in node.output} - {o.name for o in watched.graph.output}
     watched.graph.output.extend(type(watched.graph.output[0])(name=name) for name in sorted(names))
+    onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     session = onnxruntime.InferenceSession(watched.SerializeToString(), options, providers=["CPUExecutionProvider"])

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 import torch
 from test_train import TINY
@@ -17,6 +16,7 @@ from mimesh.learn.export import POINTS, export_command, infer_onnx, smaller, to_
 from mimesh.learn.mime import Mime, MimeConfig
 from mimesh.learn.npt import NPT, NPTConfig
 from mimesh.learn.train import Run
+from mimesh.methods.onnx_runtime import import_onnxruntime
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
@@ -44,7 +44,7 @@ def test_mime_is_exported_with_all_that_moves_a_mesh():
     for parameter in model.parameters():  # zeros at the start say nothing
         parameter.data += 0.02 * torch.randn_like(parameter)
     network = to_onnx(model)
-    session = onnxruntime.InferenceSession(network.SerializeToString())
+    session = import_onnxruntime().InferenceSession(network.SerializeToString())
     for count in (1, 40, 700):
         points, normals = torch.nn.functional.normalize(torch.randn(2, 1, POINTS, 3), dim=-1)
         vertices, vertex_normals = torch.randn(2, 1, count, 3)

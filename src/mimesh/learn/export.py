@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from ..bodies import RiggedBody, load_body
 from ..core.errors import InputError
 from ..io.atomic import whole_file
+from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .aniformer import AniFormer, AniFormerConfig
 from .limp import LIMPConfig
@@ -201,7 +202,5 @@ def infer_onnx(
     network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
 ) -> Float[np.ndarray, "B *R V 3"]:
     """Run an exported network once, to compare it with torch."""
-    import onnxruntime
-
-    session = onnxruntime.InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
     return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])

@@ -60,7 +60,7 @@ class QuickPredictor(Protocol):
     """A method that can say at little cost how well it recognises a mesh: it then decides which way the mesh faces."""
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
-        """Mean entropy (nats) of the skinning weights of a normalised mesh, and the world rotation of its root joint."""
+        """Mean entropy (nats) of a normalised mesh's skinning weights, and the world rotation of its root joint."""
         ...
 
 

@@ -40,7 +40,7 @@ class NPTMethod:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """"identity", or "truth": then the result's size is unknown and is set by the identity's lengths (`EdgeLengths`)."""
+    """"identity", or "truth": then the result's size is unknown, and `EdgeLengths` of the identity set it."""
     ensemble: int = 1
     seed: int = 0
 

@@ -12,6 +12,7 @@ from .base import Method
 from .limp import LIMPMethod
 from .mime.drive import MimeMethod
 from .npt import NPTMethod
+from .onnx_runtime import import_onnxruntime
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -56,9 +57,8 @@ def load_network(
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:
-    import onnxruntime
-    from onnxruntime.capi import onnxruntime_pybind11_state as errors  # pyright: ignore[reportAttributeAccessIssue]
-
+    onnxruntime = import_onnxruntime()
+    errors = onnxruntime.capi.onnxruntime_pybind11_state
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # warnings about graph clean-up are not for users

@@ -261,7 +261,7 @@ def _joint_motion(
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
-    """Add confidences and foot skate (identity heights a second) to the report; return notes where confidence is low."""
+    """Add confidences and foot skate (identity heights a second) to the report; return notes on low confidence."""
     notes = ()
     for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
         report[which] |= confidence.facts()

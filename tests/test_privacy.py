@@ -1,0 +1,252 @@
+"""Nothing leaves the machine: no telemetry, no connection, no file but those that docs/privacy.md names."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from unittest import mock
+from urllib.parse import parse_qs, urlsplit
+
+import pytest
+from people import person, walk
+from traces import Trace, read_trace, require_strace, traced
+
+from mimesh.io import save_clip, save_mesh
+from mimesh.methods.onnx_runtime import SWITCH, import_onnxruntime
+
+SECONDS = 120
+"""Limit of a traced command, far above what it takes on a busy machine."""
+IDLE = 9
+"""Seconds that the studio is left running: onnxruntime 1.31.1 asks a name server 8.8 s after its import."""
+KEPT = ("PATH", "PYTHONPATH", "LD_LIBRARY_PATH", "OMP_NUM_THREADS")
+"""Environment variables that traced programs get; not those that tell them of continuous integration or of a cache."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """Empty folders that stand for the user's, in one that is not the temporary folder of the tests."""
+
+    root: Path
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Variables under which a program finds its caches and temporary files in these folders."""
+        kept = {name: os.environ[name] for name in KEPT if name in os.environ}
+        return {**kept, "HOME": str(self.home), "XDG_CACHE_HOME": str(self.home / "caches"), "TMPDIR": str(self.tmp)}
+
+    @property
+    def home(self) -> Path:
+        return self.root / "home"
+
+    @property
+    def tmp(self) -> Path:
+        return self.root / "tmp"
+
+    @property
+    def output(self) -> Path:
+        return self.root / "output"
+
+    def trace(self, *command: str) -> Trace:
+        """Run a command under strace in the home folder."""
+        output = self.root / "trace.txt"
+        done = subprocess.run(
+            traced(list(command), output),
+            cwd=self.home,
+            env=self.environment,
+            capture_output=True,
+            text=True,
+            timeout=SECONDS,
+        )
+        assert done.returncode == 0, done.stderr
+        return read_trace(output, self.home)
+
+    def leftovers(self) -> list[Path]:
+        """What lies in the home folder and in the temporary folder."""
+        return [*self.home.rglob("*"), *self.tmp.rglob("*")]
+
+
+@pytest.fixture
+def place(tmp_path):
+    place = Place(tmp_path)
+    for folder in (place.home, place.home / "caches", place.tmp, place.output):
+        folder.mkdir()
+    return place
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    """A person as `hero.obj`, another in a pose as `pose.obj`, and a walk as `walk.glb`."""
+    folder = tmp_path_factory.mktemp("inputs")
+    save_mesh(person(0), folder / "hero.obj")
+    save_mesh(person(1, 3), folder / "pose.obj")
+    save_clip(walk(), folder / "walk.glb")
+    return folder
+
+
+STUB = f"""
+import os
+VALUE, CALLED = os.environ.get("{SWITCH}"), []
+def disable_telemetry_events(): CALLED.append(True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("set_by_user", "value", "called"), [(None, "1", True), ("", "1", True), ("0", "0", False), ("true", "true", False)]
+)
+def test_telemetry_is_disabled_before_the_import_unless_the_user_chose(
+    set_by_user, value, called, tmp_path, monkeypatch
+):
+    (tmp_path / "onnxruntime.py").write_text(STUB)
+    monkeypatch.syspath_prepend(tmp_path)
+    with mock.patch.dict(os.environ), mock.patch.dict(sys.modules):
+        os.environ.pop(SWITCH, None)
+        if set_by_user is not None:
+            os.environ[SWITCH] = set_by_user
+        sys.modules.pop("onnxruntime", None)
+        module = import_onnxruntime()
+        assert (module.VALUE, bool(module.CALLED)) == (value, called)
+        assert import_onnxruntime() is module
+        assert len(module.CALLED) == called
+
+
+def test_a_program_that_imported_onnxruntime_before_has_decided(tmp_path, monkeypatch):
+    (tmp_path / "onnxruntime.py").write_text(STUB)
+    monkeypatch.syspath_prepend(tmp_path)
+    with mock.patch.dict(os.environ), mock.patch.dict(sys.modules):
+        os.environ.pop(SWITCH, None)
+        sys.modules.pop("onnxruntime", None)
+        import onnxruntime
+
+        module = import_onnxruntime()
+        assert module is onnxruntime
+        assert not module.CALLED
+        assert SWITCH not in os.environ
+
+
+def test_opening_a_network_leaves_no_file(place):
+    code = "from mimesh.methods import find_method; find_method('npt')"
+    subprocess.run([sys.executable, "-c", code], cwd=place.home, env=place.environment, check=True, timeout=SECONDS)
+    assert place.leftovers() == [place.home / "caches"]
+
+
+FORBIDDEN = """
+import os, socket, sys, threading
+def ask(family, kind, address):
+    with socket.socket(family, kind) as one:
+        try:
+            one.connect(address)  # of a datagram socket: sends nothing
+        except OSError:
+            pass
+for thread in [
+    threading.Thread(target=ask, args=(socket.AF_INET, socket.SOCK_DGRAM, ("192.0.2.1", 53))),
+    threading.Thread(target=ask, args=(socket.AF_INET6, socket.SOCK_DGRAM, ("2001:db8::1", 53))),
+    threading.Thread(target=ask, args=(socket.AF_UNIX, socket.SOCK_STREAM, sys.argv[1] + "/socket")),
+]:
+    thread.start()
+folder = os.open(sys.argv[1], os.O_RDONLY)
+os.close(os.open("device", os.O_WRONLY | os.O_CREAT, dir_fd=folder))
+os.mkdir("cache")
+os.rename("device", "cache/device")
+os.symlink("nowhere", "link")
+open("/dev/null", "w").close()
+open(sys.executable, "rb").close()
+"""
+
+
+def test_a_trace_shows_connections_and_files(place):
+    require_strace()
+    trace = place.trace(sys.executable, "-c", FORBIDDEN, str(place.home))
+    assert trace.foreign() == {"192.0.2.1", "2001:db8::1"}
+    assert sum("connect(" in call for call in trace.calls) == 3
+    names = {"device", "cache", "cache/device", "link"}
+    assert trace.outside(place.tmp) == sorted(place.home / name for name in names)
+    assert trace.outside(place.root) == []
+
+
+@pytest.mark.parametrize(("command", "driving"), [("transfer", "pose.obj"), ("animate", "walk.glb")])
+def test_a_command_connects_to_nothing_and_writes_its_output_alone(command, driving, inputs, place):
+    require_strace()
+    output = place.output / "result.glb"
+    paths = [str(path) for path in (inputs / "hero.obj", inputs / driving)]
+    trace = place.trace(sys.executable, "-m", "mimesh", command, *paths, "-o", str(output))
+    assert trace.calls == []
+    assert trace.outside(place.output, place.tmp) == []
+    assert place.leftovers() == [place.home / "caches"]
+    assert {path.name for path in place.output.iterdir()} == {
+        "result.glb",
+        "result.preview.png",
+        "result.preview.html",
+    }
+
+
+def test_the_studio_answers_on_loopback_and_writes_to_its_temporary_folder_alone(inputs, place):
+    require_strace()
+    output = place.root / "trace.txt"
+    command = traced([sys.executable, "-m", "mimesh", "studio", "--no-open", "--json"], output)
+    options = {"cwd": place.home, "env": place.environment, "start_new_session": True}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options) as program:
+        try:
+            page = Page(json.loads(program.stdout.readline())["address"])
+            page.drop("identity", inputs / "hero.obj")
+            page.drop("driving", inputs / "walk.glb")
+            assert page.export(".glb").startswith(b"glTF")
+            time.sleep(IDLE)
+            os.killpg(program.pid, signal.SIGINT)  # strace does not take it, the studio does
+            errors = program.communicate(timeout=SECONDS)[1]
+        finally:
+            program.kill()
+    assert (program.returncode, errors) == (0, b"")
+    trace = read_trace(output, place.home)
+    assert {"bind", "listen"} <= trace.names()
+    assert not trace.names() & {"connect", "io_uring_setup"}
+    assert trace.addresses == {"127.0.0.1"}
+    kinds = {call.split(", ")[0] for call in trace.calls if call.startswith("socket")}
+    assert kinds <= {"socket(AF_INET", "socketpair(AF_UNIX"}
+    assert not [call for call in trace.calls if "SOCK_DGRAM" in call or "sun_path" in call]
+    assert trace.outside(place.tmp) == []
+    assert place.leftovers() == [place.home / "caches"]
+
+
+class Page:
+    """What the page of a studio asks for, at the address that the command prints."""
+
+    def __init__(self, address: str) -> None:
+        parts = urlsplit(address)
+        token = parse_qs(parts.query)["token"][0]
+        self.host = parts.netloc
+        self.headers = {"x-mimesh-token": token, "origin": f"http://{parts.netloc}"}
+
+    def ask(self, method: str, path: str, body: bytes | None = None) -> bytes:
+        """The body of an answer; asks no proxy and no name server."""
+        connection = http.client.HTTPConnection(self.host, timeout=SECONDS)
+        connection.request(method, path, body, self.headers)
+        answer = connection.getresponse()
+        content = answer.read()
+        connection.close()
+        assert answer.status == 200, content
+        return content
+
+    def drop(self, role: str, path: Path) -> None:
+        number = json.loads(self.ask("POST", "/api/uploads"))["upload"]
+        self.ask("PUT", f"/api/uploads/{number}?name={path.name}", path.read_bytes())
+        self.ask("POST", f"/api/uploads/{number}/{role}")
+
+    def export(self, suffix: str) -> bytes:
+        """The result as a file, once all that moves has been moved."""
+        self.wait_for(lambda state: [(mesh["outcome"] or {}).get("state") for mesh in state["identities"]] == ["done"])
+        number = json.loads(self.ask("POST", "/api/exports", json.dumps({"suffix": suffix}).encode()))["export"]
+        self.wait_for(lambda state: [one["state"] for one in state["exports"]] == ["ready"])
+        return self.ask("GET", f"/api/exports/{number}")
+
+    def wait_for(self, reached) -> None:
+        end = time.monotonic() + SECONDS
+        while not reached(state := json.loads(self.ask("GET", "/api/state"))):
+            assert time.monotonic() < end, state
+            time.sleep(0.05)
