@@ -9,7 +9,7 @@ import numpy as np
 from gallery_motions import dance, faced, handstand
 from gallery_stage import FPS
 
-from mimesh.bodies import CAST, RiggedBody, character, load_body
+from mimesh.bodies import CHARACTERS, RiggedBody, character, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.mesh import Clip, Material, Mesh, Part
 from mimesh.evaluate import remesh
@@ -25,7 +25,7 @@ def write_inputs(folder: Path) -> None:
     """Write all of them; what is there already is written again."""
     folder.mkdir(parents=True, exist_ok=True)
     body = load_body()
-    for name in CAST:
+    for name in CHARACTERS:
         save_mesh(character(name), folder / f"{name}.glb")
     motions = {
         "jump": resample(load_motion("jump"), FPS),

@@ -7,6 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.core import geometry
+from mimesh.core.surface_points import at_barycentric, sample_surface
 
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 
@@ -55,8 +56,8 @@ def test_spatial_order_keeps_near_points_near():
 @pytest.mark.parametrize("make", FACED)
 def test_samples_lie_on_the_surface_and_come_back(make):
     mesh = make()
-    chosen, weights = surface_points.sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
-    points = surface_points.at_barycentric(mesh.vertices, mesh.faces, chosen, weights)
+    chosen, weights = sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
+    points = at_barycentric(mesh.vertices, mesh.faces, chosen, weights)
     _, again, distance = geometry.closest_on_mesh(points, mesh.vertices, mesh.faces)
     assert distance.max() < 1e-12
     np.testing.assert_allclose(again.sum(axis=1), 1)
@@ -64,7 +65,7 @@ def test_samples_lie_on_the_surface_and_come_back(make):
 
 def test_samples_are_uniform_by_area():
     mesh = zoo.grid(3)
-    chosen, _ = surface_points.sample_surface(mesh.vertices, mesh.faces, 8000, np.random.default_rng(0))
+    chosen, _ = sample_surface(mesh.vertices, mesh.faces, 8000, np.random.default_rng(0))
     np.testing.assert_allclose(np.bincount(chosen), 1000, rtol=0.15)
 
 

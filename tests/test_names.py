@@ -69,7 +69,9 @@ def test_names_of_the_reference_are_there():
 
 
 def test_a_name_that_has_moved_is_found():
-    assert unknown("from mimesh.view import sheet\nsheet.heat_map()\nfrom mimesh.view.sheet import page, nothing") == [
+    assert unknown(
+        "from mimesh.render import sheet\nsheet.heat_map()\nfrom mimesh.render.sheet import page, nothing"
+    ) == [
         "mimesh.render.sheet.nothing",
         "mimesh.render.sheet.heat_map",
     ]

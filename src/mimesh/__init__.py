@@ -8,6 +8,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING
 
+from . import old_names
+
 if TYPE_CHECKING:
     from .core.errors import InputError
     from .core.mesh import Clip, Mesh
@@ -30,16 +32,18 @@ __all__ = [
     "transfer",
 ]
 
-_HOMES = {
-    "mesh": ("Clip", "InputError", "Mesh"),
+_MODULES = {
+    "core.errors": ("InputError",),
+    "core.mesh": ("Clip", "Mesh"),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "transfer"),
-    "result": ("ClipResult", "Result"),
+    "pipeline.result": ("ClipResult", "Result"),
 }
+old_names.install()
 
 
 def __getattr__(name: str) -> object:
-    for home, names in _HOMES.items():
+    for module, names in _MODULES.items():
         if name in names:
-            return getattr(importlib.import_module(f".{home}", __name__), name)
+            return getattr(importlib.import_module(f".{module}", __name__), name)
     raise AttributeError(f"module 'mimesh' has no attribute {name!r}")

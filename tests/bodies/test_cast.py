@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mimesh.bodies import CAST, character, load_body
+from mimesh.bodies import CHARACTERS, character, load_body
 from mimesh.bodies.characters import proportioned
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
@@ -12,7 +12,7 @@ from mimesh.core.mesh import check_mesh
 BODY = load_body()
 
 
-@pytest.mark.parametrize("name", CAST)
+@pytest.mark.parametrize("name", CHARACTERS)
 def test_every_member_stands_on_the_floor_and_is_coloured_whole(name):
     mesh = check_mesh(character(name), name)
     assert mesh.vertices[:, 1].min() == 0.0

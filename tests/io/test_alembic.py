@@ -327,7 +327,7 @@ def test_progress_is_told(tmp_path):
 READ = """
 import sys
 from mimesh.io import load_clip
-from mimesh.mesh import InputError
+from mimesh.core.errors import InputError
 for path in sys.argv[1:]:
     try:
         load_clip(path)

@@ -13,7 +13,7 @@ import zoo
 import mimesh
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.pipeline.result import Result, no_time_yet
+from mimesh.pipeline.result import Result, Timer
 from mimesh.player.pack import Panel
 from mimesh.player.page import Download, player_page, web_file, write_player
 
@@ -111,7 +111,7 @@ def test_a_page_is_never_written_where_a_mesh_may_be(tmp_path):
 
 
 def test_a_result_without_inputs_has_no_page(tmp_path):
-    bare = Result(zoo.cube(), "copy", no_time_yet(), {})
+    bare = Result(zoo.cube(), "copy", Timer(), {})
     assert bare._repr_html_() is None
     with pytest.raises(InputError, match="without its inputs"):
         bare.player(tmp_path / "cube.html")
@@ -121,4 +121,4 @@ def test_the_notice_names_the_version_that_is_held():
     version = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["dependencies"]["three"]
     said = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
     assert f"**three.js** {version}," in said
-    assert "`src/mimesh/view/web/player.js`" in said
+    assert "`src/mimesh/player/web/player.js`" in said

@@ -9,8 +9,8 @@ import zlib
 from importlib import metadata
 from pathlib import Path
 
-PACKAGE = Path(__file__).parent
-MEASURING = ("bodies", "evaluate", "methods", "motions", "frame.py", "geometry.py", "mesh.py", "pipeline.py")
+PACKAGE = Path(__file__).parents[1]
+MEASURING = ("bodies", "evaluate", "methods", "motions", "core", "pipeline")
 """Parts of the package that figures depend on."""
 LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
 """Whose versions might change a figure."""
@@ -18,7 +18,7 @@ LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
 
 def commit() -> str:
     """Short hash of the code's git commit, `-dirty` if files differ from it; `unknown` outside a checkout."""
-    commands = ["git ls-files --error-unmatch provenance.py", "git describe --always --dirty"]
+    commands = ["git ls-files --error-unmatch __init__.py", "git describe --always --dirty"]
     try:
         # The first fails where the package is installed inside a checkout of something else.
         done = [subprocess.run(c.split(), cwd=PACKAGE, capture_output=True, text=True, check=True) for c in commands]
