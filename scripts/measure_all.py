@@ -2,7 +2,7 @@
 
     python scripts/measure_all.py [--people DIR] [--clips DIR] [PROTOCOL ...]
 
-Run it at the root of a checkout, where `rows/` is. cross-body is measured if --people names rigged characters, and
+Run it at the root of a checkout, where `ablations/` is. cross-body is measured if --people names rigged characters, and
 clips-aniformer if --clips names the folder of the DeepMimic clips. Reports that are there are measured anew.
 """
 

@@ -69,6 +69,6 @@ def test_the_page_in_the_docs_is_the_generated_one():
 @pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")
 @pytest.mark.parametrize("path", sorted((DOCS / "results").glob("*.json")), ids=lambda path: path.stem)
 def test_figures_in_the_docs_are_those_of_the_weights_here(path, monkeypatch):
-    monkeypatch.chdir(DOCS.parent)  # where the folder `rows` is
+    monkeypatch.chdir(DOCS.parent)  # where the folder `ablations` is
     for measured in json.loads(path.read_text())["results"]:
         assert measured["weights"] == fingerprint(measured["method"])

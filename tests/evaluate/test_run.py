@@ -143,12 +143,12 @@ def test_a_papers_table_has_its_figures_beside_ours(tmp_path):
 
 def test_every_row_of_a_table_can_be_trained_and_is_told_where_it_is_missing(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts")
-    trained = {*pytest.importorskip("train_rows").ROWS, "npt-table", "mime-table"}
+    trained = {*pytest.importorskip("train_ablations").ROWS, "npt-table", "mime-table"}
     assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
     assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *GIVEN, *MODELS}
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(InputError, match=r"rows.npt-equal\.onnx.*train_rows"):
+    with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*train_ablations"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
 
 

@@ -89,5 +89,5 @@ def test_export_wants_an_onnx_name(tmp_path):
 def test_files_do_not_say_whose_machine_they_came_from():
     """What is shipped, and the rows of the tables in a checkout."""
     folder = Path(__file__).parents[2]
-    for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "rows").glob("*.onnx")]:
+    for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "ablations").glob("*.onnx")]:
         assert b".py" not in path.read_bytes(), path.name

@@ -69,7 +69,7 @@ def table(
     """Print a table of a paper with its figures beside ours.
 
     Measures every row first: give -o to be able to stop and go on. The rows' own
-    networks lie in the repository's folder rows, so run this in a checkout of it.
+    networks lie in the repository's folder ablations, so run this in a checkout of it.
     """
     from ..evaluate.tables import table_command
 

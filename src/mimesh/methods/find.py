@@ -18,9 +18,9 @@ TABLE_MODELS = (
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
-"""Lines of the papers' tables, to be compared rather than used: not shipped, but in a checkout's folder `rows`."""
+"""Networks of the papers' tables, to be compared rather than used: in a checkout's folder `ablations`, not installed."""
 WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
-"""What networks of mime read, without the fit of the body that starts from it: what the fit is worth."""
+"""Name -> network of mime that is used without the body fit: the difference is what the fit is worth."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 
@@ -29,7 +29,7 @@ def weights_path(model: str) -> Path:
     model = WITHOUT_FIT.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
-    return Path("rows", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
+    return Path("ablations", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
 
 
 def check_row(model: str) -> None:
@@ -37,7 +37,7 @@ def check_row(model: str) -> None:
     if WITHOUT_FIT.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, or train them with scripts/train_rows.py (npt-table, mime-table: docs/training.md)"
+            "repository, or train them with scripts/train_ablations.py (npt-table, mime-table: docs/training.md)"
         )
 
 

@@ -309,7 +309,7 @@ def test_a_reader_that_leaves_is_no_error(files):
 
 @pytest.mark.slow
 def test_the_wheel_works_in_a_fresh_environment(tmp_path):
-    root = Path(__file__).parents[1]
+    root = Path(__file__).parents[2]
     subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path, root], check=True)
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
     binaries = tmp_path / "venv" / "bin"

@@ -1,9 +1,9 @@
 """Train the learned rows of the papers' tables: in one table one time and the same people and motions for each.
 
-    python scripts/train_rows.py -o runs/rows [--minutes 20] [ROW ...]
+    python scripts/train_ablations.py -o runs/ablations [--minutes 20] [ROW ...]
 
 Rows that are there are continued or left alone, so the command may be stopped and given again. Each ends as
-`<folder>/<row>.onnx` with its card beside it; those measured in docs/results lie in `rows/`. Two of these were not made
+`<folder>/<row>.onnx` with its card beside it; those measured in docs/results lie in `ablations/`. Two of these were not made
 here but with `mimesh train`: `npt-table` (npt, configuration `table`, minutes=42) and `mime-table` (mime, `table`).
 """
 
@@ -49,7 +49,7 @@ def main() -> None:
     """Train what was asked for, or all rows in turn."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", nargs="*", choices=[*ROWS, []], metavar="ROW", help=", ".join(ROWS))
-    parser.add_argument("-o", "--output", type=Path, default=Path("runs/rows"))
+    parser.add_argument("-o", "--output", type=Path, default=Path("runs/ablations"))
     parser.add_argument("--minutes", type=float, default=20.0)
     parser.add_argument("--bits", type=int, default=8, help="that a weight is stored in")
     args = parser.parse_args()

@@ -11,7 +11,7 @@ pytest.importorskip("ipykernel")
 
 FEWER = {"step=2": "step=20", "step=6": "step=40", '("scale", "keep", "drop")': '("keep",)'}
 """Frames and clips that show nothing that the others do not; each is in the notebook."""
-NOTEBOOK = Path(__file__).parents[1] / "examples" / "mimesh.ipynb"
+NOTEBOOK = Path(__file__).parents[2] / "examples" / "mimesh.ipynb"
 
 
 @pytest.mark.filterwarnings("default")  # those of the kernel's own machinery are not ours to mend

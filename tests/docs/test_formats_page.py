@@ -8,7 +8,7 @@ import pytest
 from mimesh.io.formats import CLIP_READERS, CLIP_WRITERS, MESH_READERS, MESH_WRITERS
 from mimesh.render.movie import MOVIES
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "write_formats.py"
 pytestmark = pytest.mark.skipif(not SCRIPT.exists(), reason="a package without its scripts")
 

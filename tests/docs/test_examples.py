@@ -17,7 +17,7 @@ from people import person, walk
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 

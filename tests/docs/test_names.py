@@ -12,7 +12,7 @@ from types import ModuleType
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 FOLDERS = ("scripts", "examples", "benchmarks", "docs/_ext")
 FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.py"))
 OPTIONAL = "mimesh.learn"
