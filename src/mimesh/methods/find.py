@@ -18,7 +18,7 @@ TABLE_MODELS = (
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
-"""Networks of the papers' tables, to be compared rather than used: in a checkout's folder `ablations`, not installed."""
+"""Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed."""
 WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
 """Name -> network of mime that is used without the body fit: the difference is what the fit is worth."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
