@@ -1,6 +1,8 @@
-"""Who may import whom (ours only): the base nothing but itself, `learn` and `cli` by the command line alone."""
+"""Structure of the package: one table of who may import whom, no cycles, unique class names, few entries at the top."""
 
 import ast
+from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -11,42 +13,129 @@ ROOT = Path(mimesh.__file__).parent
 CHECKOUT = Path(__file__).parents[1]
 GUARDS = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 IMPORTERS = ("import_module", "__import__", "importorskip")
-CLI = {"cli", "commands", "__main__"}
-BASE = {"archive", "mesh", "geometry", "frame", "paging", "rig", "track"}
-ALLOWED = {name: BASE for name in BASE} | {"bodies": BASE | {"bodies"}, "motions": BASE | {"motions", "bodies"}}
-ALLOWED |= {"io": BASE | {"io", "motions", "bodies"}}
 FILES = sorted(ROOT.rglob("*.py"))
+LAYERS = (
+    "old_names",
+    "core",
+    "bodies",
+    "motions",
+    "io",
+    "render",
+    "player",
+    "zoo",
+    "methods",
+    "pipeline",
+    "tools",
+    "evaluate",
+    "learn",
+    "studio",
+    "commands",
+    "cli",
+    "__main__",
+)
+"""A package imports itself and those above it in this list, at load or inside functions, except as BARRED says."""
+BARRED = {
+    "methods": {"io", "render", "player", "zoo"},
+    "studio": {"evaluate", "learn"},
+    "learn": {"render", "player", "tools"},
+    "render": {"bodies", "motions"},
+    "player": {"bodies", "motions"},
+}
+"""Package -> what it does not import although it lies above."""
+MOST_ENTRIES = 22
+"""Folders and files directly in the package: what a newcomer has to look through first."""
 
 
-def imported(path: Path) -> set[str]:
-    """Our top-level modules that a file imports, anywhere in it."""
-    package, found = ["mimesh", *path.relative_to(ROOT).parent.parts], set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        if isinstance(node, ast.ImportFrom):
-            stem = package[: len(package) + 1 - node.level] if node.level else []
-            whole = [*stem, *(node.module or "").split(".")] if node.module else stem
-            found |= {".".join([*whole, alias.name]) for alias in node.names}
-        elif isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-    return {name.split(".")[1] for name in found if name.startswith("mimesh.")}
+def skipped_nodes(tree: ast.Module) -> set[ast.AST]:
+    """Everything inside `if TYPE_CHECKING:`, which never runs."""
+    guards = (node for node in ast.walk(tree) if isinstance(node, ast.If) and ast.unparse(node.test) in GUARDS)
+    return {inner for guard in guards for statement in guard.body for inner in ast.walk(statement)}
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_go_one_way(path):
-    home = path.relative_to(ROOT).parts[0].removesuffix(".py")
-    ours = imported(path)
-    assert not ours & CLI or home in CLI
-    assert "learn" not in ours or home in CLI | {"learn"}
-    if home in ALLOWED:
-        assert ours <= ALLOWED[home] | {"__version__"}
+@cache
+def modules() -> dict[str, Path]:
+    """Module name below `mimesh` -> its file; "" is the package itself."""
+    return {
+        ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix("__init__").rstrip("."): path
+        for path in FILES
+    }
+
+
+@cache
+def imports_of(module: str) -> frozenset[str]:
+    """Modules of ours that one imports when it runs, at load or inside a function."""
+    path = modules()[module]
+    package = module.split(".") if path.name == "__init__.py" and module else module.split(".")[:-1]
+    tree = ast.parse(path.read_text())
+    skipped, found = skipped_nodes(tree), set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node not in skipped:
+            if node.level:
+                base = [*package[: len(package) + 1 - node.level], *(node.module or "").split(".")]
+            elif (node.module or "").split(".")[0] == "mimesh":
+                base = node.module.split(".")[1:]
+            else:
+                continue
+            owner = ".".join(part for part in base if part)
+            names = (f"{owner}.{alias.name}".lstrip(".") for alias in node.names)
+            found |= {name if name in modules() else owner for name in names}
+        elif isinstance(node, ast.Import) and node not in skipped:
+            names = {alias.name.removeprefix("mimesh.") for alias in node.names if alias.name.startswith("mimesh.")}
+            found |= names
+    return frozenset(found - {module})
+
+
+def top(module: str) -> str:
+    return module.split(".")[0]
+
+
+@pytest.mark.parametrize("module", [name for name in modules() if name], ids=str)
+def test_a_module_imports_only_what_its_layer_may(module):
+    mine = top(module)
+    allowed = {*LAYERS[: LAYERS.index(mine) + 1], ""} - BARRED.get(mine, set())
+    assert {top(other) for other in imports_of(module)} <= allowed
+
+
+def test_the_package_imports_nothing_but_its_public_names():
+    assert imports_of("") <= {"old_names"}
+
+
+def test_every_entry_has_its_layer_and_there_are_few():
+    entries = {path.name.removesuffix(".py") for path in ROOT.iterdir() if path.suffix == ".py" or path.is_dir()}
+    entries -= {"__pycache__"}
+    assert entries == {*LAYERS, "__init__"}
+    assert len(entries) <= MOST_ENTRIES
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    waiting = {module: set(imports_of(module)) - {""} for module in modules()}
+    while free := {module for module, others in waiting.items() if not others & waiting.keys()}:
+        waiting = {module: others for module, others in waiting.items() if module not in free}
+    assert sorted(waiting) == []
+
+
+def test_no_public_class_name_is_defined_twice():
+    names = Counter(
+        node.name
+        for path in FILES
+        for node in ast.parse(path.read_text()).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    )
+    assert [name for name, count in names.items() if count > 1] == []
+
+
+@pytest.mark.parametrize("name", ["MimeMethod", "NPTMethod", "AniFormerMethod", "LIMPMethod"])
+def test_no_model_is_named_outside_the_methods(name):
+    """The pipeline, the studio and the tools treat all methods alike."""
+    found = {path.relative_to(ROOT).parts[0] for path in FILES if name in path.read_text()}
+    assert found == {"methods"}
 
 
 def imports_onnxruntime(source: str) -> bool:
     """Whether a file imports onnxruntime when it runs, by a statement or by a function; type checkers may."""
-    nodes = list(ast.walk(ast.parse(source)))
-    guards = (node for node in nodes if isinstance(node, ast.If) and ast.unparse(node.test) in GUARDS)
-    skipped = {inner for guard in guards for statement in guard.body for inner in ast.walk(statement)}
-    for node in nodes:
+    tree = ast.parse(source)
+    skipped = skipped_nodes(tree)
+    for node in ast.walk(tree):
         if node in skipped:
             continue
         names: list[object] = []

@@ -17,7 +17,6 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre, radius
 from ..methods.base import Method
 from ..methods.find import find_method, weights_path
-from ..methods.limp import LIMPMethod
 from ..pipeline import animate, transfer
 from .clip_protocols import ClipPair, on_template
 from .metrics import (
@@ -70,7 +69,7 @@ def given(method: str) -> str:
     if method in GIVEN:
         return GIVEN[method]
     network = find_method(method)
-    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fitting", False) else ""
+    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits_body", False) else ""
     return f"trained on our body{more}"
 
 
@@ -287,7 +286,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
 
 def as_known(trial: ClipPair, method: str) -> ClipPair:
     """The trial on all vertices, or on those of the template that LIMP knows."""
-    return on_template(trial) if method not in GIVEN and isinstance(find_method(method), LIMPMethod) else trial
+    return on_template(trial) if method not in GIVEN and getattr(find_method(method), "template_only", False) else trial
 
 
 def standing_still(trial: ClipPair) -> ClipPair:

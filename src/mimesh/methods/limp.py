@@ -31,6 +31,8 @@ class LIMPMethod:
     """A loaded network. Its results are the template's vertices, so that is what an identity must be."""
 
     rough: ClassVar[bool] = False
+    template_only: ClassVar[bool] = True
+    """Identities must have the vertices of the template."""
     name: str
     session: InferenceSession
     vertices: int

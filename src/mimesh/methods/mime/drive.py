@@ -88,7 +88,7 @@ class MimeMethod:
 
     @property
     def fits_body(self) -> bool:
-        """Whether a body is fitted: asked for, and the network's joints are the body's."""
+        """Whether the shipped body is fitted: `fits`, and the network's joints are the body's."""
         return self.fits and self.joints == sampled_body().names
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
