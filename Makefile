@@ -1,4 +1,4 @@
-# make demo: install (no torch) and see it work.   make test: install for development and run the tests.
+# make demo: install (without PyTorch) and run the demo.   make test: install for development and run the tests.
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -11,19 +11,22 @@ BPY := .clients/bpy/bin/python
 CODE := src tests scripts benchmarks blender docs examples
 SOURCES := $(shell find src -type f -not -name '*.pyc')
 
-.PHONY: demo test check smoke bench setup blender web gallery clients docs clean
+.PHONY: demo test lint check smoke bench setup blender web gallery clients docs clean
 
-# The development install can run the demo too; a plain install must not replace it.
+# The development install can run the demo, too; a plain install must not replace it.
 demo: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 	$(BIN)/mimesh demo
 
 test: $(VENV)/.dev
 	$(TESTS)
 
-check: $(VENV)/.dev
+# Format, style and types; pyright (standard) reads src, scripts and benchmarks, see pyproject.toml.
+lint: $(VENV)/.dev
 	$(BIN)/ruff format --check $(CODE)
 	$(BIN)/ruff check $(CODE)
-	$(BIN)/pyright
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+check: lint
 	$(TESTS)
 
 smoke: $(VENV)/.dev
