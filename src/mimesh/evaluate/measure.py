@@ -69,7 +69,9 @@ def given(method: str) -> str:
     if method in GIVEN:
         return GIVEN[method]
     network = find_method(method)
-    more = ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits_body", False) else ""
+    more = (
+        ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits_body", False) else ""
+    )
     return f"trained on our body{more}"
 
 

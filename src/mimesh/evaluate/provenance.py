@@ -5,13 +5,10 @@ from __future__ import annotations
 import os
 import platform
 import subprocess
-import zlib
 from importlib import metadata
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[1]
-MEASURING = ("bodies", "evaluate", "methods", "motions", "core", "pipeline")
-"""Parts of the package that figures depend on."""
 LIBRARIES = ("numpy", "scipy", "onnxruntime", "fast-simplification")
 """Whose versions might change a figure."""
 
@@ -35,12 +32,3 @@ def machine() -> str:
 def libraries() -> dict[str, str]:
     """Versions of LIBRARIES."""
     return {name: metadata.version(name) for name in LIBRARIES}
-
-
-def code_fingerprint() -> int:
-    """Of the files that figures depend on: figures of other code are never taken over."""
-    found = [path for part in MEASURING for path in (PACKAGE / part, *(PACKAGE / part).rglob("*"))]
-    total = 0
-    for path in sorted(path for path in found if path.suffix in (".py", ".npz")):
-        total = zlib.crc32(path.read_bytes(), total)
-    return total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import datetime
 import json
 import zlib
@@ -12,13 +13,14 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, weights_path
-from .clip_protocols import ClipPair, clips_aniformer
+from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, find_method, weights_path
+from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
+from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .measure import GIVEN, measure, measure_clip, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
-from .provenance import code_fingerprint, commit, libraries, machine
+from .provenance import commit, libraries, machine
 
 FOLDERS = ("cross-body", "clips-aniformer")
 """Protocols that read a folder."""
@@ -39,7 +41,7 @@ def evaluate_command(
     """What `mimesh evaluate` does: one result row a method and kind of pair; written to `out` as JSON if given.
 
     With `out`, figures of finished pairs are kept beside it (`<out>.partial`) until all are there, and a run that was
-    stopped goes on from them.
+    stopped goes on from them, but for the methods whose code or weights have changed.
     """
     chosen = find_protocol(protocol, data)
     if split not in SPLITS:
@@ -52,8 +54,9 @@ def evaluate_command(
     if data is not None and protocol in FOLDERS:
         config["data"] = sorted(path.name for path in data.iterdir())
     made = provenance(config)
-    question = {**config, "protocol": [protocol, chosen.version], "code": code_fingerprint(), **libraries()}
-    ledger = PartialReport(out and out.with_name(out.name + ".partial"), question)
+    code = {} if out is None else code_of(chosen, methods)
+    question = {**config, "protocol": settings(chosen), **libraries()}
+    ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
     counts = {kind: chosen.count(kind, pairs) for kind in chosen.kinds}
     total, done, rows = sum(counts.values()) * len(methods), 0, []
     for method in methods:
@@ -61,7 +64,7 @@ def evaluate_command(
         for kind in chosen.kinds:
             figures = []
             for i in range(counts[kind]):
-                key = [method, weights, kind, i]
+                key = [method, weights, code.get(method), kind, i]
                 known = ledger.get(key)
                 figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, options)))
                 done += 1
@@ -93,17 +96,19 @@ def figures_of(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, A
 class PartialReport:
     """Figures of finished pairs as JSON lines; the first line says what question they answer.
 
-    Figures that answer another question (other pairs, code, data or libraries) are put aside as `<name>.old`.
+    A file with figures that answer another question (other pairs, data or libraries), or that were made by other code
+    than `code` says of their method, is put aside as `<name>.old`; its other figures are taken over.
     """
 
-    def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
+    def __init__(self, path: Path | None, question: dict[str, Any], code: dict[str, int]) -> None:
         self.path, self.known = path, {}
         if path is None:
             return
         lines = list(_whole_lines(path))
-        if lines and lines[0] == json.loads(json.dumps(question)):
-            self.known = {json.dumps(key): figures for key, figures in lines[1:]}
-        elif path.exists():
+        same = bool(lines) and lines[0] == json.loads(json.dumps(question))
+        valid = [(key, figures) for key, figures in lines[1:] if same and code.get(key[0], key[2]) == key[2]]
+        self.known = {json.dumps(key): figures for key, figures in valid}
+        if path.exists() and not (same and len(valid) == len(lines) - 1):
             path.replace(path.with_name(path.name + ".old"))
         kept = [question, *([json.loads(key), figures] for key, figures in self.known.items())]
         with whole_file(path) as temporary:
@@ -144,6 +149,20 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         known = ", ".join((*PROTOCOLS, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")
     return PROTOCOLS[name]
+
+
+def settings(protocol: Protocol) -> dict[str, Any]:
+    """Return what a protocol is set to, but for the folder it reads."""
+    values = {field.name: getattr(protocol, field.name) for field in dataclasses.fields(protocol)}
+    return {name: value for name, value in values.items() if not isinstance(value, Path)}
+
+
+def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
+    """Return the fingerprint of the code that the figures of each method on a protocol can depend on."""
+    source = PackageSource()
+    measurement = measure_clip if isinstance(protocol, ClipsAniformer) else measure
+    names = {m: "deformation-transfer" if m.startswith("deformation-transfer") else m for m in methods}
+    return {m: source.fingerprint(type(find_method(name)), type(protocol), measurement) for m, name in names.items()}
 
 
 def fingerprint(method: str) -> int:
