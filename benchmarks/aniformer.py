@@ -51,7 +51,7 @@ def main() -> None:
 
 def speed() -> dict[str, dict[str, float]]:
     """Seconds and operations of a frame of the result, ours and the public code's, and how many times faster we are."""
-    from mimesh.learn.aniformer import AniFormerConfig
+    from mimesh.learn.models.aniformer import AniFormerConfig
 
     public = AniFormerConfig(frames=1, attention="vertices", heads=1, scaled=False, keys=VERTICES)
     ours = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
@@ -65,13 +65,14 @@ def frame_cost(config) -> dict[str, float]:
     """Fastest of a few runs of a window, over the frames that it adds to the result."""
     import torch
 
-    from mimesh.learn.aniformer import AniFormer
     from mimesh.learn.export import to_onnx
+    from mimesh.learn.models.aniformer import AniFormer
+    from mimesh.learn.tasks.aniformer import AniFormerTask
 
     torch.manual_seed(0)
     model = AniFormer(config)
     session = import_onnxruntime().InferenceSession(
-        to_onnx(model).SerializeToString(), providers=["CPUExecutionProvider"]
+        to_onnx(AniFormerTask.onnx_interface(model)).SerializeToString(), providers=["CPUExecutionProvider"]
     )
     rng = np.random.default_rng(0)
     inputs = {

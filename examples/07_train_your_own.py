@@ -34,10 +34,13 @@ def main(argv: list[str] | None = None) -> None:
     if options.minutes < 1:
         changes = (*changes, "validation_pairs=2")
     train_command("npt", "small", run, resume, options.minutes, changes)
-    print("wrote", run / "best.safetensors", "and", run / "log.jsonl")
+    # The best weights on the validation pairs; the last ones where the time was over before any validation.
+    best = run / "best.safetensors"
+    weights = best if best.exists() else run / "last.safetensors"
+    print("wrote", weights, "and", run / "log.jsonl")
 
     network = options.output / "mine.onnx"
-    export_command(run / "best.safetensors", network)
+    export_command(weights, network)
     print(f"wrote {network}: {network.stat().st_size / 2**20:.2f} MiB, and its card {network.with_suffix('.json')}")
 
     # The path of a network is the name of a model, in Python and in every command's -m.

@@ -23,7 +23,7 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import fingerprint
 from mimesh.io.atomic import whole_file
 from mimesh.learn import checkpoint
-from mimesh.learn.batches import DataConfig
+from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.export import export_command, test_set
 
 COMMON = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)

@@ -88,7 +88,7 @@ def test_bones_grow_along_and_across():
 
 def test_they_are_the_people_that_networks_learn_from():
     torch = pytest.importorskip("torch")
-    from mimesh.learn.people import SurfaceBody
+    from mimesh.learn.tasks.mime_people import SurfaceBody, plain_people
 
     here = stance(size=1.0)
     posed, surface = PosedBody(FIGURE, here), SurfaceBody(BODY, 100)
@@ -96,9 +96,7 @@ def test_they_are_the_people_that_networks_learn_from():
     parents = [0, *BODY.parents[1:]]
     local = here.rotation[parents].transpose(0, 2, 1) @ here.rotation
     local[0] = here.rotation[0]
-    from mimesh.learn.mime_batches import plain
-
-    who = plain(torch.from_numpy(here.shape).float()[None], surface)
+    who = plain_people(torch.from_numpy(here.shape).float()[None], surface)
     who = dataclasses.replace(who, length=length, girth=girth)
     found = surface.posed(who, torch.from_numpy(local).float()[None], torch.arange(10)[None])
     joints = found.joints[0].numpy()

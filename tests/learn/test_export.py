@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import onnx
+import onnxruntime
 import pytest
 import torch
 from test_train import TINY
@@ -12,19 +13,20 @@ from test_train import TINY
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
-from mimesh.learn.export import POINTS, export_command, infer_onnx, smaller, to_onnx
-from mimesh.learn.mime import Mime, MimeConfig
-from mimesh.learn.npt import NPT, NPTConfig
-from mimesh.learn.train import Run
-from mimesh.methods.onnx_runtime import import_onnxruntime
+from mimesh.learn.export import compress, export_command, infer_onnx, to_onnx
+from mimesh.learn.models.mime import POINTS, MimeConfig, MimeNetwork
+from mimesh.learn.models.npt import NPT, NPTConfig
+from mimesh.learn.tasks.mime import MimeTask
+from mimesh.learn.tasks.npt import NPTTask
+from mimesh.learn.train import TrainingRun
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
-def test_parity_with_torch(pose_code):
+def test_npt_in_onnx_gives_what_torch_gives(pose_code):
     torch.manual_seed(0)
     model = NPT(NPTConfig((16, 32, 64), (67, 32, 16), pose_code=pose_code)).eval()
-    network = to_onnx(model)
-    half, eighth = smaller(network), smaller(network, bits=8)
+    network = to_onnx(NPTTask.onnx_interface(model))
+    half, eighth = compress(network), compress(network, bits=8)
     for batch, v, u in ((1, 500, 500), (3, 57, 57), (2, 40, 90)):
         if u != v and pose_code == "per_vertex":
             continue
@@ -38,19 +40,25 @@ def test_parity_with_torch(pose_code):
     assert sizes[0] < 0.65 * sizes[1] < 0.65**2 * sizes[2]
 
 
-def test_mime_is_exported_with_all_that_moves_a_mesh():
+def test_mime_exports_joints_and_weights():
     torch.manual_seed(0)
-    model = Mime(MimeConfig(width=16, heads=2, latents=4, blocks=2, near=8, local=8, weighing=8), load_body()).eval()
-    for parameter in model.parameters():  # zeros at the start say nothing
+    model = MimeNetwork(
+        MimeConfig(width=16, heads=2, latents=4, blocks=2, near=8, local=8, skinning=8), load_body()
+    ).eval()
+    for parameter in model.parameters():  # some layers begin with zeros
         parameter.data += 0.02 * torch.randn_like(parameter)
-    network = to_onnx(model)
-    session = import_onnxruntime().InferenceSession(network.SerializeToString())
+    network = to_onnx(MimeTask.onnx_interface(model))
+    session = onnxruntime.InferenceSession(network.SerializeToString())
     for count in (1, 40, 700):
         points, normals = torch.nn.functional.normalize(torch.randn(2, 1, POINTS, 3), dim=-1)
         vertices, vertex_normals = torch.randn(2, 1, count, 3)
         with torch.no_grad():
-            reading = model.read(points, normals)
-            expected = (reading.rotation, reading.place, model.weights(reading, vertices, vertex_normals))
+            prediction = model.predict_joints(points, normals)
+            expected = (
+                prediction.rotation,
+                prediction.joints,
+                model.predict_weights(prediction, vertices, vertex_normals),
+            )
         given = {"points": points, "normals": normals, "vertices": vertices, "vertex_normals": vertex_normals}
         found = session.run(["rotation", "joints", "scores"], {name: array.numpy() for name, array in given.items()})
         for ours, theirs in zip(found, expected, strict=True):
@@ -58,7 +66,7 @@ def test_mime_is_exported_with_all_that_moves_a_mesh():
 
 
 def test_export_writes_network_and_card(tmp_path):
-    run = Run.start(TINY, tmp_path)
+    run = TrainingRun.start(TINY, tmp_path)
     run.advance()
     run.metrics = {"seen": 1.0, "unseen": 2.0, "fresh": 3.0, "val": 2.5}
     run.save(tmp_path / "best.safetensors")
@@ -76,18 +84,18 @@ def test_export_writes_network_and_card(tmp_path):
     assert np.abs(infer_onnx(network, *points.numpy()) - expected).max() < 2e-2
 
 
-def test_export_knows_two_sizes(tmp_path):
+def test_bits_are_8_or_16(tmp_path):
     with pytest.raises(InputError, match="--bits: expected 16 or 8, found 4"):
         export_command(tmp_path / "best.safetensors", tmp_path / "mine.onnx", bits=4)
 
 
-def test_export_wants_an_onnx_name(tmp_path):
+def test_the_output_must_end_in_onnx(tmp_path):
     with pytest.raises(InputError, match=r"ends in \.onnx"):
         export_command(tmp_path / "best.safetensors", tmp_path / "mine.pt")
 
 
-def test_files_do_not_say_whose_machine_they_came_from():
+def test_shipped_files_hold_no_paths_of_sources():
     """What is shipped, and the rows of the tables in a checkout."""
     folder = Path(__file__).parents[2]
-    for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "ablations").glob("*.onnx")]:
+    for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "rows").glob("*.onnx")]:
         assert b".py" not in path.read_bytes(), path.name

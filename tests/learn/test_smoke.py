@@ -1,17 +1,16 @@
-"""One pair must be learnt by heart: PMD falls a hundredfold in seconds, or something is broken."""
+"""Overfitting one pair: the error falls a hundredfold in seconds, or something is broken."""
 
 import torch
 
 from mimesh.bodies import load_body
-from mimesh.learn.batches import DataConfig, PairSource
-from mimesh.learn.losses import npt_loss
-from mimesh.learn.mime import Mime, MimeConfig
-from mimesh.learn.mime_batches import MimeSource
-from mimesh.learn.mime_loss import MimeLossConfig, mime_loss
-from mimesh.learn.npt import NPT, NPTConfig
+from mimesh.learn.body_sampler import DataConfig
+from mimesh.learn.models.mime import MimeConfig, MimeNetwork
+from mimesh.learn.models.npt import NPT, NPTConfig
+from mimesh.learn.tasks.mime import MimeLossConfig, SurfaceSource, mime_loss
+from mimesh.learn.tasks.npt import PairSource, npt_loss
 
 
-def test_overfits_one_pair():
+def test_npt_overfits_one_pair():
     batch = PairSource(DataConfig("table6", 128), load_body(), torch.device("cpu"), seed=0).batch(1, 0)
     torch.manual_seed(0)
     model = NPT(NPTConfig(encoder=(32, 64, 128), decoder=(131, 64, 32)))
@@ -28,9 +27,9 @@ def test_overfits_one_pair():
 
 def test_mime_overfits_one_pair():
     body = load_body()
-    batch = MimeSource(DataConfig("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
+    batch = SurfaceSource(DataConfig("wide", 128, "identity"), body, torch.device("cpu"), seed=0).batch(1, 0)
     torch.manual_seed(0)
-    model = Mime(MimeConfig(width=32, latents=8, blocks=2, near=16, local=16, weighing=16), body)
+    model = MimeNetwork(MimeConfig(width=32, latents=8, blocks=2, near=16, local=16, skinning=16), body)
     optimizer = torch.optim.Adam(model.parameters(), lr=5e-3)
     losses = []
     for _ in range(200):

@@ -1,19 +1,26 @@
-"""Training: resume continues exactly, configurations are checked, checkpoints carry their provenance."""
+"""Training: exact resuming, time limits and signals, precision, checkpoints and logs."""
 
 import dataclasses
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import pytest
 import torch
 
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
-from mimesh.learn.batches import DataConfig
-from mimesh.learn.config import TrainConfig, load_config
-from mimesh.learn.npt import NPTConfig
-from mimesh.learn.train import Run, schedule, train, train_command
+from mimesh.learn.body_sampler import DataConfig
+from mimesh.learn.config import load_config
+from mimesh.learn.models.npt import NPTConfig
+from mimesh.learn.tasks.npt import NPTTrainConfig
+from mimesh.learn.train import StopRequest, TrainingRun, choose_precision, product_rate, schedule, train, train_command
+from mimesh.learn.validation import Validation
 
-TINY = TrainConfig(
+TINY = NPTTrainConfig(
     model=NPTConfig(encoder=(8, 16, 16), decoder=(16, 8, 8)),
     data=DataConfig("table6", 64),
     batch=2,
@@ -27,19 +34,19 @@ TINY = TrainConfig(
 )
 
 
-def losses(run: Run, steps: int) -> list[float]:
+def losses(run: TrainingRun, steps: int) -> list[float]:
     return [float(run.advance()) for _ in range(steps)]
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])
 def test_resume_continues_exactly(tmp_path, optimizer):
     config = dataclasses.replace(TINY, optimizer=optimizer)
-    whole = Run.start(config, tmp_path / "none")
+    whole = TrainingRun.start(config, tmp_path / "none")
     expected = losses(whole, 6)
-    first = Run.start(config, tmp_path / "none")
+    first = TrainingRun.start(config, tmp_path / "none")
     start = losses(first, 3)
     first.save(tmp_path / "last.safetensors")
-    second = Run.start(config, tmp_path)
+    second = TrainingRun.start(config, tmp_path)
     assert second.step == 3
     assert start + losses(second, 3) == expected
     for a, b in zip(whole.ema.values(), second.ema.values(), strict=True):
@@ -68,7 +75,117 @@ def test_a_time_limit_stops_and_saves(tmp_path):
     folder = train(endless, tmp_path / "run", max_minutes=0.02)
     state = checkpoint.load(folder / "last.safetensors")
     assert 0 < state.step < 10**6
-    assert (folder / "best.safetensors").exists()
+    assert not (folder / "best.safetensors").exists()
+    assert "time given is over" in (folder / "log.jsonl").read_text()
+
+
+@pytest.mark.parametrize("pairs", [10**9, 2])
+def test_a_time_limit_is_not_overrun_by_a_validation(tmp_path, pairs):
+    """A validation that is due where the time ends is left to the training that is resumed, which does it first."""
+    config = dataclasses.replace(TINY, pairs=pairs, validate_every=2)
+    folder = train(config, tmp_path / "run", max_minutes=1e-9)
+    state = checkpoint.load(folder / "last.safetensors")
+    assert (state.step, state.validated, state.metrics) == (1, 0, {})
+    assert "validation that was due is left" in (folder / "log.jsonl").read_text()
+    run = TrainingRun.start(config, folder)
+    assert run.validation_due()
+    run.validate(Validation(run.task), folder)
+    assert not run.validation_due()
+    assert not TrainingRun.start(config, folder).validation_due()
+    assert checkpoint.load(folder / "best.safetensors").step == 1
+
+
+def test_a_checkpoint_is_written_before_every_validation(tmp_path, monkeypatch):
+    steps = []
+
+    def validate(run, validation, folder, stop):
+        steps.append((run.step, checkpoint.load(folder / "last.safetensors").step))
+        run.metrics, run.validated = {"val": 1.0}, run.step
+        return run.metrics
+
+    monkeypatch.setattr(TrainingRun, "validate", validate)
+    train(TINY, tmp_path / "run")
+    assert steps == [(4, 4), (8, 8)]
+
+
+def test_a_validation_that_is_broken_off_changes_nothing(tmp_path):
+    run = TrainingRun.start(TINY, tmp_path)
+    run.advance()
+    before = {name: value.clone() for name, value in run.model.state_dict().items()}
+    answers = iter([False, False, True])
+    assert run.validate(Validation(run.task), tmp_path, lambda: next(answers)) is None
+    assert next(answers, None) is None
+    assert run.metrics is None
+    assert run.model.training
+    assert all(torch.equal(before[name], value) for name, value in run.model.state_dict().items())
+    assert not (tmp_path / "best.safetensors").exists()
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT"])
+def test_a_signal_ends_a_training_with_a_checkpoint_that_resumes_exactly(tmp_path, name):
+    config = dataclasses.replace(TINY, pairs=10**9, validate_every=10**9, precision="fp32")
+    (tmp_path / "tiny.yaml").write_text(json.dumps(dataclasses.asdict(config)))
+    folder = tmp_path / "run"
+    command = [sys.executable, "-m", "mimesh", "train", "npt", "--config", str(tmp_path / "tiny.yaml"), "-o", folder]
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert process.stderr is not None
+    assert "precision 0 pairs" in process.stderr.readline()  # training has begun
+    time.sleep(0.5)
+    asked = time.monotonic()
+    process.send_signal(signal.Signals[name])
+    said = process.communicate(timeout=60)[1]
+    assert time.monotonic() - asked < 10
+    assert process.returncode == 130
+    assert f"ended by {name}; --resume {folder} continues" in said
+    stopped, whole = TrainingRun.start(config, folder), TrainingRun.start(config, tmp_path / "none")
+    assert stopped.step > 0
+    losses(whole, stopped.step)
+    assert losses(stopped, 2) == losses(whole, 2)
+
+
+def test_a_second_signal_acts_at_once():
+    stop = StopRequest(None)
+    stop.__enter__()
+    signal.raise_signal(signal.SIGINT)
+    assert stop()
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        stop.__exit__(None)
+
+
+def test_precision_is_measured_where_it_is_not_given(monkeypatch):
+    cpu = torch.device("cpu")
+    for bf16, before, expected in (
+        (0.9, "", "fp32"),
+        (70.0, "", "fp32"),
+        (170.0, "", "bf16"),
+        (100.0, "fp32", "fp32"),
+        (170.0, "fp32", "bf16"),
+        (70.0, "bf16", "bf16"),
+        (0.9, "bf16", "fp32"),
+    ):
+        rates = {torch.float32: 72e9, torch.bfloat16: 1e9 * bf16}
+        monkeypatch.setattr("mimesh.learn.train.product_rate", lambda dtype, device, rates=rates: rates[dtype])
+        precision, reason = choose_precision("auto", cpu, before)
+        assert precision == expected
+        assert reason == f"matrix products in {expected}: GFLOP/s measured are 72 in fp32 and {bf16:.3g} in bf16"
+    assert choose_precision("bf16", cpu) == ("bf16", "matrix products in bf16, as configured")
+
+
+def test_measuring_precision_takes_a_moment():
+    started = time.monotonic()
+    assert product_rate(torch.float32, torch.device("cpu"), 0.1) > 1e8
+    assert time.monotonic() - started < 2
+
+
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
+def test_checkpoint_and_log_say_the_precision(tmp_path, precision, monkeypatch):
+    monkeypatch.setattr("mimesh.learn.train.choose_precision", lambda *_: (precision, "because"))
+    folder = train(dataclasses.replace(TINY, pairs=2, optimizer="muon"), tmp_path / "run", max_minutes=1e-9)
+    assert checkpoint.load(folder / "last.safetensors").precision == precision
+    line = json.loads((folder / "log.jsonl").read_text().splitlines()[0])
+    assert (line["kind"], line["precision"], line["text"]) == ("precision", precision, "because")
 
 
 def test_an_existing_training_is_not_overwritten(tmp_path):
@@ -84,7 +201,7 @@ def test_schedule():
     assert schedule(config, 300, 0.3) == 1.0
     assert schedule(config, 750, 0.75) == pytest.approx(0.5)
     assert schedule(config, 1100, 1.1) == 0.0
-    assert schedule(TrainConfig(), 799_999, 0.999) == 1.0
+    assert schedule(NPTTrainConfig(), 799_999, 0.999) == 1.0
 
 
 def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
@@ -92,21 +209,8 @@ def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
     state = checkpoint.load(train(config, tmp_path / "run") / "last.safetensors")
     assert state.step > 1
     assert 3.0 <= state.seconds < 10
-    again = Run.start(config, tmp_path / "run")
+    again = TrainingRun.start(config, tmp_path / "run")
     assert again.share() >= 1.0
-
-
-def test_configurations_take_changes():
-    config = load_config("table", changes=["model.blocks=conv", "edge=off", "seed=3", "learning_rate=1e-3"])
-    assert (config.model.blocks, config.edge, config.seed, config.learning_rate) == ("conv", "off", 3, 1e-3)
-    assert config.model.encoder == load_config("table").model.encoder
-    for wrong, message in (
-        ("edge", "KEY=VALUE"),
-        ("batch.size=3", "batch to hold keys"),
-        ("bacth=3", "bacth"),
-    ):
-        with pytest.raises(InputError, match=message):
-            load_config("table", changes=[wrong])
 
 
 def test_resuming_takes_no_changes(tmp_path):
@@ -130,56 +234,6 @@ def test_a_training_may_begin_with_the_network_of_another(tmp_path):
     with pytest.raises(InputError, match="expected the network of the configuration"):
         train_command("npt", "small", tmp_path / "third", None, None, [], first / "last.safetensors")
     assert not (tmp_path / "third").exists()
-
-
-def test_paper_configuration_is_the_papers():
-    config = load_config("paper")
-    assert config.model == NPTConfig()
-    assert (config.batch, config.learning_rate, config.pairs) == (8, 5e-5, 200 * 4000)
-    assert (config.data.kind, config.data.vertices, config.data.target_scale) == ("table6", 0, "truth")
-    assert (config.edge, config.edge_weight) == ("paper", 5e-4)
-
-
-@pytest.mark.parametrize("name", ["small", "base", "table"])
-def test_configurations_of_mime_load(name):
-    config = load_config(name, "mime")
-    assert config.data.target_scale == "identity"
-    assert config.data.vertices >= config.model.near
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ("data.kind=clips", "expected data.kind table6 or wide with mime, found clips"),
-        ("data.target_scale=truth", "expected data.target_scale identity"),
-        ("model.heads=3", "expected heads that divide width 128, found 3"),
-    ],
-)
-def test_mime_refuses_what_it_cannot_train_on(change, message):
-    with pytest.raises(InputError, match=message):
-        load_config("small", "mime", [change])
-
-
-@pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table"])
-def test_shipped_configurations_load(name):
-    assert load_config(name).pairs > 0
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("batches: 8", "found batches; remove it"),
-        ("batch: many", "batch: expected int, found 'many'"),
-        ("model: {blocks: magic}", "found 'magic'"),
-        ("model: 3", "expected keys and values"),
-        ("compile: 1", "expected bool"),
-    ],
-)
-def test_configurations_are_checked(tmp_path, text, message):
-    path = tmp_path / "mine.yaml"
-    path.write_text(text)
-    with pytest.raises(InputError, match=message):
-        load_config(str(path))
 
 
 def test_unknown_names_say_what_there_is(tmp_path):

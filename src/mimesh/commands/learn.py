@@ -27,17 +27,19 @@ def train(
 ) -> None:
     """Train a network on data made as it goes.
 
-    Needs the [train] extra; uses CUDA where there is one. Stopped or killed, it goes on with --resume.
+    Needs the [train] extra; uses CUDA where there is one. Ctrl-C and SIGTERM save first; --resume continues exactly.
     """
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     from ..learn.train import train_command
 
     folder = train_command(model, config, output, resume, max_minutes, change or [], weights)
+    last, best = folder / "last.safetensors", folder / "best.safetensors"
+    validated = best.exists()  # not where the time was over before the first validation
     if json:
-        print_json({"output": str(folder), "best": str(folder / "best.safetensors")})
+        print_json({"output": str(folder), "last": str(last), "best": str(best) if validated else None})
     else:
-        print(f"{folder}: best.safetensors, last.safetensors, log.jsonl")
-        print_next("export", folder / "best.safetensors", "-o", f"{folder.name}.onnx")
+        print(f"{folder}: {'best.safetensors, ' if validated else ''}last.safetensors, log.jsonl")
+        print_next("export", best if validated else last, "-o", f"{folder.name}.onnx")
 
 
 def export(

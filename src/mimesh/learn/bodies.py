@@ -1,4 +1,7 @@
-"""The batched torch twin of `bodies.RiggedBody`: the same people, thousands a second, on any device."""
+"""Body kinematics and linear blend skinning in torch: batched, differentiable twins of the NumPy ones.
+
+`TorchBody` poses the people that `RiggedBody` poses, thousands a second on any device; a test compares the two.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,10 @@ from ..bodies import RiggedBody
 
 
 class TorchBody(nn.Module):
-    """Arrays of a RiggedBody as buffers, coordinates first; `posed` gives the vertices that `RiggedBody.posed` gives.
+    """A RiggedBody whose arrays are buffers with coordinates as the first axis.
 
-    Coordinates first makes skinning one matrix product and three fused multiply-adds over long rows: on two cores six
-    times the bodies a second of vertices first.
+    In that layout skinning is one matrix product and three fused multiply-adds over long rows: six times as many bodies
+    a second on two cores as with vertices first.
     """
 
     rest: Tensor
@@ -37,7 +40,7 @@ class TorchBody(nn.Module):
 
     @property
     def vertex_count(self) -> int:
-        """Vertices of the whole body."""
+        """Number of vertices of the whole body."""
         return self.rest.shape[1]
 
     def posed(
@@ -46,7 +49,7 @@ class TorchBody(nn.Module):
         rotmat: Float[Tensor, "B J 3 3"],
         index: Int[Tensor, "B N"] | None = None,
     ) -> Float[Tensor, "B N 3"]:
-        """Vertices of people in poses; `index` picks vertices of each sample before any work is done."""
+        """Compute vertices of people under local joint rotations; `index` picks vertices before any work is done."""
         transforms = self.skinning_transforms(shape, rotmat).flatten(2)
         if index is None:
             rest = self.rest + (shape @ self.components.flatten(1)).unflatten(1, self.rest.shape)
@@ -63,7 +66,7 @@ class TorchBody(nn.Module):
     def skinning_transforms(
         self, shape: Float[Tensor, "B K"], rotmat: Float[Tensor, "B J 3 3"]
     ) -> Float[Tensor, "B J 3 4"]:
-        """What each joint does to a rest point, as a 3x4 matrix."""
+        """Compute the 3x4 matrix that each joint applies to a rest point: forward kinematics from the root outwards."""
         joints = self.joints + torch.einsum("bk,kjc->bjc", shape, self.joint_components)
         rotation: list[Tensor] = []
         position: list[Tensor] = []
@@ -81,7 +84,7 @@ class TorchBody(nn.Module):
 
 
 def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
-    """Rotation matrices of rotation vectors in radians (Rodrigues' formula)."""
+    """Convert rotation vectors (radians) to rotation matrices by Rodrigues' formula."""
     angle = rotvec.norm(dim=-1, keepdim=True).clamp_min(1e-12)
     x, y, z = (rotvec / angle).unbind(-1)
     sine, cosine = angle.sin()[..., None], angle.cos()[..., None]
@@ -89,3 +92,33 @@ def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:
     cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).unflatten(-1, (3, 3))
     eye = torch.eye(3, dtype=rotvec.dtype, device=rotvec.device)
     return eye + sine * cross + (1.0 - cosine) * (cross @ cross)
+
+
+def posed_joints(
+    rotation: Float[Tensor, "B J 3 3"],
+    joints: Float[Tensor, "B J 3"],
+    target: Float[Tensor, "B J 3 3"],
+    root: Float[Tensor, "B 3"],
+    parents: tuple[int, ...],
+) -> Float[Tensor, "B J 3"]:
+    """Compute joint positions after each joint turns from `rotation` to `target` (world); bones keep their lengths."""
+    position = [root]
+    for j, parent in enumerate(parents[1:], 1):
+        bone = rotation[:, parent].mT @ (joints[:, j] - joints[:, parent])[..., None]
+        position.append(position[parent] + (target[:, parent] @ bone)[..., 0])
+    return torch.stack(position, 1)
+
+
+def skinned(
+    vertices: Float[Tensor, "B V 3"],
+    weights: Float[Tensor, "B V J"],
+    rotation: Float[Tensor, "B J 3 3"],
+    joints: Float[Tensor, "B J 3"],
+    target: Float[Tensor, "B J 3 3"],
+    target_joints: Float[Tensor, "B J 3"],
+) -> Float[Tensor, "B V 3"]:
+    """Skin vertices linearly: each joint moves them from its frame (rotation, joints) to its target frame."""
+    turned = target @ rotation.mT
+    offset = target_joints - (turned @ joints[..., None])[..., 0]
+    blended = (weights @ torch.cat([turned, offset[..., None]], -1).flatten(2)).unflatten(2, (3, 4))
+    return (blended[..., :3] @ vertices[..., None])[..., 0] + blended[..., 3]

@@ -12,17 +12,12 @@ import numpy as np
 import onnx
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
 
-from ..bodies import RiggedBody, load_body
 from ..core.errors import InputError
 from ..io.atomic import whole_file
-from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
-from .aniformer import AniFormer, AniFormerConfig
-from .limp import LIMPConfig
-from .mime import POINTS, Mime, MimeConfig
-from .npt import NPTConfig
+from .tasks.base import OnnxInterface
+from .tasks.find import find_task
 
 DATA = {
     "table6": "16 people x 400 poses of NPT Table 6",
@@ -31,51 +26,47 @@ DATA = {
     "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
     "between poses within the joint limits; headings",
 }
-"""Kinds of training data as the card says them."""
+"""Descriptions of `DataConfig.kind` for the card."""
+INT8_STEPS = 127
+"""Steps from zero to the largest weight of a row."""
 
 
 def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
-    """What `mimesh export` does: write the network and its card (`.json`: data, config, time, hardware, metrics).
+    """Do what `mimesh export` does: write the network and its card (`.json`), and give the card.
 
-    Weights are stored in so many bits, 16 or 8. `metrics.test` is left out: those who measure fill it. Gives the card.
+    The card holds data, configuration, time, hardware and validation figures; whoever measures adds `metrics.test`.
+
+    Args:
+        bits: that each weight is stored in, 16 or 8.
     """
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
     if bits not in (8, 16):
         raise InputError(f"--bits: expected 16 or 8, found {bits}; leave it out for 16")
-    model, state = checkpoint.load_model(path)
-    network = smaller(to_onnx(model), bits)
-    describe(network, model.config, state.config.data.target_scale)
+    model, trained = checkpoint.load_model(path)
+    config, task = trained.config, find_task(trained.config.network)
+    network = compress(to_onnx(task.onnx_interface(model)), bits)
+    facts = task.onnx_facts(model) | {"target_scale": config.data.target_scale}
+    onnx.helper.set_model_props(network, {"mimesh": json.dumps(facts | {"config": dataclasses.asdict(config.model)})})
     with whole_file(out) as temporary:
         onnx.save(network, str(temporary))
-    facts = card(out, path, state)
+    card = make_card(out, path, trained)
     with whole_file(out.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(facts, indent=2) + "\n")
-    return facts
+        temporary.write_text(json.dumps(card, indent=2) + "\n")
+    return card
 
 
-def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
-    """Export with inputs `identity` and `driving` and output `result`, all float32 and of any vertex count.
-
-    NPT: (B, V, 3) and (B, U, 3) give (B, V, 3). AniFormer: (1, V, 3) and (1, T, V, 3) give (1, T, V, 3), or
-    (1, 1, V, 3) with its regression head; one window at a time, so that memory stays small. LIMP: (B, V, 3) and
-    (B, U, 3) give the W vertices of its template, (B, W, 3). mime is another matter: see `methods/mime.py`.
-    """
-    inputs, outputs = ["identity", "driving"], ["result"]
-    if isinstance(model, Mime):
-        example, shapes = _surface()
-        inputs, outputs = ["points", "normals", "vertices", "vertex_normals"], ["rotation", "joints", "scores"]
-    else:
-        example, shapes = _window(model.config) if isinstance(model, AniFormer) else _pair(model.config)
+def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
+    """Export a network; all inputs and outputs are float32."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter's own deprecations
         program = torch.onnx.export(
-            ReadAndWeigh(model).eval() if isinstance(model, Mime) else model.eval(),
-            example,
+            interface.module.eval(),
+            interface.example,
             dynamo=True,
-            input_names=inputs,
-            output_names=outputs,
-            dynamic_shapes=shapes,
+            input_names=list(interface.inputs),
+            output_names=list(interface.outputs),
+            dynamic_shapes=interface.dynamic,
             verbose=False,
         )
     assert program is not None
@@ -83,7 +74,7 @@ def to_onnx(model: checkpoint.Network) -> onnx.ModelProto:
 
 
 def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
-    """The network without what the exporter says of where in whose files each operation came from."""
+    """Remove what the exporter writes about the source files that each operation came from."""
     graph = network.graph
     for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
         del thing.metadata_props[:]
@@ -91,44 +82,12 @@ def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
     return network
 
 
-class ReadAndWeigh(nn.Module):
-    """All of mime that looks at one mesh; moving it is left to who runs it."""
-
-    def __init__(self, model: Mime) -> None:
-        super().__init__()
-        self.model = model
-
-    def forward(self, points: Tensor, normals: Tensor, vertices: Tensor, vertex_normals: Tensor):
-        reading = self.model.read(points, normals)
-        return reading.rotation, reading.place, self.model.weights(reading, vertices, vertex_normals)
-
-
-def _surface() -> tuple[tuple[Tensor, ...], tuple[dict, ...]]:
-    """Example inputs of mime: as many points as are read, any number of vertices."""
-    v = torch.export.Dim("vertices", min=1)
-    return (*torch.randn(2, 1, POINTS, 3), *torch.randn(2, 1, 300, 3)), ({}, {}, {1: v}, {1: v})
-
-
-def _pair(config: NPTConfig | LIMPConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
-    """Example inputs of a network of pairs, and which of their axes may have any length."""
-    pooled = isinstance(config, LIMPConfig) or config.pose_code == "global_max"
-    batch, v = torch.export.Dim("batch", min=1), torch.export.Dim("vertices", min=2)
-    u = torch.export.Dim("driving_vertices", min=2) if pooled else v
-    return (torch.randn(2, 300, 3), torch.randn(2, 200 if pooled else 300, 3)), ({0: batch, 1: v}, {0: batch, 1: u})
-
-
-def _window(config: AniFormerConfig) -> tuple[tuple[Tensor, Tensor], tuple[dict, dict]]:
-    """The same of AniFormer."""
-    v = torch.export.Dim("vertices", min=2)
-    return (torch.randn(1, 300, 3), torch.randn(1, config.frames, 300, 3)), ({1: v}, {2: v})
-
-
-def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> onnx.ModelProto:
-    """A copy that stores its weights in fewer bits; arithmetic stays in float32.
+def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> onnx.ModelProto:
+    """Copy a network with its weights stored in fewer bits; arithmetic stays in float32.
 
     Args:
-        bits: 16 casts float16; 8 scales int8 by a number for each row of a matrix, and is 16 for the rest.
-        smallest: fewer numbers than these are left alone.
+        bits: 16 casts to float16; 8 rounds each row of a matrix to int8 with its own scale, and is 16 for the rest.
+        smallest: tensors of fewer numbers than these are left alone.
     """
     network = onnx.ModelProto.FromString(network.SerializeToString())
     nodes = []
@@ -137,7 +96,7 @@ def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> on
             continue
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if bits == 8 and values.ndim == 2:
-            scale = (np.abs(values).max(axis=1) / 127).clip(1e-12).astype(np.float32)
+            scale = (np.abs(values).max(axis=1) / INT8_STEPS).clip(1e-12).astype(np.float32)
             stored = np.round(values / scale[:, None]).astype(np.int8)
             network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
             inputs = [f"{name}.stored", f"{name}.scale"]
@@ -146,36 +105,15 @@ def smaller(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> on
             stored = values.astype(np.float16)
             nodes.append(onnx.helper.make_node("Cast", [f"{name}.stored"], [name], to=onnx.TensorProto.FLOAT))
         tensor.CopyFrom(onnx.numpy_helper.from_array(stored, f"{name}.stored"))
+    # Nodes are in the order of execution: the stored weights are unpacked first.
     nodes += network.graph.node
     del network.graph.node[:]
     network.graph.node.extend(nodes)
     return network
 
 
-def skeleton(body: RiggedBody) -> dict[str, Any]:
-    """Names and parents of the joints that mime reads, and which make a leg."""
-    legs = [[body.joint(side + name) for name in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
-    return {"joints": body.joint_names, "parents": body.parents, "legs": legs}
-
-
-def describe(
-    network: onnx.ModelProto, config: NPTConfig | AniFormerConfig | LIMPConfig | MimeConfig, target_scale: str
-) -> None:
-    """Write into the file what a runner must know."""
-    if isinstance(config, AniFormerConfig):
-        facts: dict[str, Any] = {"model": "aniformer", "frames": config.frames, "head": config.head}
-    elif isinstance(config, LIMPConfig):
-        facts = {"model": "limp", "vertices": config.vertices}
-    elif isinstance(config, MimeConfig):
-        facts = {"model": "mime", "points": POINTS, **skeleton(load_body())}
-    else:
-        facts = {"model": "npt", "pose_code": config.pose_code}
-    facts |= {"target_scale": target_scale, "config": dataclasses.asdict(config)}
-    onnx.helper.set_model_props(network, {"mimesh": json.dumps(facts)})
-
-
-def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
-    """The model card: provenance and validation figures of the exported weights."""
+def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str, Any]:
+    """Make the model card: provenance and validation figures of the exported weights."""
     header = checkpoint.read_header(path)
     config = header["config"]
     return {
@@ -187,20 +125,23 @@ def card(out: Path, path: Path, state: checkpoint.State) -> dict[str, Any]:
         "seed": config["seed"],
         "commit": header["commit"],
         "hardware": header["hardware"],
-        **state.spent(),
-        **({"before": list(state.before)} if state.before else {}),
-        "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in state.metrics.items()}},
+        **({"precision": trained.precision} if trained.precision else {}),
+        **trained.spent(),
+        **({"before": list(trained.before)} if trained.before else {}),
+        "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
 
 
-def test_set(facts: dict[str, Any]) -> str:
-    """The protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
-    return "clips-aniformer" if facts["config"].get("network", "npt") in ("aniformer", "limp") else "human-npt"
+def test_set(card: dict[str, Any]) -> str:
+    """Give the protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
+    return find_task(card["config"].get("network", "npt")).test_set
 
 
 def infer_onnx(
     network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
 ) -> Float[np.ndarray, "B *R V 3"]:
     """Run an exported network once, to compare it with torch."""
-    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
     return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])

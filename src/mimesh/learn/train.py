@@ -1,36 +1,40 @@
-"""The training loop: random pairs in, best checkpoint on `val` out, resumable at any moment."""
+"""The training loop: random pairs in, checkpoints out, the best of them by validation; resumable at any moment."""
 
 from __future__ import annotations
 
-import dataclasses
+import functools
 import json
+import signal
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TextIO
 
 import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
-from ..bodies import load_body
 from ..core.errors import InputError
 from . import checkpoint
-from .aniformer import AniFormer
-from .batches import Batch, PairSource
-from .clip_batches import ClipBatch
-from .clip_losses import aniformer_loss
-from .config import MODELS, TrainConfig, load_config
-from .limp import LIMP, limp_loss
-from .losses import npt_loss
-from .mime_batches import MimeBatch
-from .mime_loss import mime_loss
+from .config import load_config
 from .optimizers import make_optimizers
-from .validation import PairValidation, make_source, make_validation
+from .tasks.base import Source, Task, TrainConfig
+from .tasks.find import NETWORKS, find_task
+from .validation import Validation
 
 LOG_SECONDS = 20.0
-SAVE_SECONDS = 120.0
+"""Wall-clock time between lines of the log."""
+SAVE_SECONDS = 60.0
+"""Wall-clock time between checkpoints."""
+DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
+SIDE = {"cpu": 256, "cuda": 4096}
+"""Rows and columns of the matrices whose products are timed: one takes at most 0.1 s on a slow device of each kind."""
+MIN_GAIN = {"": 1.25, "fp32": 1.6, "bf16": 0.9}
+"""Speed of bf16 products over that of fp32 from which bf16 is taken, by what a resumed training used before: near the
+limit, two measurements on one machine must not give two answers."""
 
 
 def train_command(
@@ -42,13 +46,14 @@ def train_command(
     changes: Sequence[str] = (),
     weights: Path | None = None,
 ) -> Path:
-    """What `mimesh train` does; returns the folder with `last.safetensors`, `best.safetensors` and the logs.
+    """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
-    `changes` are "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv"; `weights` is a
-    checkpoint whose network a new training begins with.
+    Args:
+        changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
+        weights: checkpoint whose network a new training begins with.
     """
-    if model not in MODELS:
-        raise InputError(f"{model}: expected a model that can be trained ({', '.join(MODELS)}), found another")
+    if model not in NETWORKS:
+        raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
     if resume is not None:
         last = resume / "last.safetensors"
         if not last.exists():
@@ -64,102 +69,141 @@ def train_command(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
     if weights is not None:
-        begin(settings, weights, folder)
+        begin_with(settings, weights, folder)
     return train(settings, folder, max_minutes)
 
 
-def begin(config: TrainConfig, weights: Path, folder: Path) -> None:
-    """Make a folder for a training whose network is that of a checkpoint; all else is new.
+def begin_with(config: TrainConfig, weights: Path, folder: Path) -> None:
+    """Write the first checkpoint of a training whose network is that of another checkpoint; all else is new.
 
     Raises:
         InputError: the checkpoint holds another network.
     """
-    model, state = checkpoint.load_model(weights)
-    if state.config.model != config.model:
+    model, trained = checkpoint.load_model(weights)
+    if trained.config.model != config.model:
         raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
     folder.mkdir(parents=True, exist_ok=True)
-    run = Run.start(config, folder)
+    run = TrainingRun.start(config, folder)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
-    run.before = (*state.before, state.spent())
+    run.before = (*trained.before, trained.spent())
     run.save(folder / "last.safetensors")
 
 
 def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -> Path:
-    """Train to the end of the schedule or the time limit; continue if the folder holds a checkpoint."""
+    """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
+
+    A checkpoint is written every minute, before every validation and at the end. At least one step is taken.
+
+    Args:
+        max_minutes: wall-clock time, counted from this call.
+
+    Raises:
+        KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    run = Run.start(config, folder)
-    validation = make_validation(config, load_body(), run.device)
-    deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
-    with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
-        log = Log(lines, board, config, run)
-        while run.share() < 1.0 and time.monotonic() < deadline:
-            log.add(run.advance())
-            if run.step * config.batch % config.validate_every < config.batch or run.share() >= 1.0:
-                log.write("validation", run.validate(validation, folder))
-            elif time.monotonic() - run.saved > SAVE_SECONDS:
-                run.save(folder / "last.safetensors")
-        log.flush()
-        if not run.metrics:
-            log.write("validation", run.validate(validation, folder))
-        run.save(folder / "last.safetensors")
+    last = folder / "last.safetensors"
+    with StopRequest(max_minutes) as stop:
+        run = TrainingRun.start(config, folder)
+        validation = Validation(run.task)
+        with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
+            log = TrainingLog(lines, board, run)
+            log.note("precision", run.reason, precision=run.task.precision)
+            first = run.step
+            while not stop() or (run.step == first and stop.signal is None and run.share() < 1.0):
+                if run.validation_due():
+                    log.flush()
+                    run.save(last)
+                    if figures := run.validate(validation, folder, stop):
+                        log.write("validation", figures)
+                elif run.share() >= 1.0:
+                    break
+                else:
+                    log.add(run.advance())
+                    if time.monotonic() - run.saved > SAVE_SECONDS:
+                        run.save(last)
+            log.flush()
+            run.save(last)
+            if stop():
+                rest = "; the validation that was due is left to it" if run.validation_due() else ""
+                log.note("stopped", f"{stop.reason()}; --resume {folder} continues{rest}")
     return folder
 
 
 @dataclass
-class Run:
-    """A training in motion."""
+class TrainingRun:
+    """The state of a running training."""
 
     config: TrainConfig
-    model: checkpoint.Network
+    task: Task
+    model: nn.Module
     step_model: nn.Module
     """The model, or its compiled form; both share weights."""
     ema: dict[str, Tensor]
+    """Moving average of the weights by name; empty if none is kept."""
     optimizers: list[torch.optim.Optimizer]
-    source: PairSource
+    source: Source
     device: torch.device
+    reason: str
+    """Why `task.precision` was chosen, in words."""
     step: int = 0
     seconds: float = 0.0
+    """Spent in steps, by `clock`."""
     best: float = float("inf")
+    """Lowest validation figure so far."""
     saved: float = 0.0
+    """Time of the last checkpoint (`time.monotonic`)."""
     metrics: dict[str, float] | None = None
     """Validation figures of the current weights; None once they have changed."""
+    validated: int = 0
+    """Step of the last validation."""
     before: tuple[dict[str, int], ...] = ()
-    """Trainings that this one went on from."""
+    """Trainings whose network this one began with."""
 
     @classmethod
-    def start(cls, config: TrainConfig, folder: Path) -> Run:
-        """A fresh training, or the one whose checkpoint lies in the folder."""
+    def start(cls, config: TrainConfig, folder: Path) -> TrainingRun:
+        """Set up a new training, or the one whose checkpoint lies in the folder."""
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-        torch.manual_seed(config.seed)
-        model = checkpoint.make_model(config).to(device)
-        ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
-        optimizers = make_optimizers(model, config, device)
-        source = make_source(config, load_body(), device, config.seed)
-        compiled = torch.compile(model) if config.compile else model
-        run = cls(config, model, compiled, ema, optimizers, source, device, saved=time.monotonic())  # type: ignore[arg-type]
         last = folder / "last.safetensors"
-        if last.exists():
-            state = checkpoint.load(last)
+        state = checkpoint.load(last) if last.exists() else None
+        precision, reason = choose_precision(config.precision, device, state.precision if state else "")
+        torch.manual_seed(config.seed)
+        task = find_task(config.network)(config, device, precision)
+        model = task.make_model().to(device)
+        ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
+        optimizers = make_optimizers(model, config, device, DTYPES[precision])
+        source = task.source(config.seed)
+        step_model: Any = torch.compile(model) if config.compile else model
+        run = cls(config, task, model, step_model, ema, optimizers, source, device, reason, saved=time.monotonic())
+        if state:
             checkpoint.unpack(state, model, ema, optimizers)
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
+            run.metrics = state.metrics or None
+            run.validated = state.step if state.validated is None else state.validated
         return run
 
     def clock(self) -> float:
-        """Seconds of this process on all cores; with a GPU those of the wall.
+        """Give the seconds that this process spent on all cores; with a GPU those of the wall clock.
 
         Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
         """
         return time.process_time() if self.device.type == "cpu" else time.perf_counter()
 
     def share(self) -> float:
-        """How much of the training is done: 0 at the start, 1 at its end."""
+        """Give how much of the training is done: 0 at the start, 1 at its end."""
         if self.config.minutes:
             return self.seconds / (60.0 * self.config.minutes)
         return self.step * self.config.batch / self.config.pairs
 
+    def validation_due(self) -> bool:
+        """Tell whether the steps since the last validation passed a multiple of `validate_every` pairs, or the end."""
+        if self.share() >= 1.0:
+            return not self.metrics
+        now, before = (step * self.config.batch // self.config.validate_every for step in (self.step, self.validated))
+        return now > before
+
     def advance(self) -> Tensor:
-        """One optimizer step; the loss stays on the device."""
+        """Take one optimizer step and give the loss, which stays on the device."""
         started = self.clock()
         config = self.config
         batch = self.source.batch(config.batch, self.step)
@@ -167,7 +211,7 @@ class Run:
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
             optimizer.zero_grad(set_to_none=True)
-        loss = self.loss(batch)
+        loss = self.task.loss(self.step_model, batch, self.step)
         loss.backward()
         if config.clip:
             nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
@@ -182,62 +226,41 @@ class Run:
         self.seconds += self.clock() - started
         return loss.detach()
 
-    def loss(self, batch: Batch | ClipBatch | MimeBatch) -> Tensor:
-        """NPT Eq. 4 or AniFormer Eq. 6 over V, LIMP's or mime's, in the configured width."""
-        config = self.config
-        if isinstance(batch, MimeBatch):
-            with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
-                return mime_loss(self.step_model, batch, config.structure)  # type: ignore[arg-type]
-        if isinstance(self.model, LIMP):
-            rng = torch.Generator(self.device).manual_seed(config.seed * 1_000_003 + self.step)
-            meshes = (batch.identity, batch.truth, batch.driving)
-            with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
-                return limp_loss(self.model, *meshes, batch.edges[0], config.metrics, rng)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=config.precision == "bf16"):
-            result = self.step_model(batch.identity, batch.driving)
-        share = batch.edges_of_mesh
-        if isinstance(batch, Batch):
-            edge = (config.edge, config.edge_weight)
-            return npt_loss(result, batch.truth, batch.identity, batch.edges, *edge, share)
-        given = (batch.truth, batch.identity, batch.driving, batch.edges, batch.unit)
-        return aniformer_loss(result, *given, **dataclasses.asdict(config.losses), edges_of_mesh=share)
-
-    def validate(self, validation: PairValidation, folder: Path) -> dict[str, float]:
-        """Measure on `val`; keep the checkpoint if it is the best so far."""
+    def validate(
+        self, validation: Validation, folder: Path, stop: Callable[[], bool] = lambda: False
+    ) -> dict[str, float] | None:
+        """Measure on `val`, and keep the checkpoint if it is the best so far; None if `stop` ended the measurement."""
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:
             self.model.load_state_dict(self.ema)
-        self.metrics = validation.measure(self.model)
+        metrics = validation.measure(self.model, stop)
         self.model.load_state_dict(current)
-        if self.metrics["val"] < self.best:
-            self.best = self.metrics["val"]
+        if metrics is None:
+            return None
+        self.metrics, self.validated = metrics, self.step
+        if metrics["val"] < self.best:
+            self.best = metrics["val"]
             self.save(folder / "best.safetensors")
         self.save(folder / "last.safetensors")
-        return self.metrics
+        return metrics
 
     def save(self, path: Path) -> None:
         """Write a checkpoint."""
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
-        facts = (self.config, self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before)
-        checkpoint.save(path, checkpoint.State(*facts))
+        position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
+        checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision))
         self.saved = time.monotonic()
 
 
-class Log:
-    """JSON lines, TensorBoard and a line on the terminal."""
+class TrainingLog:
+    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
 
-    def __init__(self, lines, board: SummaryWriter, config: TrainConfig, run: Run) -> None:
-        self.lines, self.board, self.config, self.run = lines, board, config, run
+    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
+        self.lines, self.board, self.run = lines, board, run
         self.losses: list[Tensor] = []
         self.time, self.mark = time.monotonic(), run.seconds
         # Forward plus backward: three times the forward arithmetic.
-        count = config.data.vertices or run.source.body.vertex_count
-        if isinstance(run.model, AniFormer):
-            self.flops = 3 * run.model.config.frames * run.model.estimate_flops(count)
-        elif isinstance(run.model, LIMP):
-            self.flops = 3 * run.model.estimate_flops(count, count, count, decodings=7)
-        else:
-            self.flops = 3 * run.model.estimate_flops(count, count)
+        self.flops = 3 * run.task.flops_per_pair(run.model)
 
     def add(self, loss: Tensor) -> None:
         """Collect a loss; write a line now and then."""
@@ -246,29 +269,104 @@ class Log:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was collected: mean loss, pairs a second, arithmetic achieved."""
+        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()
-        rate = len(self.losses) * self.config.batch / (self.run.seconds - self.mark)
+        rate = len(self.losses) * self.run.config.batch / (self.run.seconds - self.mark)
         figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
         figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
         self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
         self.write("training", figures)
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
-        """One line of the log."""
-        pairs = self.run.step * self.config.batch
-        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **figures}
+        """Write one line of figures."""
+        for name, value in figures.items():
+            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
+        self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
+
+    def note(self, kind: str, text: str, **facts: str) -> None:
+        """Write one line of words."""
+        self._line(kind, text, {"text": text, **facts})
+
+    def _line(self, kind: str, text: str, facts: Mapping[str, float | str]) -> None:
+        pairs = self.run.step * self.run.config.batch
+        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
         self.lines.write(json.dumps(record) + "\n")
         self.lines.flush()
-        for name, value in figures.items():
-            self.board.add_scalar(f"{kind}/{name}", value, pairs)
-        print(f"{kind} {pairs:,} pairs: " + ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), file=sys.stderr)
+        print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)
+
+
+class StopRequest:
+    """Tells when a training has to end before its schedule does: after a time limit, or on SIGTERM or SIGINT.
+
+    A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
+    KeyboardInterrupt. A second one acts at once. Outside the main thread, which alone may handle signals, only the
+    time limit counts.
+    """
+
+    def __init__(self, max_minutes: float | None) -> None:
+        self.deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
+        self.signal: signal.Signals | None = None
+        self.handlers: dict[signal.Signals, Any] = {}
+
+    def __call__(self) -> bool:
+        return self.signal is not None or time.monotonic() >= self.deadline
+
+    def reason(self) -> str:
+        """Say what ended the training."""
+        return "the time given is over" if self.signal is None else f"ended by {self.signal.name}"
+
+    def __enter__(self) -> StopRequest:
+        if threading.current_thread() is threading.main_thread():
+            self.handlers = {s: signal.signal(s, self._record) for s in (signal.SIGTERM, signal.SIGINT)}
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._restore()
+        if kind is None and self.signal is not None:
+            raise KeyboardInterrupt
+
+    def _record(self, number: int, _: object) -> None:
+        self.signal = signal.Signals(number)
+        self._restore()
+
+    def _restore(self) -> None:
+        while self.handlers:
+            signal.signal(*self.handlers.popitem())
+
+
+def choose_precision(asked: str, device: torch.device, before: str = "") -> tuple[str, str]:
+    """Give the precision of matrix products, `fp32` or `bf16`, and the reason in words; measure where `auto` is asked.
+
+    Processors without units for bf16 take a hundred times as long for such a product as for one in fp32.
+
+    Args:
+        before: precision that a resumed training used before, or empty.
+    """
+    if asked != "auto":
+        return asked, f"matrix products in {asked}, as configured"
+    rates = {name: product_rate(dtype, device) for name, dtype in DTYPES.items()}
+    chosen = "bf16" if rates["bf16"] > MIN_GAIN[before] * rates["fp32"] else "fp32"
+    measured = " and ".join(f"{rate / 1e9:.3g} in {name}" for name, rate in rates.items())
+    return chosen, f"matrix products in {chosen}: GFLOP/s measured are {measured}"
+
+
+@functools.cache
+def product_rate(dtype: torch.dtype, device: torch.device, seconds: float = 0.05) -> float:
+    """Measure floating-point operations a second of products of square matrices: the best within a moment."""
+    side = SIDE[device.type]
+    a, b = torch.randn(2, side, side, generator=torch.Generator().manual_seed(0)).to(device, dtype)
+    best, end = float("inf"), time.perf_counter() + seconds
+    while best == float("inf") or time.perf_counter() < end:
+        started = time.perf_counter()
+        float((a @ b)[0, 0])  # waits for the device
+        best = min(best, time.perf_counter() - started)
+    return 2.0 * side**3 / best
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:
-    """Share of the learning rate after so many pairs, a `share` of the training: rise, constant, steps, fall."""
+    """Give the factor on the learning rate after so many pairs, a `share` of all: rise, constant, steps, fall."""
     rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
     fall = min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0
     return rise * fall * 0.1 ** sum(share >= milestone for milestone in config.milestones)

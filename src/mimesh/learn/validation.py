@@ -1,159 +1,101 @@
-"""What a training is judged by while it runs: the `val` split of its protocol, and fresh data like its own."""
+"""Validation: the `val` split of a model's protocol, and fresh data like its own, while a training runs."""
 
 from __future__ import annotations
+
+import functools
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
-from ..bodies import RiggedBody
-from ..core import geometry, surface_points
-from ..core.mesh import Mesh
 from ..core.normalization import bbox_centre, radius
-from ..evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, on_template
+from ..evaluate.clip_protocols import ClipPair
 from ..evaluate.metrics import pmd_of_pair
 from ..evaluate.pairs import Pair
-from ..evaluate.protocols import HUMAN_NPT, Protocol
-from .aniformer import AniFormer, AniFormerConfig
-from .batches import PairSource, TemplateSource
-from .checkpoint import Network
-from .clip_batches import ClipSource
-from .clip_losses import middle_of
-from .config import TrainConfig
-from .limp import LIMP, LIMPConfig
-from .mime import POINTS, Mime, MimeConfig
-from .mime_batches import MimeBatch, MimeSource
-from .mime_loss import pmd
+from .losses import match_frames
+from .tasks.base import Task
 
 WINDOW = 3
-"""Frames of each clip that networks of pairs are judged by."""
+"""Frames of each clip that networks of pairs are validated on, from its middle."""
+FRESH, FRESH_BATCHES, FRESH_BATCH = "fresh", 8, 32
+"""Key of the figure on fresh data; number of batches that it is measured on, pairs of each."""
 FRESH_SEED = 1_000_003
-"""Added to the seed of a training: batches that it never sees."""
+"""Added to the seed of a training: batches that it never gets."""
+
+Infer = Callable[[Float[Tensor, "V 3"], Float[Tensor, "T U 3"]], Float[Tensor, "R V 3"]]
+"""A network without batches: one identity and T driving frames to R results."""
 
 
-def make_source(config: TrainConfig, body: RiggedBody, device: torch.device, seed: int) -> PairSource | ClipSource:
-    """Where a training's batches come from."""
-    if isinstance(config.model, MimeConfig):
-        return MimeSource(config.data, body, device, seed)
-    if isinstance(config.model, AniFormerConfig):
-        return ClipSource(config.data, config.model.frames, body, device, seed)
-    kind = TemplateSource if isinstance(config.model, LIMPConfig) else PairSource
-    return kind(config.data, body, device, seed)
+class Validation:
+    """Measures a network on pairs of the protocol's `val` split and on fresh training-like data."""
 
-
-def make_validation(config: TrainConfig, body: RiggedBody, device: torch.device) -> PairValidation:
-    """Clips for what is trained on motions, pairs for the rest."""
-    if isinstance(config.model, MimeConfig):
-        return MimeValidation(config, body, device)
-    clips = config.data.kind in ("clips", "clips80")
-    return (ClipValidation if clips else PairValidation)(config, body, device)
-
-
-class PairValidation:
-    """Pairs of the `val` split of human-npt (PMD of the papers), and of fresh training-like data with another seed."""
-
-    protocol: Protocol = HUMAN_NPT
-
-    def __init__(self, config: TrainConfig, body: RiggedBody, device: torch.device) -> None:
-        self.config, self.device = config, device
-        kinds, count = self.protocol.kinds, config.validation_pairs
-        self.trials = {kind: list(self.protocol.trials("val", kind, count)) for kind in kinds}
-        self.fresh = make_source(config, body, device, config.seed + FRESH_SEED)
+    def __init__(self, task: Task) -> None:
+        self.task = task
+        self.trial = functools.cache(functools.partial(task.protocol.pair, "val"))
+        self.fresh = task.source(task.config.seed + FRESH_SEED)
 
     @torch.no_grad()
-    def measure(self, model: Network) -> dict[str, float]:
-        """PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of the last two."""
+    def measure(self, model: nn.Module, stop: Callable[[], bool] = lambda: False) -> dict[str, float] | None:
+        """Measure PMD x1e4 on each kind of `val` and on fresh data; `val` is the mean of `unseen` and `fresh`.
+
+        None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
+        """
+        protocol, count = self.task.protocol, self.task.config.validation_pairs
+        counts = {kind: protocol.count(kind, count) for kind in protocol.kinds} | {FRESH: FRESH_BATCHES}
+        jobs = [(kind, i) for kind, number in counts.items() for i in range(number)]
+        errors: dict[str, list[float]] = {kind: [] for kind, _ in jobs}
         model.eval()
-        figures = {kind: sum(self.pmd(model, t) for t in trials) / len(trials) for kind, trials in self.trials.items()}
-        batches = [self.fresh.batch(32, i) for i in range(8)]
-        errors = [self._fresh_error(model, batch) for batch in batches]
-        figures["fresh"] = float(torch.stack(errors).mean())
-        figures = {kind: 1e4 * value for kind, value in figures.items()}
-        figures["val"] = (figures["unseen"] + figures["fresh"]) / 2
+        for kind, i in jobs:
+            if stop():
+                break
+            errors[kind].append(self._error(model, kind, i))
         model.train()
+        if sum(map(len, errors.values())) < len(jobs):
+            return None
+        figures = {kind: 1e4 * sum(found) / len(found) for kind, found in errors.items()}
+        figures["val"] = (figures["unseen"] + figures[FRESH]) / 2
         return figures
 
-    def _fresh_error(self, model: Network, batch) -> Tensor:
-        return self._error(self._infer(model, batch.identity, batch.driving), batch.truth)
-
-    def pmd(self, model: Network, trial: Pair) -> float:
-        """Of one trial, result and truth in metres and then in the truth's unit sphere."""
-        identity, own = self._sphere(trial.identity.vertices)
-        driving, _ = self._sphere(trial.driving.vertices)
-        result = self._infer(model, identity[None], driving[None])[0]
-        return self._pmd_in_metres(result, own, trial.truth)
-
-    def _pmd_in_metres(self, result: Float[Tensor, "V 3"], own: float, truth: Float[np.ndarray, "V 3"]) -> float:
-        """The result made as large as the truths of the training were when they were divided by a radius."""
-        scale = own if self.config.data.target_scale == "identity" else self._sphere(truth)[1]
-        return pmd_of_pair((result.double() * scale).cpu().numpy(), truth)
-
-    def _sphere(self, points: Float[np.ndarray, "V 3"]) -> tuple[Float[Tensor, "V 3"], float]:
-        """Points centred on their bounding box in units of their radius, and that radius."""
-        centred = points - bbox_centre(points)
-        return torch.from_numpy(centred / radius(centred)).float().to(self.device), radius(centred)
-
-    def _infer(self, model: Network, identity: Tensor, driving: Tensor) -> Tensor:
-        with self._cast():
-            return model(identity, driving)
-
-    def _cast(self):
-        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.config.precision == "bf16")
-
-    def _error(self, result: Tensor, truth: Tensor) -> Tensor:
-        return (result - truth).square().sum(-1).mean()
+    def _error(self, model: nn.Module, kind: str, index: int) -> float:
+        if kind == FRESH:
+            return self.task.batch_error(model, self.fresh.batch(FRESH_BATCH, index))
+        return self.task.trial_error(model, self.trial(kind, index))
 
 
-class ClipValidation(PairValidation):
-    """The same on windows from the middle of clips of `clips-aniformer`; frame by frame for networks of pairs."""
+def pair_error(infer: Infer, trial: Pair, target_scale: str, device: torch.device) -> float:
+    """Compute the PMD of one pair by a network that maps vertices to vertices.
 
-    protocol = CLIPS_ANIFORMER
-
-    def pmd(self, model: Network, trial: ClipPair) -> float:  # type: ignore[override]
-        """Mean over the frames of one window."""
-        trial = on_template(trial) if isinstance(model, LIMP) else trial
-        frames = model.config.frames if isinstance(model, AniFormer) else WINDOW
-        start = (len(trial.clip) - frames) // 2
-        identity, own = self._sphere(trial.identity.vertices)
-        clip = trial.clip.vertices[start : start + frames].astype(np.float64)
-        driving = torch.stack([self._sphere(v)[0] for v in clip])
-        driving = driving[None] if isinstance(model, AniFormer) else driving
-        results = self._infer(model, identity.expand(len(driving), -1, -1), driving)
-        results = results[0] if isinstance(model, AniFormer) else results
-        truths = trial.truth_frames[start : start + frames].astype(np.float64)
-        truths = middle_of(torch.from_numpy(truths)[None], len(results))[0].numpy()
-        return float(np.mean([self._pmd_in_metres(r, own, t) for r, t in zip(results, truths, strict=True)]))
-
-    def _error(self, result: Tensor, truth: Tensor) -> Tensor:
-        return super()._error(result, truth if truth.ndim == 3 else middle_of(truth, result.shape[1]))
+    Args:
+        target_scale: whose radius the truths of the training were divided by (`DataConfig.target_scale`).
+    """
+    identity, size = to_unit_sphere(trial.identity.vertices, device)
+    driving, _ = to_unit_sphere(trial.driving.vertices, device)
+    return _pmd(infer(identity, driving[None])[0], size, trial.truth, target_scale)
 
 
-class MimeValidation(PairValidation):
-    """The same for mime, which reads points of the surface and moves all vertices."""
+def clip_error(infer: Infer, trial: ClipPair, target_scale: str, device: torch.device, frames: int = WINDOW) -> float:
+    """Compute the mean PMD over the frames of one window from the middle of a clip."""
+    start = (len(trial.clip) - frames) // 2
+    window = slice(start, start + frames)
+    identity, size = to_unit_sphere(trial.identity.vertices, device)
+    driving = torch.stack([to_unit_sphere(v, device)[0] for v in trial.clip.vertices[window].astype(np.float64)])
+    results = infer(identity, driving)
+    truths = torch.from_numpy(trial.truth_frames[window].astype(np.float64))
+    truths = match_frames(truths[None], len(results))[0].numpy()
+    return float(np.mean([_pmd(r, size, t, target_scale) for r, t in zip(results, truths, strict=True)]))
 
-    def pmd(self, model: Network, trial: Pair) -> float:
-        """Of one trial, result and truth in metres and then in the truth's unit sphere."""
-        assert isinstance(model, Mime)
-        mesh = trial.identity
-        vertices, normals = mesh.vertices, geometry.vertex_normals(mesh.vertices, mesh.faces)
-        with self._cast():
-            own, other = (model.read(*self._points(m)) for m in (mesh, trial.driving))
-            scores = model.weights(own, self._tensor(vertices), self._tensor(normals))
-        result = model.moved(self._tensor(vertices), scores, own, other)[0]
-        return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
 
-    def _points(self, mesh: Mesh) -> tuple[Tensor, Tensor]:
-        face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
-        points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
-        return self._tensor(points), self._tensor(geometry.face_normals(mesh.vertices, mesh.faces)[face])
+def to_unit_sphere(points: Float[np.ndarray, "V 3"], device: torch.device) -> tuple[Float[Tensor, "V 3"], float]:
+    """Centre points on their bounding box and divide them by their radius; give that radius too."""
+    centred = points - bbox_centre(points)
+    return torch.from_numpy(centred / radius(centred)).float().to(device), radius(centred)
 
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float()[None].to(self.device)
 
-    def _fresh_error(self, model: Network, batch: MimeBatch) -> Tensor:
-        assert isinstance(model, Mime)
-        with self._cast():
-            own, other, scores = model(*batch.given)
-        few = batch.identity.points[:, : scores.shape[1]]
-        return pmd(model.moved(few, scores, own, other, batch.truth.joints[:, 0]), batch).mean()
+def _pmd(
+    result: Float[Tensor, "V 3"], identity_radius: float, truth: Float[np.ndarray, "V 3"], target_scale: str
+) -> float:
+    """Compute the PMD of a result, scaled by the radius that the truths of the training were divided by."""
+    scale = identity_radius if target_scale == "identity" else radius(truth - bbox_centre(truth))
+    return pmd_of_pair((result.double() * scale).cpu().numpy(), truth)

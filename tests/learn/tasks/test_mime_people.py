@@ -1,7 +1,6 @@
-"""Endless people: exact skinning, points that stay themselves, what is worn, and proportions."""
+"""Endless people for mime: exact skinning, garments, and proportions."""
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from mimesh.bodies import load_body  # noqa: E402
-from mimesh.learn.batches import DataConfig  # noqa: E402
 from mimesh.learn.bodies import rotvec_to_rotmat  # noqa: E402
-from mimesh.learn.mime_batches import MimeSource, plain  # noqa: E402
-from mimesh.learn.people import Crowd, SurfaceBody  # noqa: E402
+from mimesh.learn.tasks.mime_people import PeopleSampler, SurfaceBody, plain_people  # noqa: E402
 
 BODY = load_body()
 CPU = torch.device("cpu")
@@ -31,7 +28,7 @@ def poses(size, reach=0.4):
 def test_plain_people_are_those_of_the_rigged_body(surface):
     """Points lie on the triangles that the body's own vertices have in that pose, within what a triangle bends."""
     shape, rotmat = torch.randn(2, len(BODY.components)), poses(2)
-    who = plain(shape, surface)
+    who = plain_people(shape, surface)
     rng = torch.Generator().manual_seed(0)
     index = surface.choose(who, 400, rng)
     found = surface.posed(who, rotmat, index)
@@ -48,10 +45,10 @@ def test_plain_people_are_those_of_the_rigged_body(surface):
     assert torch.allclose(found.weights.sum(-1), torch.ones(2, 400), atol=1e-5)
 
 
-def test_normals_stand_on_the_surface(surface):
+def test_normals_are_at_right_angles_to_the_surface(surface):
     """Of a sphere of girths and lengths: turned and scaled normals stay at right angles to nearby points."""
     who = dataclasses.replace(
-        plain(torch.zeros(1, len(BODY.components)), surface),
+        plain_people(torch.zeros(1, len(BODY.components)), surface),
         girth=torch.full((1, len(BODY.parents)), 1.5),
         length=torch.full((1, len(BODY.parents)), 0.8),
     )
@@ -67,7 +64,7 @@ def test_normals_stand_on_the_surface(surface):
 
 
 def test_proportions_scale_bones_and_nothing_else(surface):
-    who = plain(torch.zeros(1, len(BODY.components)), surface)
+    who = plain_people(torch.zeros(1, len(BODY.components)), surface)
     arm, hand = BODY.joint("LeftArm"), BODY.joint("LeftForeArm")
     longer = dataclasses.replace(who, length=who.length.clone())
     longer.length[0, arm] = 1.5
@@ -77,8 +74,8 @@ def test_proportions_scale_bones_and_nothing_else(surface):
     assert torch.allclose(new[BODY.joint("Head")], old[BODY.joint("Head")])
 
 
-def test_nobody_shows_what_they_do_not_wear(surface):
-    who = Crowd(BODY, 1.3, CPU).draw(40, torch.Generator().manual_seed(3))
+def test_points_lie_on_worn_garments_only(surface):
+    who = PeopleSampler(BODY, 1.3, CPU).draw(40, torch.Generator().manual_seed(3))
     index = surface.choose(who, 300, torch.Generator().manual_seed(4))
     piece = surface.piece[index]
     for person in range(40):
@@ -87,42 +84,14 @@ def test_nobody_shows_what_they_do_not_wear(surface):
     assert 0.1 < who.worn[:, 1].float().mean() < 0.45
 
 
-def test_left_and_right_are_alike():
-    who = Crowd(BODY, 1.3, CPU).draw(8, torch.Generator().manual_seed(5))
+def test_left_and_right_bones_are_scaled_alike():
+    who = PeopleSampler(BODY, 1.3, CPU).draw(8, torch.Generator().manual_seed(5))
     left, right = (BODY.joint(f"{side}ForeArm") for side in ("Left", "Right"))
     assert torch.equal(who.length[:, left], who.length[:, right])
     assert who.girth.std() > 0.05
 
 
-@pytest.mark.parametrize("kind", ["table6", "wide"])
-def test_the_truth_is_the_identity_in_the_driving_pose(kind):
-    source = MimeSource(DataConfig(kind, 64, "identity"), BODY, CPU, 0)
-    batch = source.batch(3, 0)
-    assert torch.equal(batch.truth.weights, batch.identity.weights)
-    assert torch.equal(batch.truth.rotation, batch.driving.rotation)
-    # Bones keep their lengths from pose to pose.
-    for a, b in ((1, 2), (2, 3), (10, 11)):
-        one, two = ((m.joints[:, a] - m.joints[:, b]).norm(dim=-1) for m in (batch.identity, batch.truth))
-        assert torch.allclose(one, two, atol=1e-5)
-    again = source.batch(3, 0)
-    assert torch.equal(again.truth.points, batch.truth.points)
-    assert not math.isclose(float(source.batch(3, 1).truth.points.mean()), float(batch.truth.points.mean()))
-
-
-def test_one_side_of_some_driving_meshes(monkeypatch):
-    monkeypatch.setattr("mimesh.learn.mime_batches.HALF", 1.0)
-    batch = MimeSource(DataConfig("wide", 64, "identity"), BODY, CPU, 0).batch(8, 0)
-    for whole, (_, normals) in zip(batch.driving.normals, zip(*batch.given[1], strict=True), strict=True):
-        given = {tuple(n) for n in normals.tolist()} - {(0.0, 0.0, 0.0)}
-        assert not given or 10 < len(given) < 54
-        across = torch.tensor(sorted(given))[:, [0, 2]]
-        angles = torch.linspace(0, 2 * math.pi, 361)
-        facing = across @ torch.stack([angles.sin(), angles.cos()])
-        assert not given or (facing > -1e-6).all(0).any()
-        assert given <= {tuple(n) for n in whole.tolist()}
-
-
-def test_strange_people_have_larger_heads():
-    who = Crowd(BODY, 1.3, CPU).draw(400, torch.Generator().manual_seed(5))
+def test_unusual_people_have_larger_heads():
+    who = PeopleSampler(BODY, 1.3, CPU).draw(400, torch.Generator().manual_seed(5))
     head, hand = BODY.joint("Head"), BODY.joint("LeftHand")
     assert who.girth[:, head].log().mean() > 0.08 > abs(who.girth[:, hand].log().mean())

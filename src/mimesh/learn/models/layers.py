@@ -1,4 +1,4 @@
-"""Layers that the papers' models share.
+"""Layers that the papers' models share: 1x1 convolution, InstanceNorm, SPAdaIN and the ResBlock made of them.
 
 Inside a model features are (C, B, V), channels first: a 1x1 convolution is then one matrix product for the whole batch,
 and InstanceNorm runs over contiguous rows. In place of B there may be more axes, and the identity's may be 1 where
@@ -19,30 +19,31 @@ EPSILON = 1e-5
 
 
 def instance_norm(h: Float[Tensor, "C *B V"]) -> Float[Tensor, "C *B V"]:
-    """Zero mean and unit variance over the vertices of each sample and channel (NPT Eq. 1 and 2), no affine part.
+    """Normalise the vertices of each sample and channel to zero mean and unit variance (NPT Eq. 1 and 2), not affine.
 
-    The one place where vertices meet.
+    The only operation of NPT that mixes vertices.
     """
     return F.layer_norm(h, h.shape[-1:], eps=EPSILON)
 
 
 class PointConv(nn.Module):
-    """1x1 convolution: one linear map of the channels, the same for every vertex (PyTorch's default initialisation)."""
+    """Map the channels of every vertex by one matrix: a 1x1 convolution, with PyTorch's default initialisation."""
 
     def __init__(self, channels_in: int, channels_out: int) -> None:
         super().__init__()
-        reach = 1.0 / math.sqrt(channels_in)
-        self.weight = nn.Parameter(torch.empty(channels_out, channels_in).uniform_(-reach, reach))
-        self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-reach, reach))
+        bound = 1.0 / math.sqrt(channels_in)
+        self.weight = nn.Parameter(torch.empty(channels_out, channels_in).uniform_(-bound, bound))
+        self.bias = nn.Parameter(torch.empty(channels_out).uniform_(-bound, bound))
 
     def forward(self, h: Float[Tensor, "C *B V"]) -> Float[Tensor, "D *B V"]:
         return torch.addmm(self.bias[:, None], self.weight, h.flatten(1)).unflatten(1, h.shape[1:])
 
 
 class SPAdaIN(nn.Module):
-    """Spatially adaptive instance normalisation (NPT Eq. 3, Table 4): scale and shift come from each identity vertex.
+    """Scale and shift each vertex's normalised features by maps of its identity position (NPT Eq. 3, Table 4).
 
-    `normalise=False` leaves the instance norm out, as the max-pool variant needs where its code is one vector.
+    Spatially adaptive instance normalisation. `normalise=False` leaves the instance norm out, as the max-pool variant
+    needs where its code is one vector: the norm over identical vertices would be zero.
     """
 
     def __init__(self, channels: int, normalise: bool = True) -> None:
@@ -56,9 +57,9 @@ class SPAdaIN(nn.Module):
 
 
 class Unit(nn.Module):
-    """One unit of a ResBlock: `norm-conv-relu` as NPT Table 3 has it, or `norm-relu-conv` as the public code has it.
+    """Apply norm, convolution and ReLU: a third of a ResBlock, in the order of NPT Table 3 or of the public code.
 
-    Where it is not modulated, `normalise` is an InstanceNorm or nothing.
+    The norm is SPAdaIN if `modulated`, else an InstanceNorm or, without `normalise`, nothing.
     """
 
     def __init__(self, channels: int, order: str, modulated: bool, normalise: bool) -> None:
@@ -77,12 +78,12 @@ class Unit(nn.Module):
 
 
 class ResBlock(nn.Module):
-    """Two units, plus one unit on the shortcut (NPT Table 3; its row 9 adds rows 6 and 8).
+    """Apply two units, and add one unit on the shortcut (NPT Table 3; its row 9 adds rows 6 and 8).
 
     Args:
-        modulated: SPAdaIN in front of each convolution (left out in Table 2).
-        normalise: whether the instance norms of (first unit, second unit, shortcut) are there.
-        plain_norm: whether there is an InstanceNorm where there is no SPAdaIN.
+        modulated: whether SPAdaIN stands in front of each convolution (not so in Table 2's "w/o SPAdaIN").
+        normalise: whether first unit, second unit and shortcut have their instance norm.
+        plain_norm: whether an InstanceNorm stands where there is no SPAdaIN.
     """
 
     def __init__(

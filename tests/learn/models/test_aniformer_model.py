@@ -1,4 +1,4 @@
-"""AniFormer: sizes, switches, and who meets whom."""
+"""The network of AniFormer: size, options, and what attends to what."""
 
 import math
 
@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch.nn import functional
 
-from mimesh.learn.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
-from mimesh.learn.export import infer_onnx, smaller, to_onnx
-from mimesh.methods.onnx_runtime import import_onnxruntime
+from mimesh.learn.export import compress, infer_onnx, to_onnx
+from mimesh.learn.models.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
+from mimesh.learn.tasks.aniformer import AniFormerTask
 
 TINY = {"encoder": (8, 16, 24), "layers": (24, 16, 16, 8), "heads": 2}
 VARIANTS = [
@@ -46,7 +46,7 @@ def paper(**switches) -> AniFormer:
         return AniFormer(AniFormerConfig(**switches))
 
 
-def test_papers_size():
+def test_size_is_the_papers():
     assert sum(p.numel() for p in paper().parameters()) == pytest.approx(16.93e6, rel=1e-3)
     assert sum(p.numel() for p in paper(attention="vertices").parameters()) == pytest.approx(12.01e6, rel=1e-3)
 
@@ -68,7 +68,7 @@ def test_arithmetic_beside_the_public_code(switches, ratio):
 
 @pytest.mark.parametrize("switches", VARIANTS)
 @torch.no_grad()
-def test_result_shape_and_reach(switches):
+def test_result_shape_and_range(switches):
     result = tiny(**switches)(*clip(2, 40))
     assert result.shape == (2, 1 if switches.get("head") == "regression" else 3, 40, 3)
     assert result.dtype == torch.float32
@@ -108,32 +108,34 @@ def test_with_fewer_keys_the_order_of_the_others_does_not_matter():
     assert (model(identity.flip(1), driving.flip(2)).flip(2) - result).abs().max() > 1e-5
 
 
-@pytest.mark.parametrize(("attention", "meet"), [("both", True), ("frames", True), ("vertices", False), ("off", False)])
+@pytest.mark.parametrize(
+    ("attention", "mixed"), [("both", True), ("frames", True), ("vertices", False), ("off", False)]
+)
 @torch.no_grad()
-def test_frames_meet_where_attention_says_so(attention, meet):
+def test_frames_are_mixed_by_attention_over_frames_only(attention, mixed):
     model, (identity, driving) = tiny(attention=attention), clip()
     other = driving.clone()
     other[:, 2] += 0.3 * torch.randn(other[:, 2].shape)
     change = (model(identity, driving) - model(identity, other)).abs().amax(dim=(0, 2, 3))
-    assert (change[:2] > 1e-5).all() == meet
-    assert meet or (change[:2] == 0).all()
+    assert (change[:2] > 1e-5).all() == mixed
+    assert mixed or (change[:2] == 0).all()
     assert change[2] > 1e-3
 
 
 @torch.no_grad()
-def test_the_embedding_tells_frames_of_a_still_clip_apart():
+def test_the_embedding_distinguishes_frames_of_a_still_clip():
     identity, driving = clip()
     still = driving[:, :1].expand_as(driving)
-    for embedding, told in (("learned", True), ("off", False)):
+    for embedding, distinct in (("learned", True), ("off", False)):
         result = tiny(embedding=embedding)(identity, still)
-        assert ((result - result[:, :1]).abs().max() > 1e-4) == told
+        assert ((result - result[:, :1]).abs().max() > 1e-4) == distinct
     unattended = tiny(gamma=None)(identity, still)
-    assert (unattended - unattended[:, :1]).abs().max() < 1e-5, "InstanceNorm takes it away where nothing attends"
+    assert (unattended - unattended[:, :1]).abs().max() < 1e-5, "InstanceNorm removes it without attention"
 
 
 @pytest.mark.parametrize("switches", VARIANTS)
 @torch.no_grad()
-def test_samples_of_a_batch_do_not_meet(switches):
+def test_samples_of_a_batch_are_independent(switches):
     model, (identity, driving) = tiny(**switches), clip(3)
     whole, single = model(identity, driving)[1:2], model(identity[1:2], driving[1:2])
     torch.testing.assert_close(whole, single, atol=1e-5, rtol=1e-5)
@@ -164,11 +166,11 @@ def test_vertex_attention_is_equations_2_and_3():
         torch.testing.assert_close(layer(h), expected)
 
 
-def attended(layer: Attention, tokens: torch.Tensor, seen: torch.Tensor) -> torch.Tensor:
-    """Sum over seen tokens j of softmax_j(q_i k_j / scale) v_j, head by head; tokens are columns."""
+def attended(layer: Attention, tokens: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
+    """Sum over attended tokens j of softmax_j(q_i k_j / scale) v_j, head by head; tokens are columns."""
     q, k, v = (
         conv.weight @ x + conv.bias[:, None]
-        for conv, x in ((layer.query, tokens), (layer.key, seen), (layer.value, seen))
+        for conv, x in ((layer.query, tokens), (layer.key, others), (layer.value, others))
     )
     parts = []
     for one_q, one_k, one_v in zip(*(x.chunk(layer.heads) for x in (q, k, v)), strict=True):
@@ -177,7 +179,7 @@ def attended(layer: Attention, tokens: torch.Tensor, seen: torch.Tensor) -> torc
     return torch.cat(parts)
 
 
-def test_every_weight_learns():
+def test_every_weight_has_a_gradient():
     for switches in VARIANTS:
         model = tiny(**switches)
         model(*clip(2, 12)).square().sum().backward()
@@ -186,7 +188,7 @@ def test_every_weight_learns():
         assert all(name.endswith("bias") for name in silent), silent
 
 
-def test_gamma_learns_from_zero():
+def test_gamma_has_a_gradient_at_zero():
     model = tiny(gamma=None)
     model(*clip(2, 12)).square().sum().backward()
     gammas = [m.gamma.grad for m in model.modules() if isinstance(m, Attention)]
@@ -225,13 +227,13 @@ def exported(request):
     """The exporter takes a minute on one busy core: one variant stands for all."""
     pytest.importorskip("onnx")
     model = tiny(keys=KEYS, **EXPORTED[request.param])
-    return model, to_onnx(model)
+    return model, to_onnx(AniFormerTask.onnx_interface(model))
 
 
 @torch.no_grad()
 def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(exported):
     model, network = exported
-    half = smaller(network)
+    half = compress(network)
     for vertices in (2, KEYS - 1, KEYS, KEYS + 1, 400):
         identity, driving = clip(1, vertices, model.config.frames)
         expected = model(identity, driving).numpy()
@@ -241,12 +243,13 @@ def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(expo
 
 def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_one_head(exported):
     """Run with every intermediate as an output and look at the sizes themselves."""
+    import onnxruntime
+
     model, network = exported
     vertices, frames, widest = 3000, model.config.frames, max(model.config.layers)
     watched = type(network).FromString(network.SerializeToString())
     names = {name for node in watched.graph.node for name in node.output} - {o.name for o in watched.graph.output}
     watched.graph.output.extend(type(watched.graph.output[0])(name=name) for name in sorted(names))
-    onnxruntime = import_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
     session = onnxruntime.InferenceSession(watched.SerializeToString(), options, providers=["CPUExecutionProvider"])

@@ -1,4 +1,4 @@
-"""LIMP: an order-free code of style and pose, a template that is always the same, losses that keep lengths."""
+"""LIMP: codes that do not depend on order, one template for all results, losses that keep lengths."""
 
 import dataclasses
 import itertools
@@ -17,9 +17,9 @@ from mimesh.evaluate.measure import measure_clip  # noqa: E402
 from mimesh.evaluate.remesh import template  # noqa: E402
 from mimesh.learn.config import config_from, load_config  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402
-from mimesh.learn.limp import LIMP, LIMPConfig, LIMPLossConfig, _growth, limp_loss  # noqa: E402
+from mimesh.learn.models.limp import LIMP, LIMPConfig  # noqa: E402
+from mimesh.learn.tasks.limp import LIMPLossConfig, LIMPTask, limp_loss, relative_change  # noqa: E402
 from mimesh.learn.train import train  # noqa: E402
-from mimesh.learn.validation import make_source  # noqa: E402
 from mimesh.pipeline import transfer  # noqa: E402
 
 COUNT = 2100
@@ -34,7 +34,7 @@ CONFIG = {
 }
 
 
-class Knowing(LIMP):
+class MeshAsCode(LIMP):
     """Codes are the meshes themselves: style is ignored, pose is all."""
 
     def __init__(self):
@@ -70,7 +70,7 @@ def test_the_template_is_a_surface_on_the_bodys_own_vertices():
 
 
 @torch.no_grad()
-def test_codes_know_no_order():
+def test_codes_do_not_depend_on_vertex_order():
     model, mesh = limp(), torch.rand(2, 50, 3)
     mixed = mesh[:, torch.randperm(50)]
     for code, again in zip(model.encode(mesh), model.encode(mixed), strict=True):
@@ -86,24 +86,24 @@ def test_a_pose_is_transferred_by_swapping_the_extrinsic_code():
     assert model(identity, driving).shape == (2, COUNT, 3)
 
 
-def test_the_loss_wants_lengths_kept():
-    """Zero for a network that gives a still world back; each term by itself, against the same in words."""
+def test_the_loss_is_least_where_lengths_are_kept():
+    """Zero for a network that reproduces meshes that do not move; then each term by itself."""
     mesh, pairs = body_mesh()
     rng = torch.Generator().manual_seed(0)
     weights = LIMPLossConfig()
-    assert limp_loss(Knowing(), mesh, mesh, mesh, pairs, weights, rng) == 0
+    assert limp_loss(MeshAsCode(), mesh, mesh, mesh, pairs, weights, rng) == 0
     turn = torch.tensor([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     # A rigid turn keeps the edges of a swapped pose; what lies straight between two headings is thinner.
-    thinner = limp_loss(Knowing(), mesh, mesh, mesh @ turn.T, pairs, weights, rng)
+    thinner = limp_loss(MeshAsCode(), mesh, mesh, mesh @ turn.T, pairs, weights, rng)
     assert 0 < thinner < weights.lengths
     # Somebody else's larger body, taken for a pose, stretches the edges by a tenth; between the two all is even.
-    larger = limp_loss(Knowing(), mesh, mesh, 1.1 * mesh, pairs, weights, rng)
+    larger = limp_loss(MeshAsCode(), mesh, mesh, 1.1 * mesh, pairs, weights, rng)
     assert float(larger) == pytest.approx(0.1 * weights.lengths, rel=1e-4)
-    assert limp_loss(Knowing(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(lengths=0.0), rng) == 0
+    assert limp_loss(MeshAsCode(), mesh, mesh, 1.1 * mesh, pairs, LIMPLossConfig(lengths=0.0), rng) == 0
 
 
 def test_batches_hold_one_person_twice_on_the_templates_vertices():
-    source = make_source(config_from(CONFIG, "here"), load_body(), torch.device("cpu"), 0)
+    source = LIMPTask(config_from(CONFIG, "here"), torch.device("cpu")).source(0)
     batch = source.batch(3, 0)
     assert batch.identity.shape == batch.driving.shape == batch.truth.shape == (3, COUNT, 3)
     lengths = [(mesh[:, batch.edges[0, :, 0]] - mesh[:, batch.edges[0, :, 1]]).norm(dim=-1) for mesh in (
@@ -112,7 +112,7 @@ def test_batches_hold_one_person_twice_on_the_templates_vertices():
     same, other = ((ratio / ratio.median(1, keepdim=True).values - 1).abs().median() for ratio in ratios)
     assert same < 0.5 * other
     # The right answer costs no more than what skinning does to edges: both poses of a person are in one unit.
-    assert _growth(lengths[1], lengths[0]) < 0.08
+    assert relative_change(lengths[1], lengths[0]) < 0.08
 
 
 def test_a_training_becomes_a_method_for_the_template(tmp_path):
@@ -142,12 +142,12 @@ def test_a_trial_on_the_template_is_the_trial_with_fewer_vertices():
     assert measure_clip(trial, "copy")["pmd_e4"] == pytest.approx(measure_clip(whole, "copy")["pmd_e4"], rel=0.2)
 
 
-def test_the_template_is_as_large_as_the_data():
+def test_the_data_must_have_the_templates_vertices():
     with pytest.raises(InputError, match=r"data\.vertices as model\.vertices"):
         load_config("table", "limp", ["data.vertices=128"])
 
 
-def test_a_person_has_one_size_in_all_poses():
+def test_the_target_scale_must_be_the_identitys():
     changed = {**CONFIG, "data": {**CONFIG["data"], "target_scale": "truth"}}
     with pytest.raises(InputError, match=r"target_scale identity"):
         config_from(changed, "here")

@@ -1,11 +1,11 @@
-"""NPT: sizes, switches and the properties that its text claims."""
+"""The network of NPT: size, options, and the properties that its description claims."""
 
 import numpy as np
 import pytest
 import torch
 
-from mimesh.learn.layers import SPAdaIN, instance_norm
-from mimesh.learn.npt import NPT, NPTConfig
+from mimesh.learn.models.layers import SPAdaIN, instance_norm
+from mimesh.learn.models.npt import NPT, NPTConfig
 
 TINY = {"encoder": (8, 16, 24), "decoder": (27, 16, 8)}
 VARIANTS = [
@@ -26,7 +26,7 @@ def tiny(**switches) -> NPT:
     return NPT(NPTConfig(**TINY, **switches)).eval()
 
 
-def test_papers_size():
+def test_size_and_arithmetic_are_the_papers():
     model = NPT(NPTConfig())
     assert sum(p.numel() for p in model.parameters()) == pytest.approx(6.05e6, rel=2e-3)
     assert model.estimate_flops(6890, 6890) == pytest.approx(83e9, rel=0.01)
@@ -53,7 +53,7 @@ def test_pooled_code_takes_any_driving_order_and_count():
 @pytest.mark.parametrize("switches", VARIANTS)
 @torch.no_grad()
 def test_driving_pose_reaches_the_result(switches):
-    """A norm in the wrong place whitens a pooled code away; then the driving mesh would not matter."""
+    """A norm in the wrong place removes a pooled code; then the driving mesh would not matter."""
     model = tiny(**switches)
     identity, first, second = torch.rand(3, 1, 40, 3)
     assert (model(identity, first) - model(identity, second)).abs().max() > 1e-4
@@ -61,18 +61,18 @@ def test_driving_pose_reaches_the_result(switches):
 
 @pytest.mark.parametrize("blocks", ["conv", "resblock"])
 @torch.no_grad()
-def test_without_any_norm_the_vertices_of_the_decoder_never_meet(blocks):
+def test_without_any_norm_the_vertices_of_the_decoder_are_independent(blocks):
     identity, driving = torch.rand(2, 1, 40, 3)
     other = identity.clone()
     other[:, 0] += 0.3
-    for plain_norm, meets in (("none", False), ("instance", True)):
+    for plain_norm, mixed in (("none", False), ("instance", True)):
         model = tiny(blocks=blocks, plain_norm=plain_norm)
         moved = (model(identity, driving) - model(other, driving))[:, 1:].abs().max()
-        assert (moved > 1e-6) == meets
+        assert (moved > 1e-6) == mixed
 
 
 @torch.no_grad()
-def test_samples_of_a_batch_do_not_meet():
+def test_samples_of_a_batch_are_independent():
     model = tiny()
     identity, driving = torch.rand(2, 3, 40, 3)
     torch.testing.assert_close(model(identity, driving)[1:2], model(identity[1:2], driving[1:2]), atol=1e-5, rtol=1e-5)
@@ -95,7 +95,7 @@ def test_spadain_is_equation_3():
     torch.testing.assert_close(layer(h, identity), scale * instance_norm(h) + shift, atol=1e-5, rtol=1e-5)
 
 
-def test_every_weight_learns():
+def test_every_weight_has_a_gradient():
     for switches in VARIANTS:
         model = tiny(**switches)
         model(*torch.rand(2, 2, 12, 3)).square().sum().backward()
@@ -104,9 +104,9 @@ def test_every_weight_learns():
         assert all(name.endswith("bias") for name in silent), silent
 
 
-def test_reach_of_the_output():
-    for output, reach in (("tanh", 1.0), ("2tanh", 2.0)):
+def test_output_range_is_that_of_the_activation():
+    for output, bound in (("tanh", 1.0), ("2tanh", 2.0)):
         model = tiny(output=output)
         with torch.no_grad():
             model.head.bias.fill_(50.0)
-            np.testing.assert_allclose(model(*torch.rand(2, 1, 6, 3)).numpy(), reach, rtol=1e-3)
+            np.testing.assert_allclose(model(*torch.rand(2, 1, 6, 3)).numpy(), bound, rtol=1e-3)

@@ -7,22 +7,15 @@ import torch
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
-from mimesh.evaluate.clip_protocols import on_template
-from mimesh.learn import clip_batches
-from mimesh.learn.aniformer import AniFormerConfig
-from mimesh.learn.batches import DataConfig
-from mimesh.learn.checkpoint import make_model
-from mimesh.learn.clip_batches import ClipSource
-from mimesh.learn.clip_losses import aniformer_loss, middle_of
-from mimesh.learn.config import ClipLossConfig, TrainConfig, load_config
-from mimesh.learn.limp import LIMPConfig
-from mimesh.learn.npt import NPTConfig
-from mimesh.learn.train import Run, train
-from mimesh.learn.validation import make_validation
+from mimesh.learn.body_sampler import DataConfig
+from mimesh.learn.config import load_config
+from mimesh.learn.models.aniformer import AniFormerConfig
+from mimesh.learn.tasks import aniformer
+from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, ClipLossConfig, WindowSource, aniformer_loss
+from mimesh.learn.train import TrainingRun, train
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]
-TINY = TrainConfig(
-    network="aniformer",
+TINY = AniFormerTrainConfig(
     model=AniFormerConfig(encoder=(8, 16, 16), layers=(16, 16, 8, 8), heads=2, keys=16),
     data=DataConfig("clips80", 32),
     batch=2,
@@ -36,7 +29,7 @@ TINY = TrainConfig(
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
 def source(request):
-    return ClipSource(request.param, 3, load_body(), torch.device("cpu"), seed=3)
+    return WindowSource(request.param, 3, load_body(), torch.device("cpu"), seed=3)
 
 
 def test_truth_is_aligned_with_the_identity_in_every_frame(source):
@@ -63,18 +56,18 @@ def test_driving_is_shuffled_on_its_own_and_alike_in_all_frames(source):
 
 
 def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
-    whole = ClipSource(CASES[-1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 1)
+    whole = WindowSource(CASES[-1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 1)
     for points in (whole.driving, whole.truth, whole.identity):
         assert (points.amax(-2) + points.amin(-2)).abs().max() < 1e-4
     torch.testing.assert_close(whole.driving.norm(dim=-1).amax(-1), torch.ones(2, 3))
 
 
-def test_the_truth_keeps_the_identitys_edges_however_it_is_normalised():
+def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
     """Eq. 5 at the truth is what skinning does to edges, and not a change of unit."""
     found, as_given = [], []
     for scale in ("truth", "identity"):
         config = DataConfig("clips80", target_scale=scale)
-        batch = ClipSource(config, 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
+        batch = WindowSource(config, 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
         given = (batch.truth, batch.truth, batch.identity, batch.driving, batch.edges)
         weights = {"motion": "off", "appearance_weight": 1.0}
         found.append(float(aniformer_loss(*given, batch.unit, **weights)))
@@ -83,10 +76,24 @@ def test_the_truth_keeps_the_identitys_edges_however_it_is_normalised():
     assert as_given[0] > 1.5 * found[0]
 
 
+def test_reflection_mirrors_whole_windows():
+    config = DataConfig("clips80", 64)
+    plain, mirrored = (
+        WindowSource(dataclasses.replace(config, reflect=share), 3, load_body(), torch.device("cpu"), seed=3).batch(
+            2, 0
+        )
+        for share in (0.0, 0.5)
+    )
+    for name in ("identity", "driving", "truth"):
+        before, after = getattr(plain, name), getattr(mirrored, name)
+        assert torch.equal(after[0], before[0] * torch.tensor([-1.0, 1.0, 1.0]))
+        assert torch.equal(after[1], before[1])
+
+
 def test_a_still_clip_stays_still(monkeypatch):
-    monkeypatch.setattr(clip_batches, "REACH", 0.0)
-    monkeypatch.setattr(clip_batches, "CAPTURED", 0.0)
-    batch = ClipSource(CASES[1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
+    monkeypatch.setattr(aniformer, "MAX_STEP", 0.0)
+    monkeypatch.setattr(aniformer, "CAPTURED", 0.0)
+    batch = WindowSource(CASES[1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
     assert batch.driving.diff(dim=1).abs().max() < 1e-5
 
 
@@ -98,13 +105,13 @@ def test_a_step_is_a_pure_function(source):
     assert not torch.equal(first.truth, other.truth)
 
 
-def test_training_goes_on_exactly_where_it_stopped(tmp_path):
-    whole = Run.start(TINY, tmp_path / "none")
+def test_resuming_continues_exactly(tmp_path):
+    whole = TrainingRun.start(TINY, tmp_path / "none")
     expected = [float(whole.advance()) for _ in range(4)]
-    first = Run.start(TINY, tmp_path / "none")
+    first = TrainingRun.start(TINY, tmp_path / "none")
     begun = [float(first.advance()) for _ in range(2)]
     first.save(tmp_path / "last.safetensors")
-    second = Run.start(TINY, tmp_path)
+    second = TrainingRun.start(TINY, tmp_path)
     assert begun + [float(second.advance()) for _ in range(2)] == expected
 
 
@@ -116,13 +123,10 @@ def test_a_training_validates_on_clips(tmp_path):
     assert (folder / "best.safetensors").exists()
 
 
-def test_the_vanilla_head_trains_on_the_middle_frame(tmp_path):
+def test_the_regression_head_trains_on_the_middle_frame(tmp_path):
     model = dataclasses.replace(TINY.model, head="regression")
     config = dataclasses.replace(TINY, model=model, losses=ClipLossConfig(motion="off"))
-    assert Run.start(config, tmp_path).advance().isfinite()
-    truth = torch.arange(6.0).view(1, 3, 2, 1).expand(1, 3, 2, 3)
-    assert torch.equal(middle_of(truth, 1), truth[:, 1:2])
-    assert middle_of(truth, 3) is truth
+    assert TrainingRun.start(config, tmp_path).advance().isfinite()
     with pytest.raises(InputError, match=r"losses\.motion"):
         load_config("table", "aniformer", ["model.head=regression"])
 
@@ -132,32 +136,3 @@ def test_shipped_configurations_load(name):
     config = load_config(name, "aniformer")
     assert isinstance(config.model, AniFormerConfig)
     assert config.data.kind.startswith("clips")
-
-
-@pytest.mark.parametrize("network", ["npt", "aniformer", "regression", "limp"])
-def test_validation_holds_each_frame_to_its_own_truth(network, monkeypatch):
-    """A network that knows the truth makes no error, and one that is a frame late makes some."""
-    models = {"npt": NPTConfig(), "limp": LIMPConfig(), "aniformer": AniFormerConfig()}
-    model = models.get(network, AniFormerConfig(head="regression"))
-    config = TrainConfig(model=model, data=DataConfig("clips80", 2100), validation_pairs=1)
-    validation = make_validation(config, load_body(), torch.device("cpu"))
-    trial = validation.trials["unseen"][0]
-    known = on_template(trial) if network == "limp" else trial
-    first = (len(trial.clip) - 3) // 2
-
-    def spheres(frames, start):
-        return torch.stack([validation._sphere(v.astype(float))[0] for v in frames[start : start + 3]])
-
-    def knows(late):
-        def infer(model, identity, driving):
-            assert torch.equal(driving.view(3, -1, 3), spheres(known.clip.vertices, first))
-            answer = spheres(known.truth_frames, first - late)
-            return {"aniformer": answer[None], "regression": answer[None, 1:2]}.get(network, answer)
-
-        return infer
-
-    errors = []
-    for late in (0, 1):
-        monkeypatch.setattr(validation, "_infer", knows(late))
-        errors.append(validation.pmd(make_model(config), trial))
-    assert errors[0] < 1e-9 < 1e-6 < errors[1]

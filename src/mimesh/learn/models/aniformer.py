@@ -1,16 +1,16 @@
 """AniFormer (Chen et al., BMVC 2021): give an identity mesh the motion of T driving frames at once.
 
-Section 3.1 and Fig. 2: every driving vertex of every frame passes through the pose encoder of NPT, gets its frame's
-temporal embedding (Eq. 1) and then four layers: a 1x1 convolution, attention (Eq. 2) added with a weight that starts at
-zero (Eq. 3), and a SPAdaIN ResBlock of the identity mesh. Driving vertex i is paired with identity vertex i, at random,
-and is the same point of the surface in all frames. What each departure from the public code is:
+Section 3.1 and Fig. 2: NPT's pose encoder turns every driving vertex of every frame into features, the frame's temporal
+embedding is added (Eq. 1), and four layers follow: a 1x1 convolution, attention (Eq. 2) added with a weight that starts
+at zero (Eq. 3), and a SPAdaIN ResBlock of the identity mesh. Driving vertex i is paired with identity vertex i, at
+random, and is the same point of the surface in all frames. Departures from the public code:
 
-- InstanceNorm in the encoder and an embedding that all vertices share (the code's are bound to 6,890 ordered vertices).
-- Frames meet. The text gives attention over the driving *sequence*, the code attends to the vertices of one frame.
+- InstanceNorm in the encoder and an embedding that all vertices share (the code's need 6,890 vertices in one order).
+- Attention across frames. The text attends over the driving *sequence*, the code to the vertices of one frame.
   `attention="both"` is factorised: a vertex attends to itself in the T frames, then to vertices of its own frame.
 - Vertices attend to `keys` vertices of their frame, by several heads: V x V products are 73 % of the code's arithmetic.
 
-An InstanceNorm takes away whatever all vertices of a frame share, so the embedding is felt through attention alone.
+InstanceNorm removes whatever all vertices of a frame share, so the embedding acts through attention alone.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from .layers import PointConv, ResBlock, instance_norm
 
 @dataclass(frozen=True)
 class AniFormerConfig:
-    """Switches of the model; the defaults are the paper's widths (16.9 M parameters)."""
+    """Options of the network; the defaults are the paper's widths (16.9 M parameters)."""
 
     frames: int = 3
     """T, the driving frames of a window."""
     encoder: tuple[int, int, int] = (64, 128, 1024)
     """Channels of the pose feature extractor, as NPT's."""
     layers: tuple[int, int, int, int] = (1024, 512, 512, 256)
-    """Channels that each layer puts out (the public code's; the paper leaves them to a supplement)."""
+    """Output channels of each layer (the public code's; the paper leaves them to a supplement)."""
     attention: Literal["both", "frames", "vertices", "off"] = "both"
-    """Whom a vertex attends to: itself in all frames, vertices of its frame, first the one and then the other."""
+    """What a vertex attends to: itself in all frames, vertices of its frame, or both in that order."""
     heads: int = 4
     """Heads of each attention; they divide the channels of every layer. The public code has 1."""
     scaled: bool = True
@@ -57,7 +57,7 @@ class AniFormerConfig:
 
 
 class Attention(nn.Module):
-    """What both kinds share: q, k and v by 1x1 convolutions, and the weight gamma, zero at first (Eq. 3)."""
+    """Hold what both kinds share: q, k and v as 1x1 convolutions, and the weight gamma, zero at first (Eq. 3)."""
 
     def __init__(self, channels: int, config: AniFormerConfig) -> None:
         super().__init__()
@@ -69,13 +69,14 @@ class Attention(nn.Module):
 
 
 class FrameAttention(Attention):
-    """Each vertex attends to itself in all frames.
+    """Let each vertex attend to itself in all frames.
 
-    T is small, so its T x T products are taken channel by channel where the features lie: no copy in another layout.
+    T is small, so the T x T products are element-wise, over the features as they lie in memory.
     """
 
     def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
         q, k = self._by_frame(self.query, h), self._by_frame(self.key, h)
+        # scores[s, t] is q of frame s times k of frame t, summed over a head's channels: (T, T, H, B, V).
         scores = torch.stack([torch.stack([(here * there).sum(1) for there in k]) for here in q])
         weights = (self.scale * scores.float()).softmax(dim=1).to(h.dtype)
         v = self._by_frame(self.value, h)
@@ -87,29 +88,29 @@ class FrameAttention(Attention):
 
 
 class VertexAttention(Attention):
-    """Each vertex attends to the first `keys` vertices of its own frame; no V x V matrix is stored."""
+    """Let each vertex attend to the first `keys` vertices of its own frame; no V x V matrix is stored."""
 
     def __init__(self, channels: int, config: AniFormerConfig) -> None:
         super().__init__(channels, config)
         self.keys = config.keys
 
     def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
-        seen = h.narrow(3, 0, cast(int, torch.sym_min(h.shape[3], self.keys)))  # in a graph V is a symbol
-        q, k, v = self._by_head(self.query(h)), self._by_head(self.key(seen)), self._by_head(self.value(seen))
+        attended_to = h.narrow(3, 0, cast(int, torch.sym_min(h.shape[3], self.keys)))  # in a graph V is a symbol
+        q, k, v = (self._by_head(x) for x in (self.query(h), self.key(attended_to), self.value(attended_to)))
         if h.is_cuda:
             attended = F.scaled_dot_product_attention(q, k, v, scale=self.scale)
-        else:  # The fused kernel of a CPU takes three times as long; one head's V x `keys` products at a time, then.
+        else:  # the fused kernel of a CPU takes three times as long as one head's V x `keys` products after another
             heads = zip(q.unbind(1), k.unbind(1), v.unbind(1), strict=True)
             attended = torch.stack([_attend(*head, self.scale) for head in heads], dim=1)
         return h + self.gamma * attended.permute(1, 3, 0, 2).flatten(0, 1).unflatten(1, h.shape[1:3])
 
     def _by_head(self, h: Float[Tensor, "C B T N"]) -> Float[Tensor, "BT H N D"]:
-        """Contiguous, as the fused kernels want it."""
+        """Transpose to the contiguous layout that the fused kernels need."""
         return h.unflatten(0, (self.heads, -1)).flatten(2, 3).permute(2, 0, 3, 1).contiguous()
 
 
 class Layer(nn.Module):
-    """One layer of the AniFormer encoder (Fig. 2, right)."""
+    """Apply convolution, attention and ResBlock: one layer of the AniFormer encoder (Fig. 2, right)."""
 
     def __init__(self, channels_in: int, channels: int, config: AniFormerConfig) -> None:
         super().__init__()
@@ -124,14 +125,14 @@ class Layer(nn.Module):
 
 
 class AniFormer(nn.Module):
-    """The network. Positions in, positions out: each mesh centred, in units of a unit sphere."""
+    """Map identity and driving frames to the identity in those frames; each mesh centred, in a unit sphere."""
 
     def __init__(self, config: AniFormerConfig) -> None:
         super().__init__()
         self.config = config
         a, b, code = config.encoder
         self.encoder = nn.ModuleList([PointConv(3, a), PointConv(a, b), PointConv(b, code)])
-        # As large as the spread of the features it is added to.
+        # 0.5 is about the standard deviation of the features that it is added to.
         learned = config.embedding == "learned"
         self.embedding = nn.Parameter(0.5 * torch.randn(code, 1, config.frames, 1)) if learned else None
         widths = itertools.pairwise((code, *config.layers))
@@ -141,14 +142,14 @@ class AniFormer(nn.Module):
         self.head = PointConv(last, 3)
 
     def encode(self, driving: Float[Tensor, "3 B T V"]) -> Float[Tensor, "C B T V"]:
-        """Pose features Z_t of every frame, without the embedding."""
+        """Compute the pose features Z_t of every frame, without the embedding."""
         h = driving
         for conv in self.encoder:
             h = instance_norm(conv(h)).relu()
         return h
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B T V 3"]) -> Float[Tensor, "B R V 3"]:
-        """Identity vertices in all driving frames (R = T), or in the middle one (`head="regression"`: R = 1)."""
+        """Compute the identity in all driving frames (R = T), or in the middle one (`head="regression"`: R = 1)."""
         assert driving.shape[1] == self.config.frames, "a window has the frames of the configuration"
         points = identity.permute(2, 0, 1)[:, :, None]
         h = by_frame(self.encode, driving.permute(3, 0, 1, 2))
@@ -157,18 +158,18 @@ class AniFormer(nn.Module):
             h = layer(h, points)
         if self.config.head == "regression":
             h = self._mlp(h.mean(dim=2, keepdim=True))
-        reach = 2.0 if self.config.output == "2tanh" else 1.0
-        return reach * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
+        bound = 2.0 if self.config.output == "2tanh" else 1.0
+        return bound * torch.tanh(self.head(h).float()).permute(1, 2, 3, 0)
 
     def _mlp(self, h: Float[Tensor, "C B 1 V"]) -> Float[Tensor, "C B 1 V"]:
-        """The MLP block of the regression head."""
+        """Apply the MLP block of the regression head."""
         return self.mlp[1](self.mlp[0](h).relu())
 
     def estimate_flops(self, vertices: int) -> float:
-        """Floating-point operations of a window's forward pass, by driving frame: two for each use of a weight.
+        """Count floating-point operations of a window's forward pass, a driving frame: two for each use of a weight.
 
-        The products of queries with keys and of weights with values are counted; norms and activations are not, and
-        training costs three times as much.
+        The products of queries with keys and of weights with values are counted; norms and activations are not. A
+        training step costs three times as much.
         """
         config, keys = self.config, min(self.config.keys, vertices)
         count = sum(m.weight.numel() for m in self.modules() if isinstance(m, PointConv)) * vertices
@@ -188,8 +189,8 @@ class AniFormer(nn.Module):
 def by_frame(
     function: Callable[[Float[Tensor, "C B T V"]], Float[Tensor, "D B T V"]], h: Float[Tensor, "C B T V"]
 ) -> Float[Tensor, "D B T V"]:
-    """Apply what treats frames alike: to all at once, or in an exported graph to one after another, to save memory."""
-    if not _exporting():
+    """Apply a function that treats frames alike: to all at once, or in an exported graph one by one, to save memory."""
+    if not torch.compiler.is_exporting():
         return function(h)
     return torch.cat([function(frame) for frame in h.split(1, dim=2)], dim=2)
 
@@ -207,7 +208,3 @@ def _weighted_sum(
     for weight, value in zip(weights[1:], values[1:], strict=True):
         total = torch.addcmul(total, weight[:, None], value)
     return total
-
-
-def _exporting() -> bool:
-    return torch.compiler.is_exporting()

@@ -1,9 +1,9 @@
 """Neural Pose Transfer (Wang et al., CVPR 2020): give an identity mesh the pose of a driving mesh.
 
-Table 5: every driving vertex passes through three 1x1 convolutions with InstanceNorm (the *pose code*), is paired with
-one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position. The pairing is
-random; vertices meet only in the mean and variance of InstanceNorm. Where the paper's tables and its public code differ
-the default is the paper, and a field of `NPTConfig` is the other reading.
+Table 5: three 1x1 convolutions with InstanceNorm turn every driving vertex into features (the *pose code*). Each is
+paired with one identity vertex, and three SPAdaIN ResBlocks turn the pair into that identity vertex's new position. The
+pairing is random; the mean and variance of InstanceNorm are all that vertices share. Where the paper's tables and its
+public code differ, the default is the paper, and a field of `NPTConfig` chooses the other.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .layers import PointConv, ResBlock, instance_norm
 
 @dataclass(frozen=True)
 class NPTConfig:
-    """Switches of the model; the defaults are the paper's full model (6.05 M parameters)."""
+    """Options of the network; the defaults are the paper's full model (6.05 M parameters)."""
 
     encoder: tuple[int, int, int] = (64, 128, 1024)
     """Channels of the pose feature extractor (Table 5, rows 3 to 8)."""
@@ -29,13 +29,13 @@ class NPTConfig:
     blocks: Literal["spadain", "resblock", "conv"] = "spadain"
     """`resblock` is Table 2's "w/o SPAdaIN"; `conv` is its "concat1": 1x1 convolutions alone."""
     plain_norm: Literal["instance", "none"] = "instance"
-    """What stands where SPAdaIN is left out: InstanceNorm as in the encoder, or nothing. The paper does not say; with
-    nothing there the vertices of the decoder never meet."""
+    """In place of SPAdaIN where it is left out: InstanceNorm as in the encoder, or nothing. The paper does not say;
+    with nothing there the decoder treats every vertex alone."""
     pose_code: Literal["per_vertex", "global_max"] = "per_vertex"
     """`global_max` pools the code over the driving vertices (Table 7), so the two meshes may differ in vertex count."""
     unnormalised: Literal["first", "block"] = "first"
-    """With `global_max`, which norms of block 1 are left out: those that see the pooled code itself (first unit and
-    shortcut), or all three, as the public code has it. An InstanceNorm there would whiten the code away."""
+    """With `global_max`, which norms of block 1 are left out: those whose input is the pooled code (first unit and
+    shortcut), or all three, as in the public code. All vertices have that code, so an InstanceNorm would remove it."""
     order: Literal["norm-conv-relu", "norm-relu-conv"] = "norm-conv-relu"
     """Table 3, or the public code."""
     output: Literal["tanh", "2tanh"] = "tanh"
@@ -43,7 +43,7 @@ class NPTConfig:
 
 
 class NPT(nn.Module):
-    """The network. Positions in, positions out, all centred and in units of a unit sphere."""
+    """Map identity and driving vertices to the identity's vertices in the driving pose, all in a unit sphere."""
 
     def __init__(self, config: NPTConfig) -> None:
         super().__init__()
@@ -63,19 +63,19 @@ class NPT(nn.Module):
         return ResBlock(channels, config.order, config.blocks == "spadain", keep, config.plain_norm == "instance")
 
     def _plain(self, h: Float[Tensor, "C B V"], index: int) -> Float[Tensor, "C B V"]:
-        """What follows convolution `index` where there are no ResBlocks; a pooled code would be whitened away."""
+        """Normalise after convolution `index` where there are no ResBlocks, but not a pooled code: it would vanish."""
         pooled = index == 0 and self.config.pose_code == "global_max"
         return instance_norm(h) if self.config.plain_norm == "instance" and not pooled else h
 
     def encode(self, driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "C B P"]:
-        """Pose code: one vector a driving vertex (P = U), or one for the whole mesh (P = 1)."""
+        """Compute the pose code: one vector a driving vertex (P = U), or one for the whole mesh (P = 1)."""
         h = driving.permute(2, 0, 1)
         for conv in self.encoder:
             h = instance_norm(conv(h)).relu()
         return h.max(dim=2, keepdim=True).values if self.config.pose_code == "global_max" else h
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B U 3"]) -> Float[Tensor, "B V 3"]:
-        """Identity vertices in the driving pose, vertex i paired with driving vertex i (U = V unless pooled)."""
+        """Compute identity vertices in the driving pose; vertex i is paired with driving vertex i, unless pooled."""
         code, points = self.encode(driving), identity.permute(2, 0, 1)
         if self.config.pose_code == "global_max":
             code = code.expand(-1, -1, points.shape[2])
@@ -83,13 +83,13 @@ class NPT(nn.Module):
         for i, conv in enumerate(self.convs):
             h = conv(h)
             h = self.blocks[i](h, points) if len(self.blocks) else self._plain(h, i).relu()
-        reach = 2.0 if self.config.output == "2tanh" else 1.0
-        return reach * torch.tanh(self.head(h).float()).permute(1, 2, 0)
+        bound = 2.0 if self.config.output == "2tanh" else 1.0
+        return bound * torch.tanh(self.head(h).float()).permute(1, 2, 0)
 
     def estimate_flops(self, identity_vertices: int, driving_vertices: int) -> float:
-        """Floating-point operations of one pair's forward pass: two for each weight of each linear layer and vertex.
+        """Count floating-point operations of a pair's forward pass: two for each weight of a linear layer and vertex.
 
-        Norms, activations and the pooling are not counted; training costs three times as much.
+        Norms, activations and the pooling are not counted; a training step costs three times as much.
         """
         encoder = sum(m.weight.numel() for m in self.encoder.modules() if isinstance(m, PointConv))
         total = sum(m.weight.numel() for m in self.modules() if isinstance(m, PointConv))

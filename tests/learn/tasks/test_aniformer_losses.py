@@ -6,9 +6,8 @@ from people import person, walk
 
 from mimesh.core.geometry import edges
 from mimesh.core.normalization import bbox_centre, radius
-from mimesh.learn import clip_losses
-from mimesh.learn.clip_losses import (
-    STILL,
+from mimesh.learn.tasks.aniformer import (
+    MIN_STEP,
     aniformer_loss,
     appearance_paper,
     appearance_ratio,
@@ -24,7 +23,7 @@ FRAMES = 4
 
 @pytest.fixture(scope="module")
 def walking():
-    """Identity, driving and truth of a walk, as the network sees them: truth in units of the identity's radius."""
+    """Identity, driving and truth of a walk, as the network gets them: truth in units of the identity's radius."""
     identity = person(0).vertices - bbox_centre(person(0).vertices)
     size = radius(identity)
     driving, truth = (
@@ -85,7 +84,7 @@ def test_motion_is_zero_for_the_driving_in_any_size_and_place_and_for_a_static_r
     assert motion_paper(g.flip(1), g) > 1e-3
 
 
-def test_motion_of_a_still_driving_is_finite_and_wants_stillness(clips):
+def test_motion_of_a_still_driving_is_finite_and_least_at_rest(clips):
     result, g, *_ = clips
     still = g[:, :1].expand_as(g)
     assert motion_paper(still, still) == 0.0
@@ -93,7 +92,7 @@ def test_motion_of_a_still_driving_is_finite_and_wants_stillness(clips):
     motion_paper(moving + 1e-4 * result, still).backward()
     assert moving.grad is not None
     assert moving.grad.isfinite().all()
-    trembling = motion_paper(still + STILL * result, still)
+    trembling = motion_paper(still + MIN_STEP * result, still)
     assert trembling < 1e-3, "rounding in a still clip weighs nothing"
 
 
@@ -191,14 +190,14 @@ def test_the_whole_is_the_weighted_sum_of_its_parts(clips, motion, appearance):
     torch.testing.assert_close(found, reconstruction(result, truth) / 6 + rest)
 
 
-def test_one_frame_is_held_to_the_middle_one_of_the_truth(clips):
+def test_one_frame_is_compared_with_the_middle_one_of_the_truth(clips):
     result, truth, n, pairs = clips
     result = result[:, :1]
     found = aniformer_loss(result, truth, n, truth, pairs, motion="off", appearance="off")
-    torch.testing.assert_close(found, clip_losses.reconstruction(result, truth[:, FRAMES // 2, None]) / 6)
+    torch.testing.assert_close(found, reconstruction(result, truth[:, FRAMES // 2, None]) / 6)
 
 
-def test_a_sample_of_edges_stands_for_all():
+def test_a_sample_of_edges_gives_the_loss_of_all():
     torch.manual_seed(0)
     result, truth = torch.rand(2, 1, 3, 200, 3, dtype=torch.float64)
     pairs = torch.randint(200, (1, 4000, 2))

@@ -1,0 +1,273 @@
+"""Random people in random poses, made on the device: shapes, poses, skinning, normalisation, vertex subsets.
+
+A batch is a pure function of the seed and its step, so a resumed training gets what an uninterrupted one would have.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from ..bodies import RiggedBody
+from ..bodies.contacts import contact_bank
+from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
+from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
+from ..core import geometry
+from ..evaluate.clip_protocols import CLIPS_ANIFORMER
+from ..evaluate.protocols import HUMAN_NPT
+from ..motions import pose_bank
+from .bodies import TorchBody, rotvec_to_rotmat
+
+
+@dataclass(frozen=True)
+class DataConfig:
+    """What training meshes are made of."""
+
+    kind: Literal["table6", "wide", "clips80", "clips"] = "table6"
+    """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
+    of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions."""
+    vertices: int = 0
+    """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
+    target_scale: Literal["truth", "identity"] = "truth"
+    """Whose radius the truth is divided by. The papers normalise every mesh; users do not know the truth's radius."""
+    spread: float = 1.3
+    """Standard deviation of the shape coefficients of endless people."""
+    heading: float = 45.0
+    """`wide`, `clips`: the driving mesh is turned about the vertical by up to so many degrees to either side."""
+    tumble: float = 0.0
+    """`wide`: share of driving meshes that are rotated any way at all, as people who lie or roll are."""
+    contacts: float = 0.0
+    """`wide`: share of people whose body parts touch each other."""
+    reflect: float = 0.0
+    """`npt` and `aniformer`: share of every batch whose meshes are all mirrored, left to right."""
+
+
+TABLE_KINDS = ("table6", "clips80")
+"""Kinds of data with a fixed table of people and poses, as in the papers."""
+IDENTITY_MIX = (0.40, 0.80, 0.85)
+"""`wide`: identities up to these cumulative shares are at rest (arms anywhere from T to lowered), in Table 6, within
+joint limits; the others are frames of motions. Chosen by hand: identities that users have mostly stand."""
+DRIVING_MIX = (0.05, 0.50, 0.62)
+"""The same for driving meshes."""
+REST_NOISE = 0.05
+"""`wide`: standard deviation of joint rotations at rest (radians)."""
+SHAPE_LIMIT = 2.5
+"""Shape coefficients are clipped to so many standard deviations."""
+
+
+class BodySampler:
+    """Draws people, poses and vertices of one kind of data on one device; subclasses make batches of them."""
+
+    def __init__(self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int) -> None:
+        self.config, self.seed, self.device = config, seed, device
+        self.body = TorchBody(body).to(device)
+        self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
+        self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
+        area = torch.from_numpy(vertex_areas(body)).float().to(device)[self.order]
+        # Of the vertices in spatial order: cumulative share of their number, and of their area.
+        self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
+        self.first_neighbour, self.neighbours = (
+            torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
+        )
+        self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
+        self._load(body)
+
+    def _load(self, body: RiggedBody) -> None:
+        """Put on the device what people and poses are drawn from."""
+        kind = self.config.kind
+        if kind in TABLE_KINDS:
+            clips = kind == "clips80"
+            self.table_shapes = self._tensor((CLIPS_ANIFORMER if clips else HUMAN_NPT).train_people(body))
+            self.table_poses = self._tensor(numpy_rotmat(HUMAN_NPT.train_poses(body)))
+            # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
+            self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body)) if clips else self.table_poses[:, None]
+        else:
+            self.table6 = self._tensor(limits_rotvec(body, TABLE_6))
+            self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
+            self.motion_frames = self._tensor(pose_bank("train"))
+            self.lowered = self._tensor(lowered_arms(body))
+            self.contacts = [self._tensor(array) for array in contact_bank()]
+
+    def _tensor(self, array: np.ndarray) -> Tensor:
+        return torch.from_numpy(array).float().to(self.device)
+
+    def _generator(self, step: int) -> torch.Generator:
+        """Make the random numbers of a step."""
+        return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+
+    def _sample_pairs(
+        self, size: int, rng: torch.Generator
+    ) -> tuple[Float[Tensor, "2 B K"], Float[Tensor, "2 B J 3 3"], Bool[Tensor, "2 B"]]:
+        """Draw shapes and local joint rotations of identities and driving meshes, and who is in self-contact."""
+        return (self._sample_table if self.config.kind in TABLE_KINDS else self._sample_people)(size, rng)
+
+    def _sample_table(self, size: int, rng: torch.Generator):
+        """Draw two people of the table for each pair: the identity in a Table 6 pose, the driving in one or a frame."""
+        who = self._random_index(len(self.table_shapes), (2, size), rng)
+        identity = self._random_index(len(self.table_poses), (size,), rng)
+        frames = self.motions.flatten(0, 1)
+        driving = self._random_index(len(frames), (size,), rng)
+        nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
+        return self.table_shapes[who], torch.stack([self.table_poses[identity], frames[driving]]), nobody
+
+    def _sample_people(self, size: int, rng: torch.Generator):
+        """Draw new people: identities mostly near a rest pose, driving meshes in all poses.
+
+        Who is in self-contact is given because such a pose fits one shape only.
+        """
+        shapes = torch.randn(2, size, len(self.body.components), generator=rng, device=self.device)
+        shapes = self.config.spread * shapes.clamp(-SHAPE_LIMIT, SHAPE_LIMIT)
+        kinds = torch.rand(2, size, generator=rng, device=self.device)
+        poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
+        for row, mix in enumerate((IDENTITY_MIX, DRIVING_MIX)):
+            pose = self._sample_poses(kinds[row], mix, rng)
+            if self.config.contacts:
+                shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
+            rotmat = rotvec_to_rotmat(pose)
+            driving = row == 1
+            reach = math.radians(self.config.heading) * (1.0 if driving else 0.25)
+            rotmat[:, 0] = self._random_headings(size, reach, rng) @ rotmat[:, 0]
+            if self.config.tumble and driving:
+                rotmat[:, 0] = self._random_tumbles(size, rng) @ rotmat[:, 0]
+            poses.append(rotmat)
+        return shapes, torch.stack(poses), touching
+
+    def _sample_poses(
+        self, kinds: Float[Tensor, " B"], mix: tuple[float, ...], rng: torch.Generator
+    ) -> Float[Tensor, "B J 3"]:
+        """Draw joint rotation vectors; `kinds` are uniform numbers that choose among the kinds of pose of a mix."""
+        size = len(kinds)
+        # All kinds are drawn for everybody, so that a batch takes the same random numbers whatever it is made of.
+        table, wide = self._random_between(self.table6, size, rng), self._random_between(self.limits, size, rng)
+        frame = self.motion_frames[self._random_index(len(self.motion_frames), (size,), rng)]
+        rest = self.lowered * torch.rand(size, 1, 1, generator=rng, device=self.device)
+        rest = rest + REST_NOISE * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
+        choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
+        return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
+
+    def _replace_by_contacts(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
+        """Replace a share of the people by ones in self-contact: shapes, poses, and who was replaced."""
+        some = torch.rand(len(shape), generator=rng, device=self.device) < self.config.contacts
+        drawn = self._random_index(len(self.contacts[0]), (len(shape),), rng)
+        shapes, poses = (bank[drawn] for bank in self.contacts)
+        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
+
+    def _random_index(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
+        return torch.randint(count, shape, generator=rng, device=self.device)
+
+    def _random_between(
+        self, bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator
+    ) -> Float[Tensor, "B J 3"]:
+        part = torch.rand(size, *bounds.shape[1:], generator=rng, device=self.device)
+        return bounds[0] + part * (bounds[1] - bounds[0])
+
+    def _random_headings(self, size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+        """Draw rotations about the vertical by up to `reach` radians to either side."""
+        angle = reach * (2 * torch.rand(size, generator=rng, device=self.device) - 1)
+        zero = torch.zeros_like(angle)
+        return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
+
+    def _random_tumbles(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+        """Draw a uniform random rotation for the configured share, and none for the others.
+
+        A random direction in four dimensions is a uniform unit quaternion.
+        """
+        quaternion = torch.nn.functional.normalize(torch.randn(size, 4, generator=rng, device=self.device), dim=-1)
+        angle = 2 * torch.acos(quaternion[:, :1].clamp(-1, 1))
+        rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
+        some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.tumble
+        return rotvec_to_rotmat(rotvec * some)
+
+    def _sample_vertices(
+        self, size: int, rng: torch.Generator
+    ) -> tuple[Int[Tensor, "B V"], Int[Tensor, "B U"], Int[Tensor, "B E 2"], float]:
+        """Draw indices of identity and truth, of driving, edges among the former, and edges of the mesh over these.
+
+        With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
+        edges to measure.
+        """
+        total, wanted = self.body.vertex_count, self.config.vertices
+        if wanted == 0:
+            order = torch.rand(2, size, total, generator=rng, device=self.device).argsort(-1)
+            rank = order[0].argsort(-1)
+            edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
+            return order[0], order[1], edges, 1.0
+        index = self._stratified_vertices(size, wanted // 2, rng)
+        start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
+        pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
+        index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
+        edges = torch.arange(index.shape[1], device=self.device).view(1, -1, 2).expand(size, -1, -1)
+        return index, self._stratified_vertices(size, index.shape[1], rng), edges, 2.0 * len(self.edges) / total
+
+    def _stratified_vertices(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
+        """Draw vertices, one from each of `count` equal cells of the body, in random order.
+
+        InstanceNorm takes means over them, and those vary far less than over vertices drawn independently. Half of the
+        `wide` meshes are as dense as the body's file everywhere, the others lean towards even density by area, as
+        other meshes may be.
+        """
+        even = torch.rand(size, 1, generator=rng, device=self.device) * 2 - 1
+        even = even.clamp_min(0) if self.config.kind == "wide" else torch.zeros_like(even)
+        cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
+        cumulative = self.cumulative[0] + even * (self.cumulative[1] - self.cumulative[0])
+        drawn = self.order[torch.searchsorted(cumulative, cell / count).clamp_max(len(self.order) - 1)]
+        return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
+
+    def _normalized_mesh(
+        self,
+        shape: Float[Tensor, "B K"],
+        rotmat: Float[Tensor, "B J 3 3"],
+        index: Int[Tensor, "B N"],
+        radius: Float[Tensor, "B 1 1"] | None = None,
+    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B 1 1"]]:
+        """Pose people and give chosen vertices, centred on the bounding box and divided by `radius`, and that radius.
+
+        Centre and radius (None: the mesh's own) are those of the whole mesh, of which few vertices need to be posed.
+        """
+        count = index.shape[1]
+        if count == self.body.vertex_count:
+            points = self.body.posed(shape, rotmat)
+            whole, points = points, points.gather(1, index[..., None].expand(-1, -1, 3))
+        else:
+            both = torch.cat([index, self.extreme.expand(len(index), -1)], dim=1)
+            skinned = self.body.posed(shape, rotmat, both)
+            points, whole = skinned[:, :count], skinned[:, count:]
+        centre = (whole.amax(1, keepdim=True) + whole.amin(1, keepdim=True)) / 2
+        if radius is None:
+            radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
+        return (points - centre) / radius, radius
+
+    def _reflect(self, *meshes: Float[Tensor, "B ... 3"]) -> None:
+        """Mirror the first pairs of a batch in place, x to -x: the configured share of them.
+
+        Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any.
+        """
+        for mesh in meshes:
+            mesh[: round(self.config.reflect * len(mesh)), ..., 0] *= -1.0
+
+
+def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:
+    """Find the vertices that are outermost (along an axis, or from the centre) in any of many random poses.
+
+    Centre and radius of a posed body follow from these alone, within a hundredth or two of the radius.
+    """
+    found: list[int] = []
+    for i in range(poses):
+        limits = TABLE_6 if i % 2 else JOINT_LIMITS
+        vertices = body.posed(np.zeros(1), numpy_rotmat(sample_pose(body, 0, i, limits)))
+        centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
+        found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]
+        found += np.argsort(np.linalg.norm(vertices - centre, axis=1))[-3:].tolist()
+    return np.unique(found)
+
+
+def vertex_areas(body: RiggedBody) -> Float[np.ndarray, " V"]:
+    """Compute the area of the mean shape that belongs to each vertex: a third of its triangles'."""
+    areas = geometry.face_areas(body.vertices, body.faces)
+    return np.bincount(body.faces.ravel(), np.repeat(areas / 3, 3), minlength=len(body.vertices))

@@ -1,0 +1,1 @@
+"""Networks: one model in one file."""

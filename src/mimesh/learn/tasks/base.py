@@ -1,0 +1,163 @@
+"""What the training loop, the validation and the export ask of a model: one `Task` and one `TrainConfig` for each."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar, runtime_checkable
+
+import torch
+from torch import Tensor, nn
+
+from ...bodies import RiggedBody, load_body
+from ...core.errors import InputError
+from ...evaluate import protocols
+from ..body_sampler import DataConfig
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """Everything a training depends on besides the code; each model adds fields. The defaults are the papers'."""
+
+    network: str = ""
+    """Name of the model, as `tasks.find` knows it."""
+    model: Any = None
+    """Options of the network."""
+    data: DataConfig = field(default_factory=DataConfig)
+    batch: int = 8
+    """Pairs a step; AniFormer's pairs are windows of T frames."""
+    pairs: int = 800_000
+    """Length of the training: 200 epochs of 4,000 pairs in NPT 4.1."""
+    minutes: float = 0.0
+    """Length in CPU minutes of steps instead (in minutes with a GPU); 0: `pairs` counts. For trainings that are
+    compared at equal time. Resuming continues the schedule by the time spent."""
+    optimizer: Literal["adam", "muon"] = "adam"
+    """`muon` for the matrices between features (Adam for the rest); the papers use Adam."""
+    learning_rate: float = 5e-5
+    warmup: int = 0
+    """Pairs over which the learning rate rises linearly from zero."""
+    decay: float = 0.0
+    """Share of the training, at its end, over which the learning rate falls linearly to zero."""
+    milestones: tuple[float, ...] = ()
+    """Shares of the training after each of which the learning rate is divided by ten."""
+    weight_decay: float = 0.0
+    """Decoupled weight decay of Muon's matrices: each step multiplies them by 1 - learning rate x this."""
+    beta2: float = 0.999
+    """Of Adam."""
+    clip: float = 0.0
+    """Largest norm of the gradient; 0 does not clip."""
+    ema: float = 0.0
+    """Decay of the exponential moving average of the weights, which is validated and exported; 0: the weights are."""
+    precision: Literal["auto", "fp32", "bf16"] = "auto"
+    """Of matrix products (weights stay float32). `auto` takes the faster one on the device, by a short measurement."""
+    compile: bool = False
+    """Fuse element-wise work with torch.compile (needs a C++ compiler on a CPU)."""
+    validate_every: int = 20_000
+    """Pairs between validations on the `val` split."""
+    validation_pairs: int = 24
+    """Pairs of each kind in a validation, at most 72."""
+    seed: int = 0
+
+    def check(self, where: str) -> None:
+        """Raise InputError for values that do not go together; `where` begins the message."""
+        if self.weight_decay and self.optimizer != "muon":
+            raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
+        if not 0.0 <= self.data.reflect <= 1.0:
+            raise InputError(f"{where}: expected data.reflect from 0 to 1, found {self.data.reflect}")
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Makes training batches."""
+
+    def batch(self, size: int, step: int) -> Any:
+        """Make the pairs of a step; a pure function of the source's seed and `step`."""
+        ...
+
+
+@dataclass(frozen=True)
+class OnnxInterface:
+    """What the ONNX exporter needs to know of a network."""
+
+    module: nn.Module
+    """Its forward function is the graph."""
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    example: tuple[Tensor, ...]
+    dynamic: tuple[dict, ...]
+    """Of each input: the axes that may have any length."""
+
+
+Config = TypeVar("Config", bound=TrainConfig)
+Network = TypeVar("Network", bound=nn.Module)
+
+
+class Task(ABC, Generic[Config, Network]):
+    """One kind of network and how it is trained, validated and exported."""
+
+    config_type: ClassVar[type[TrainConfig]]
+    test_set: ClassVar[str]
+    """Protocol whose test figures belong on the model card."""
+
+    def __init__(self, config: Config, device: torch.device, precision: str = "fp32") -> None:
+        self.config, self.device, self.precision = config, device, precision
+
+    @cached_property
+    def body(self) -> RiggedBody:
+        """The body model that training people are made of."""
+        return load_body()
+
+    @property
+    def protocol(self) -> protocols.Protocol:
+        """The evaluation protocol whose `val` split the training is validated on."""
+        return protocols.HUMAN_NPT
+
+    def autocast(self) -> AbstractContextManager[Any]:
+        """Run matrix products in bfloat16 if that is the precision."""
+        return torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bf16")
+
+    @abstractmethod
+    def make_model(self) -> Network:
+        """Build the network with fresh weights, on the CPU."""
+
+    @abstractmethod
+    def source(self, seed: int) -> Source:
+        """Build the generator of training batches."""
+
+    @abstractmethod
+    def loss(self, model: Network, batch: Any, step: int) -> Tensor:
+        """Compute the training loss of a batch, a scalar."""
+
+    @abstractmethod
+    def trial_error(self, model: Network, trial: Any) -> float:
+        """Compute the PMD of one pair of the protocol, in the truth's unit sphere."""
+
+    @abstractmethod
+    def batch_error(self, model: Network, batch: Any) -> float:
+        """Compute the mean PMD of a training-like batch."""
+
+    @abstractmethod
+    def flops_per_pair(self, model: Network) -> float:
+        """Count the floating-point operations of one training pair's forward pass."""
+
+    @staticmethod
+    @abstractmethod
+    def onnx_interface(model: Any) -> OnnxInterface:
+        """Describe the inputs and outputs of the exported network."""
+
+    @staticmethod
+    @abstractmethod
+    def onnx_facts(model: Any) -> dict[str, Any]:
+        """Give what the exported file must say about the network, beside its configuration."""
+
+    @staticmethod
+    def current_name(name: str) -> str:
+        """Give today's name of a weight that an older checkpoint may hold under another."""
+        return name
+
+    @property
+    def vertices(self) -> int:
+        """Vertices of each training mesh."""
+        return self.config.data.vertices or len(self.body.vertices)

@@ -1,0 +1,271 @@
+"""mime: pairs of people as points of surfaces, the loss, validation through the whole network, export.
+
+Errors count squared up to their knee and about linearly beyond it (`pseudo_huber`): with plain squares the few people
+who lie or twist in unusual ways would be most of the loss.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ...bodies import RiggedBody, load_body
+from ...core import geometry, surface_points
+from ...core.errors import InputError
+from ...core.mesh import Mesh
+from ...evaluate.metrics import pmd_of_pair
+from ...evaluate.pairs import Pair
+from ..body_sampler import TABLE_KINDS, BodySampler
+from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
+from .base import OnnxInterface, Task, TrainConfig
+from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
+
+DEFAULT_POINTS = 320
+"""Points of each mesh, unless the configuration says more."""
+MISSING = (0.08, 0.25)
+"""Share of identities and of driving meshes that lack the points within a ball."""
+WITHOUT_NORMALS = (0.1, 0.2)
+"""Share of identities and of driving meshes without normals, as point clouds are."""
+ONE_SIDED = 0.1
+"""Share of driving meshes of which only the points facing one side are given, as in a scan."""
+MAX_NOISE = 0.02
+"""Largest standard deviation of the noise on driving points (metres); mostly it is far less."""
+RECONSTRUCTION_KNEE, ROTATION_KNEE, JOINT_KNEE = 5e-4, 0.02, 0.002
+"""Of squared errors: of a pair (PMD), of a joint's rotation matrix, of a joint in units of the points' spread."""
+
+
+@dataclass(frozen=True)
+class MimeLossConfig:
+    """Weights of the terms beside the reconstruction, whose unit is PMD."""
+
+    rotation: float = 0.1
+    """Of squared differences of rotation matrices, mean over joints and estimates."""
+    joints: float = 0.5
+    """Of squared distances of joints, in units of the points' spread."""
+    weights: float = 0.01
+    """Of the cross-entropy of the skinning weights."""
+
+
+@dataclass(frozen=True)
+class MimeTrainConfig(TrainConfig):
+    """The configuration of a training of mime."""
+
+    network: Literal["mime"] = "mime"
+    model: MimeConfig = field(default_factory=MimeConfig)
+    structure: MimeLossConfig = field(default_factory=MimeLossConfig)
+
+    def check(self, where: str) -> None:
+        """Raise InputError for data that mime cannot be trained on, or a width that the heads do not divide."""
+        super().check(where)
+        if self.data.kind not in ("table6", "wide"):
+            raise InputError(f"{where}: expected data.kind table6 or wide with mime, found {self.data.kind}; set it")
+        if self.data.target_scale != "identity":
+            raise InputError(
+                f"{where}: expected data.target_scale identity with mime, which keeps lengths, found truth"
+            )
+        if self.model.heads < 1 or self.model.width % self.model.heads:
+            raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        if self.data.reflect:
+            raise InputError(f"{where}: expected data.reflect 0 with mime, found {self.data.reflect}; leave it out")
+
+
+@dataclass(frozen=True)
+class SurfaceBatch:
+    """B pairs in metres: exact surfaces, and what the network is given of them, which may be damaged."""
+
+    identity: PosedSurface
+    driving: PosedSurface
+    truth: PosedSurface
+    """The identity's points in the driving pose."""
+    inputs: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]], ...]
+    """Points and normals of identity and of driving; the driving's rows are not those of `driving`."""
+
+
+class SurfaceSource(BodySampler):
+    """Makes batches of one kind of data: NPT's table of plain people, or endless people of all kinds."""
+
+    def _load(self, body: RiggedBody) -> None:
+        super()._load(body)
+        self.surface = SurfaceBody(body).to(self.device)
+        self.people = PeopleSampler(body, self.config.spread, self.device)
+
+    def batch(self, size: int, step: int) -> SurfaceBatch:
+        """Make the pairs of a step."""
+        rng = self._generator(step)
+        table = self.config.kind in TABLE_KINDS
+        shapes, poses, touching = self._sample_pairs(size, rng)
+        people = self._dress(shapes, touching, rng)
+        count = self.config.vertices or DEFAULT_POINTS
+        missing = (0.0, 0.0) if table else MISSING
+        index = [self.surface.choose(who, count, rng, share) for who, share in zip(people, missing, strict=True)]
+        identity, driving = (self.surface.posed(*given) for given in zip(people, poses, index, strict=True))
+        truth = self.surface.posed(people[0], poses[1], index[0])
+        if table:
+            exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
+            return SurfaceBatch(identity, driving, truth, exact)
+        return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
+
+    def _dress(
+        self, shapes: Float[Tensor, "2 B K"], touching: Bool[Tensor, "2 B"], rng: torch.Generator
+    ) -> list[People]:
+        """Make people of shapes: plain ones of the table, or ones with garments and proportions of their own.
+
+        Those in self-contact stay plain, because with other proportions their parts would not touch.
+        """
+        plain = [plain_people(shape, self.surface) for shape in shapes]
+        if self.config.kind in TABLE_KINDS:
+            return plain
+        drawn = [self.people.draw(len(touching[0]), rng) for _ in shapes]
+        return [one.where(some, other) for one, some, other in zip(plain, touching, drawn, strict=True)]
+
+    def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
+        """Add noise to driving points, leave out one side of some and the normals of others."""
+        size, index = len(driving.points), self._one_sided(driving.normals, rng)
+        noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
+        noisy = _gather(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
+        meshes = ((identity.points, identity.normals), (noisy, _gather(driving.normals, index)))
+        return tuple(
+            (points, normals * (self._uniform(size, rng) >= share))
+            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
+        )
+
+    def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
+        """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""
+        size, count = normals.shape[:2]
+        angle = 2 * math.pi * self._uniform(size, rng)
+        side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
+        hidden = ((normals * side).sum(-1) <= 0) & (self._uniform(size, rng)[..., 0] < ONE_SIDED)
+        order = hidden.int().argsort(dim=1, stable=True)
+        visible = (~hidden).sum(1, keepdim=True)
+        return order.gather(1, torch.arange(count, device=self.device) % visible)
+
+    def _uniform(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 1 1"]:
+        return torch.rand(size, 1, 1, generator=rng, device=self.device)
+
+
+def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:
+    """Compute the reconstruction (from PMD, Eq. 7 of the papers, root joints together) and the structural terms."""
+    own, other, scores = model(*batch.inputs)
+    half = slice(scores.shape[1])
+    moved = model.skin(batch.identity.points[:, half], scores, own, other, batch.truth.joints[:, 0])
+    loss = pseudo_huber(pmd(moved, batch), RECONSTRUCTION_KNEE).mean()
+    for prediction, true in ((own, batch.identity), (other, batch.driving)):
+        rotation, joints = _joint_errors(prediction, true)
+        loss = loss + weights.rotation * rotation / 2 + weights.joints * joints / 2
+    entropy = -(batch.identity.weights[:, half] * scores.log_softmax(-1)).sum(-1).mean()
+    return loss + weights.weights * entropy
+
+
+def pseudo_huber(square: Float[Tensor, "*B"], knee: float) -> Float[Tensor, "*B"]:
+    """Turn a squared error into itself far below the knee, and into its root beyond (Charbonnier et al., ICIP 1994)."""
+    return 2 * knee * ((square / knee + 1).sqrt() - 1)
+
+
+def pmd(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float[Tensor, " B"]:
+    """Compute Eq. 7 for each pair, in the identity's radius."""
+    centred = batch.identity.points - batch.identity.points.mean(1, keepdim=True)
+    radius = centred.norm(dim=-1).amax(1)
+    return (result - batch.truth.points[:, : result.shape[1]]).square().sum(-1).mean(1) / radius.square()
+
+
+def _joint_errors(prediction: Prediction, true: PosedSurface) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """Compute errors of rotations and of joint positions, mean over the estimates."""
+    rotation = [(found - true.rotation).square().sum((-1, -2)) for found in prediction.rotations]
+    joints = [((found - true.joints) / prediction.scale).square().sum(-1) for found in prediction.positions]
+    errors = (torch.stack(rotation), ROTATION_KNEE), (torch.stack(joints), JOINT_KNEE)
+    return pseudo_huber(*errors[0]).mean(), pseudo_huber(*errors[1]).mean()
+
+
+class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
+    """Training, validation and export of mime."""
+
+    config_type = MimeTrainConfig
+    test_set = "human-npt"
+
+    def make_model(self) -> MimeNetwork:
+        """Build the network with fresh weights."""
+        return MimeNetwork(self.config.model, self.body)
+
+    def source(self, seed: int) -> SurfaceSource:
+        """Build the generator of pairs."""
+        return SurfaceSource(self.config.data, self.body, self.device, seed)
+
+    def loss(self, model: MimeNetwork, batch: SurfaceBatch, step: int) -> Tensor:
+        """Compute reconstruction and structural terms."""
+        with self.autocast():
+            return mime_loss(model, batch, self.config.structure)
+
+    def trial_error(self, model: MimeNetwork, trial: Pair) -> float:
+        """Compute the PMD of a pair: joints from points of both surfaces, then skinning of the identity's vertices."""
+        mesh = trial.identity
+        vertices = self._tensor(mesh.vertices)
+        normals = self._tensor(geometry.vertex_normals(mesh.vertices, mesh.faces))
+        with self.autocast():
+            own, other = (model.predict_joints(*self._points(m)) for m in (mesh, trial.driving))
+            scores = model.predict_weights(own, vertices, normals)
+        result = model.skin(vertices, scores, own, other)[0]
+        return pmd_of_pair(result.double().cpu().numpy(), trial.truth)
+
+    def _points(self, mesh: Mesh) -> tuple[Float[Tensor, "1 N 3"], Float[Tensor, "1 N 3"]]:
+        """Draw random points of a surface, always the same ones, and their normals."""
+        face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
+        points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        return self._tensor(points), self._tensor(geometry.face_normals(mesh.vertices, mesh.faces)[face])
+
+    def _tensor(self, array: Float[np.ndarray, "N 3"]) -> Float[Tensor, "1 N 3"]:
+        return torch.from_numpy(array).float()[None].to(self.device)
+
+    def batch_error(self, model: MimeNetwork, batch: SurfaceBatch) -> float:
+        """Compute the mean PMD over half of the identities' points."""
+        with self.autocast():
+            own, other, scores = model(*batch.inputs)
+        half = batch.identity.points[:, : scores.shape[1]]
+        return float(pmd(model.skin(half, scores, own, other, batch.truth.joints[:, 0]), batch).mean())
+
+    def flops_per_pair(self, model: MimeNetwork) -> float:
+        """Count the floating-point operations of one training pair's forward pass."""
+        return model.estimate_flops(self.vertices, self.vertices)
+
+    @staticmethod
+    def onnx_interface(model: MimeNetwork) -> OnnxInterface:
+        """Map points and vertices of one mesh, with normals, to joints and scores; skinning is left to the caller."""
+        v = torch.export.Dim("vertices", min=1)
+        inputs, outputs = ("points", "normals", "vertices", "vertex_normals"), ("rotation", "joints", "scores")
+        example = (*torch.randn(2, 1, POINTS, 3), *torch.randn(2, 1, 300, 3))
+        return OnnxInterface(_OneMesh(model), inputs, outputs, example, ({}, {}, {1: v}, {1: v}))
+
+    @staticmethod
+    def onnx_facts(model: MimeNetwork) -> dict[str, Any]:
+        """Give the number of points, names and parents of the joints, and which joints make a leg."""
+        body = load_body()
+        legs = [[body.joint(side + name) for name in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
+        joints = {"joints": body.joint_names, "parents": body.parents, "legs": legs}
+        return {"model": "mime", "points": POINTS, **joints}
+
+    @staticmethod
+    def current_name(name: str) -> str:
+        """Give today's name of a weight that an older checkpoint may hold under another."""
+        return current_name(name)
+
+
+class _OneMesh(nn.Module):
+    """All that the network computes of one mesh, as one function."""
+
+    def __init__(self, model: MimeNetwork) -> None:
+        super().__init__()
+        self.model = model
+
+    def forward(self, points: Tensor, normals: Tensor, vertices: Tensor, vertex_normals: Tensor):
+        prediction = self.model.predict_joints(points, normals)
+        scores = self.model.predict_weights(prediction, vertices, vertex_normals)
+        return prediction.rotation, prediction.joints, scores
+
+
+def _gather(values: Float[Tensor, "B N 3"], index: Int[Tensor, "B N"]) -> Float[Tensor, "B N 3"]:
+    return values.gather(1, index[..., None].expand(-1, -1, 3))

@@ -1,0 +1,210 @@
+"""Endless people as surfaces for mime: points anywhere on skin and garments, with known joints and skinning weights.
+
+A person is the shipped body with a shape, garments, a scale along and across each bone, and a bumpy surface. All of it
+is exact under linear blend skinning, so one person in two poses is a true transfer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ...bodies import RiggedBody
+from ...bodies.dress import GARMENTS, dressed_body, load_garment
+from ...bodies.sampled_body import bone_directions, kinds_of_bones, mixed
+from ...core import geometry, surface_points
+
+WAVES = 6
+"""Sines that a person's bumps are the sum of."""
+BUMP_HEIGHT, BUMP_FREQUENCY = 0.02, 25.0
+"""Largest height of the bumps (metres) and scale of their frequency (radians a metre); mostly they are far less."""
+UNUSUAL = 0.4
+"""Share of people with unusual proportions: bones of other lengths and girths, larger heads."""
+USUAL_SPREAD, UNUSUAL_SPREAD = 0.06, 0.3
+"""Largest standard deviation of the logarithm of a bone's scale; for unusual people the second is added."""
+HEAD_SCALE = 0.6
+"""Logarithm of the largest factor by which heads of unusual people are larger, beside those."""
+GARMENT_SHARE = 0.25
+"""Share of people who wear each garment."""
+MAX_HOLE = 0.45
+"""Largest radius of the ball whose points a damaged surface lacks (metres, at rest)."""
+
+
+@dataclass(frozen=True)
+class People:
+    """B people, apart from their poses."""
+
+    shape: Float[Tensor, "B K"]
+    """Coefficients of the body model (standard deviations)."""
+    length: Float[Tensor, "B J"]
+    """Scale along each bone, beside that of the shape."""
+    girth: Float[Tensor, "B J"]
+    """Scale across each bone."""
+    bumps: Float[Tensor, "B W 5"]
+    """Waves over the surface at rest: direction times frequency (radians a metre), phase, height (metres)."""
+    worn: Bool[Tensor, "B G"]
+    """Which surfaces a person has: the skin in the first column, always true, then each garment."""
+
+    def where(self, some: Bool[Tensor, " B"], others: People) -> People:
+        """Take these people where `some` is true, and `others` elsewhere."""
+        arrays = {}
+        for field in dataclasses.fields(self):
+            one, other = getattr(self, field.name), getattr(others, field.name)
+            arrays[field.name] = torch.where(some.view(-1, *[1] * (one.ndim - 1)), one, other)
+        return People(**arrays)
+
+
+@dataclass(frozen=True)
+class PosedSurface:
+    """Points of B people in poses (metres), with the joints and weights that move them."""
+
+    points: Float[Tensor, "B N 3"]
+    normals: Float[Tensor, "B N 3"]
+    weights: Float[Tensor, "B N J"]
+    """Skinning weights, rows sum to 1."""
+    rotation: Float[Tensor, "B J 3 3"]
+    """Of every joint in the world; at rest all are the identity matrix."""
+    joints: Float[Tensor, "B J 3"]
+
+
+class SurfaceBody(nn.Module):
+    """A fixed set of points, spread evenly over a rigged body and all garments, to be posed in batches."""
+
+    rest: Tensor
+    normals: Tensor
+    components: Tensor
+    weights: Tensor
+    joints: Tensor
+    joint_components: Tensor
+    bones: Tensor
+    branching: Tensor
+    piece: Tensor
+
+    def __init__(self, body: RiggedBody, count: int = 20_000) -> None:
+        super().__init__()
+        dressed = dressed_body(body, GARMENTS)
+        self.parents = body.parents
+        face, share = surface_points.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
+        corners = dressed.faces[face]
+        starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
+        bones, branching = bone_directions(body)
+        arrays = {
+            "rest": mixed(dressed.vertices, corners, share).T,
+            "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
+            "components": np.stack([mixed(c, corners, share).T for c in dressed.components]),
+            "weights": mixed(dressed.weights, corners, share).T,
+            "joints": body.joints,
+            "joint_components": body.joint_components,
+            "bones": bones,
+        }
+        for name, array in arrays.items():
+            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)).float())
+        self.register_buffer("branching", torch.from_numpy(branching))
+        self.register_buffer("piece", torch.from_numpy(np.searchsorted(starts, corners[:, 0], side="right")))
+
+    def choose(self, people: People, count: int, rng: torch.Generator, missing: float = 0.0) -> Int[Tensor, "B N"]:
+        """Choose random points of the surfaces that each person has; a share `missing` of them lack those of a ball.
+
+        The points with the smallest keys are taken: random numbers below 1, raised by 1 within the ball, so that its
+        points are taken last, and by 2 on garments that are not worn.
+        """
+        size, total = len(people.shape), self.rest.shape[1]
+        key = torch.rand(size, total, generator=rng, device=self.rest.device)
+        key = key + 2.0 * (~people.worn)[:, self.piece]
+        centre = torch.randint(total, (size,), generator=rng, device=self.rest.device)
+        radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=self.rest.device)
+        radius = radius * (torch.rand(size, 1, generator=rng, device=self.rest.device) < missing)
+        distance = (self.rest[:, None] - self.rest[:, centre, None]).square().sum(0)
+        key = key + (distance < radius.square())
+        return key.topk(count, dim=1, largest=False, sorted=False).indices
+
+    def posed(self, people: People, rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
+        """Pose chosen points of people by local joint rotations; the root joint stays where it rests."""
+        rotation, position, linear, normal_map = self._joints(people, rotmat)
+        rest = self.rest[:, index].transpose(0, 1)
+        rest = rest + torch.einsum("bk,kcbn->bcn", people.shape, self.components[:, :, index])
+        normal = self.normals[:, index].transpose(0, 1)
+        rest = rest + self._bump_heights(people, index) * normal
+        weights = self.weights[:, index].permute(1, 2, 0)
+        offset = position - (linear @ self._rest_joints(people)[..., None])[..., 0]
+        # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
+        blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
+        points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
+        normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
+        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position)
+
+    def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
+        return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
+
+    def _joints(self, people: People, rotmat: Float[Tensor, "B J 3 3"]):
+        """Compute rotation and position of each joint (world), its map of rest points, and of normals.
+
+        A joint scales its surface by `length` along its bone's direction d and by `girth` across, then rotates it:
+        S = girth 1 + (length - girth) d d^T. Normals are mapped by the inverse transpose, which has 1 / girth and
+        1 / length in their place. Where bones branch there is no one direction, and `girth` is used for both.
+        """
+        rest = self._rest_joints(people)
+        length = torch.where(self.branching, people.girth, people.length)[..., None, None]
+        girth = people.girth[..., None, None]
+        along = self.bones[:, :, None] * self.bones[:, None]
+        eye = torch.eye(3, device=rest.device)
+        scaling, inverse = girth * eye + (length - girth) * along, eye / girth + (1 / length - 1 / girth) * along
+        rotation, position = [rotmat[:, 0]], [rest[:, 0]]
+        for j, parent in enumerate(self.parents[1:], 1):
+            bone = rotation[parent] @ (scaling[:, parent] @ (rest[:, j] - rest[:, parent])[..., None])
+            position.append(position[parent] + bone[..., 0])
+            rotation.append(rotation[parent] @ rotmat[:, j])
+        turned = torch.stack(rotation, 1)
+        return turned, torch.stack(position, 1), turned @ scaling, turned @ inverse
+
+    def _bump_heights(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
+        position = self.rest[:, index].transpose(0, 1)
+        waves = people.bumps[..., :3] @ position + people.bumps[..., 3:4]
+        return (waves.sin() * people.bumps[..., 4:]).sum(1, keepdim=True)
+
+
+class PeopleSampler:
+    """Draws random people; each call is a pure function of its generator."""
+
+    def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
+        self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
+        self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
+        self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
+
+    def draw(self, size: int, rng: torch.Generator) -> People:
+        """Draw people, some with unusual proportions; left and right bones are scaled alike."""
+        shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
+        unusual = self._uniform(rng, size, 1) < UNUSUAL
+        spread = unusual * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
+        groups = int(self.group.max()) + 1
+        drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        larger = HEAD_SCALE * unusual * self._uniform(rng, size, 1) * self.head
+        length, girth = ((scale[:, self.group] + larger).exp() for scale in drawn)
+        # Squared uniform numbers: most people are nearly smooth. The root of WAVES keeps the sum's height.
+        height = BUMP_HEIGHT * self._uniform(rng, size, 1, 1).square()
+        height = height * self._normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
+        frequency = BUMP_FREQUENCY * self._normal(rng, size, WAVES, 3) * self._uniform(rng, size, WAVES, 1)
+        bumps = torch.cat([frequency, 2 * math.pi * self._uniform(rng, size, WAVES, 1), height], -1)
+        worn = self._uniform(rng, size, 1 + len(GARMENTS)) < GARMENT_SHARE
+        worn[:, 0] = True
+        return People(shape, length, girth, bumps, worn)
+
+    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.rand(*size, generator=rng, device=self.device)
+
+    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.randn(*size, generator=rng, device=self.device)
+
+
+def plain_people(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:
+    """Make people without garments, bumps or proportions of their own."""
+    size, joints = len(shape), len(surface.parents)
+    one = torch.ones(size, joints, device=shape.device)
+    worn = torch.arange(1 + len(GARMENTS), device=shape.device).expand(size, -1) == 0
+    return People(shape, one, one, torch.zeros(size, 1, 5, device=shape.device), worn)

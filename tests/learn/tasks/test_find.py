@@ -1,0 +1,39 @@
+"""Tasks are found by name, and what all networks share names none of them."""
+
+import ast
+from pathlib import Path
+
+import pytest
+import torch
+
+from mimesh import learn
+from mimesh.core.errors import InputError
+from mimesh.learn.config import load_config
+from mimesh.learn.tasks.find import NETWORKS, find_task
+
+SHARED = ("train", "validation", "export", "checkpoint", "config", "optimizers", "body_sampler", "losses", "tasks/base")
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_a_task_makes_the_network_of_its_configuration(network):
+    config = load_config("table", network)
+    kind = find_task(network)
+    assert isinstance(config, kind.config_type)
+    task = kind(config, torch.device("cpu"))
+    model = task.make_model()
+    assert model.config == config.model
+    assert task.flops_per_pair(model) > 1e6
+    assert task.onnx_facts(model)["model"] == network
+
+
+def test_an_unknown_network_is_refused_with_those_there_are():
+    with pytest.raises(InputError, match=r"gpt: expected a model that can be trained \(npt, aniformer, limp, mime\)"):
+        find_task("gpt")
+
+
+@pytest.mark.parametrize("module", SHARED)
+def test_shared_modules_import_no_network(module):
+    tree = ast.parse((Path(learn.__file__).parent / f"{module}.py").read_text())
+    imported = [node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+    parts = {part for name in imported for part in name.split(".")}
+    assert not parts & {"models", *NETWORKS}

@@ -1,0 +1,61 @@
+"""People, poses and vertices for training: normalisation of subsets, even coverage of the body."""
+
+import numpy as np
+import torch
+
+from mimesh.bodies import load_body
+from mimesh.learn.body_sampler import BodySampler, DataConfig, extreme_vertices
+
+
+def test_subsets_are_normalised_as_the_whole():
+    """Centre and radius come from the outermost vertices of the whole body, within a hundredth or two of its radius."""
+    body = load_body()
+    some, whole = (BodySampler(DataConfig("wide", n), body, torch.device("cpu"), seed=3) for n in (64, 0))
+    rng = torch.Generator().manual_seed(0)
+    shapes, poses, _ = some._sample_people(8, rng)
+    index = torch.arange(0, 6890, 10).expand(8, -1)
+    subset, radius = some._normalized_mesh(shapes[1], poses[1], index)
+    full, full_radius = whole._normalized_mesh(shapes[1], poses[1], torch.arange(6890).expand(8, -1))
+    torch.testing.assert_close(radius, full_radius, rtol=1e-2, atol=0)
+    torch.testing.assert_close(subset, full[:, ::10], rtol=0, atol=2e-2)
+
+
+def test_stratified_vertices_cover_the_body():
+    source = BodySampler(DataConfig("table6", 64), load_body(), torch.device("cpu"), seed=0)
+    drawn = source._stratified_vertices(2, 100, torch.Generator().manual_seed(0))
+    rank = torch.empty(6890, dtype=torch.long)
+    rank[source.order] = torch.arange(6890)
+    cells = (rank[drawn].sort(dim=1).values * 100 / 6890).long()
+    assert all(len(c.unique()) >= 95 for c in cells)
+
+
+def test_wide_meshes_may_be_as_dense_as_their_area():
+    source = BodySampler(DataConfig("wide", 64), load_body(), torch.device("cpu"), seed=0)
+    drawn = source._stratified_vertices(400, 100, torch.Generator().manual_seed(0))
+    hands = torch.from_numpy(
+        load_body().weights[:, [n.startswith(("LeftHand", "RightHand")) for n in load_body().joint_names]].sum(1) > 0.5
+    )
+    share = hands[drawn].float().mean(dim=1)
+    assert share.quantile(0.9) > 1.5 * share.quantile(0.1) > 0
+
+
+def test_extreme_vertices_are_few():
+    found = extreme_vertices(load_body(), poses=20)
+    assert 20 < len(found) < 600
+    np.testing.assert_array_equal(found, np.unique(found))
+
+
+def test_tumbling_rotates_a_share_of_driving_meshes_and_changes_nothing_else():
+    """Identities and all other driving meshes are those without it."""
+    poses = [
+        BodySampler(DataConfig("wide", 64, tumble=share), load_body(), torch.device("cpu"), 0)._sample_people(
+            200, torch.Generator().manual_seed(1)
+        )[1]
+        for share in (0.0, 0.3)
+    ]
+    same = torch.isclose(poses[0], poses[1], atol=1e-6).flatten(2).all(-1)
+    assert same[0].all()
+    assert 0.2 < 1 - same[1].float().mean() < 0.4
+    up = poses[1][1][~same[1]][:, 0, 1, 1]
+    assert up.min() < -0.5 < 0.5 < up.max()
+    assert torch.allclose(poses[0][:, :, 1:], poses[1][:, :, 1:])

@@ -1,0 +1,83 @@
+"""Checkpoints: compact copies, and weights under former names."""
+
+import dataclasses
+import json
+from functools import reduce
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from test_train import TINY, losses
+
+from mimesh.learn import checkpoint
+from mimesh.learn.config import config_from
+from mimesh.learn.train import TrainingRun
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "muon"])
+def test_a_compact_checkpoint_is_half_as_large_and_continues(tmp_path, optimizer):
+    config = dataclasses.replace(TINY, optimizer=optimizer, precision="fp32")
+    run = TrainingRun.start(config, tmp_path / "none")
+    losses(run, 3)
+    run.save(tmp_path / "last.safetensors")
+    folder = tmp_path / "compact"
+    folder.mkdir()
+    checkpoint.save_compact(tmp_path / "last.safetensors", folder / "last.safetensors")
+    whole, compact = (checkpoint.load(where / "last.safetensors") for where in (tmp_path, folder))
+    size, small = (sum(f.stat().st_size for f in where.glob("last.*")) for where in (tmp_path, folder))
+    numbers = sum(value.numel() for value in whole.tensors.values() if value.ndim)
+    assert size - small > 1.9 * numbers  # two of four bytes each
+    assert dataclasses.replace(compact, tensors={}) == dataclasses.replace(whole, tensors={})
+    assert checkpoint.read_header(folder / "last.safetensors") == checkpoint.read_header(tmp_path / "last.safetensors")
+    for name, value in whole.tensors.items():
+        assert compact.tensors[name].dtype == value.dtype
+        torch.testing.assert_close(compact.tensors[name], value, rtol=4e-3 if "optimizer" in name else 1e-3, atol=1e-6)
+    again = TrainingRun.start(config, folder)
+    assert again.step == 3
+    assert losses(again, 2) == pytest.approx(losses(run, 2), rel=0.05)
+    model, _ = checkpoint.load_model(folder / "last.safetensors")
+    assert {p.dtype for p in model.parameters()} == {torch.float32}
+
+
+def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
+    """A checkpoint of mime as earlier versions wrote it: other names of weights, and the losses of all networks."""
+    config = config_from(
+        {
+            "network": "mime",
+            "model": {"width": 16, "heads": 2, "latents": 4, "blocks": 1, "refinements": 1, "near": 8, "local": 8},
+            "data": {"kind": "table6", "vertices": 32, "target_scale": "identity"},
+            "batch": 2,
+            "learning_rate": 1e-3,
+            "optimizer": "muon",
+            "ema": 0.9,
+            "precision": "fp32",
+        },
+        "here",
+    )
+    run = TrainingRun.start(config, tmp_path / "none")
+    losses(run, 2)
+    run.save(tmp_path / "last.safetensors")
+    with safe_open(tmp_path / "last.safetensors", "pt") as file:
+        header = json.loads(file.metadata()["mimesh"])
+        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    former = {"refinement.correction.": "mending.mend.", "refinement.point.": "mending.seen."}
+    former |= {"refinement.": "mending.", "skinning_head.": "weigh."}
+    former |= {".cross_attention.": ".look.", ".self_attention.": ".attend."}
+    renamed = {reduce(lambda name, pair: name.replace(*pair), former.items(), key): v for key, v in tensors.items()}
+    assert not set(renamed) <= set(tensors)
+    values = json.loads(header["config"]) | {"edge": "paper", "edge_weight": 5e-4, "losses": {}, "metrics": {}}
+    values["model"] = {
+        {"refinements": "mendings", "skinning": "weighing"}.get(key, key): v for key, v in values["model"].items()
+    }
+    folder = tmp_path / "former"
+    folder.mkdir()
+    position = json.loads(header["state"])
+    del position["validated"], position["precision"]
+    header |= {"config": json.dumps(values), "state": json.dumps(position)}
+    save_file(renamed, folder / "last.safetensors", metadata={"mimesh": json.dumps(header)})
+    again = TrainingRun.start(config, folder)
+    assert checkpoint.load(folder / "last.safetensors").config == config
+    assert losses(again, 2) == losses(run, 2)
+    for name, average in run.ema.items():
+        assert torch.equal(average, again.ema[name])

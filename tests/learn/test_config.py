@@ -1,0 +1,92 @@
+"""Training configurations: shipped ones load, changes apply, and what does not belong is refused."""
+
+import dataclasses
+
+import pytest
+
+from mimesh.core.errors import InputError
+from mimesh.learn.config import config_from, load_config
+from mimesh.learn.models.npt import NPTConfig
+
+
+def test_configurations_take_changes():
+    config = load_config("table", changes=["model.blocks=conv", "edge=off", "seed=3", "learning_rate=1e-3"])
+    assert (config.model.blocks, config.edge, config.seed, config.learning_rate) == ("conv", "off", 3, 1e-3)
+    assert config.model.encoder == load_config("table").model.encoder
+    for wrong, message in (
+        ("edge", "KEY=VALUE"),
+        ("batch.size=3", "batch to hold keys"),
+        ("bacth=3", "bacth"),
+    ):
+        with pytest.raises(InputError, match=message):
+            load_config("table", changes=[wrong])
+
+
+def test_paper_configuration_is_the_papers():
+    config = load_config("paper")
+    assert config.model == NPTConfig()
+    assert (config.batch, config.learning_rate, config.pairs) == (8, 5e-5, 200 * 4000)
+    assert (config.data.kind, config.data.vertices, config.data.target_scale) == ("table6", 0, "truth")
+    assert (config.edge, config.edge_weight) == ("paper", 5e-4)
+
+
+@pytest.mark.parametrize("name", ["small", "base", "table"])
+def test_configurations_of_mime_load(name):
+    config = load_config(name, "mime")
+    assert config.data.target_scale == "identity"
+    assert config.data.vertices >= config.model.near
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("data.kind=clips", "expected data.kind table6 or wide with mime, found clips"),
+        ("data.target_scale=truth", "expected data.target_scale identity"),
+        ("model.heads=3", "expected heads that divide width 128, found 3"),
+    ],
+)
+def test_mime_refuses_what_it_cannot_train_on(change, message):
+    with pytest.raises(InputError, match=message):
+        load_config("small", "mime", [change])
+
+
+@pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table", "full"])
+def test_shipped_configurations_load(name):
+    assert load_config(name).pairs > 0
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("batches: 8", "found batches; remove it"),
+        ("batch: many", "batch: expected int, found 'many'"),
+        ("model: {blocks: magic}", "found 'magic'"),
+        ("model: 3", "expected keys and values"),
+        ("compile: 1", "expected bool"),
+        ("weight_decay: 0.1", "expected weight_decay 0 with optimizer adam"),
+        ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
+        ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),
+    ],
+)
+def test_configurations_are_checked(tmp_path, text, message):
+    path = tmp_path / "mine.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_config(str(path))
+
+
+def test_the_full_configuration_is_the_papers_network_with_reflected_pairs():
+    config = load_config("full")
+    assert config.model == NPTConfig()
+    assert (config.batch, config.pairs, config.data.vertices, config.data.reflect) == (32, 800_000, 128, 0.5)
+    assert (config.data.kind, config.optimizer, config.precision) == ("table6", "muon", "auto")
+    assert config.weight_decay > 0
+
+
+@pytest.mark.parametrize("network", ["npt", "aniformer", "limp", "mime"])
+def test_loss_keys_of_other_networks_in_older_checkpoints_are_left_out(network):
+    """Checkpoints once held the losses of all networks."""
+    name = "table"
+    values = {"edge": "paper", "edge_weight": 5e-4, "losses": {}, "metrics": {}, "structure": {}}
+    plain = load_config(name, network)
+    assert config_from(values | dataclasses.asdict(plain), "here") == plain
