@@ -47,7 +47,7 @@ def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
     return first + np.where(step < 2, step, 3 * step - 4)
 
 
-def backwards(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
+def reversed_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
     """Places of all corners in their flat list, those of each polygon from its last to its first."""
     first = np.repeat(np.cumsum(sizes) - sizes, sizes)
     return 2 * first + np.repeat(sizes, sizes) - 1 - np.arange(len(first))
