@@ -18,6 +18,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part, permute_vertices
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io import obj as obj_module
+from mimesh.io import ply as ply_module
 
 FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
 
@@ -109,9 +110,9 @@ def test_later_frames_are_read_fast_and_as_exactly(suffix, tmp_path, monkeypatch
     save_clip(Clip(zoo.grid(), frames_of(zoo.grid().vertices)), tmp_path / "out", suffix)
     slow = np.stack([load_mesh(path).vertices for path in sorted((tmp_path / "out").glob(f"*{suffix}"))])
     calls = []
-    reader = "mimesh.io.obj._read_source" if suffix == ".obj" else "mimesh.io.ply.locate"
-    original = obj_module._read_source if suffix == ".obj" else __import__("mimesh.io.ply", fromlist=["locate"]).locate
-    monkeypatch.setattr(reader, lambda *arguments: (calls.append(arguments), original(*arguments))[1])
+    module, name = (obj_module, "_read_source") if suffix == ".obj" else (ply_module, "locate_columns")
+    original = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *arguments: (calls.append(arguments), original(*arguments))[1])
     np.testing.assert_array_equal(load_clip(tmp_path / "out").vertices, slow)
     assert len(calls) == 1
 
