@@ -98,20 +98,20 @@ def off(ours, theirs):
 
 
 @pytest.mark.parametrize(("name", "model"), [("keys", "mime"), ("other", "npt-maxpool")])
-def test_shape_keys_are_the_frames(outcome, facts, name, model):
+def test_shape_keys_equal_the_frames(outcome, facts, name, model):
     ours, result = of_mimesh(outcome, name, "driving", model=model)
     assert off(ours, result.clip.vertices) < 1e-5
     assert facts[name]["keys"] == ["Basis", *(f"frame {frame}" for frame in range(4, 9))]
 
 
 @pytest.mark.parametrize(("name", "faces", "options"), [("bones", "driving", JOINTS), ("skinned", "skin", {})])
-def test_an_armature_moves_as_the_joints_do(outcome, facts, name, faces, options):
+def test_armature_moves_as_the_joints(outcome, facts, name, faces, options):
     ours, result = of_mimesh(outcome, name, faces, **options)
     assert off(ours, skinned_frames(result)) < 1e-5
     assert tuple(facts[name]["bones"]) == result.skeleton.names
 
 
-def test_a_pose_is_one_frame(outcome, facts):
+def test_pose_button_makes_one_frame(outcome, facts):
     ours, result = of_mimesh(outcome, "posed", "skin")
     assert off(ours, skinned_frames(result)) < 1e-5
     ours, result = of_mimesh(outcome, "pose key", "driving")
@@ -119,13 +119,13 @@ def test_a_pose_is_one_frame(outcome, facts):
     assert facts["pose key"]["keys"] == ["Basis", "frame 1"]
 
 
-def test_the_identity_stays_as_it_was(facts):
+def test_identity_object_is_unchanged(facts):
     cases = [fact for fact in facts.values() if "unchanged" in fact]
     assert len(cases) == 6
     assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
 
 
-def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts):
+def test_modifiers_that_keep_vertices_are_baked_and_others_kept(facts):
     kept, baked = facts["modified"]["SUBSURF"], facts["modified"]["SMOOTH"]
     assert kept["modifiers"] == ["ARMATURE", "SUBSURF"]
     assert baked["modifiers"] == ["ARMATURE"]
@@ -134,12 +134,12 @@ def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts)
     assert baked["apart"] > 1e-3
 
 
-def test_work_that_is_stopped_leaves_nothing(facts):
+def test_cancelled_work_leaves_no_data(facts):
     for stopped in facts["stopped"]:
         assert stopped["before"] == stopped["after"]
 
 
-def test_the_window_lives_while_it_works_and_escape_stops_it(facts):
+def test_work_runs_in_steps_and_escape_cancels_it(facts):
     done = facts["clicked"][-1]
     assert [one["outcome"] for one in facts["clicked"]] == [["CANCELLED"], ["CANCELLED"], ["FINISHED"]]
     assert [one["left"] for one in facts["clicked"]] == [True, True, False]
@@ -148,18 +148,18 @@ def test_the_window_lives_while_it_works_and_escape_stops_it(facts):
         assert (one["timers"], one["text"], one["last"]) == (0, "", None)
 
 
-def test_the_panel_shows_what_there_is(facts):
+def test_panel_draws_all_properties(facts):
     assert {"Identity", "Driving", "Model", "Result", "Step", "Animate", "Pose", "Smooth", "Front"} <= set(
         facts["drawn"]
     )
 
 
-def test_what_cannot_be_done_is_told(facts):
+def test_invalid_settings_are_explained(facts):
     assert "expected a first frame before the last" in facts["no frames"]
     assert "expected a model with joints (mime), found npt-maxpool; choose it as the model" in facts["no joints"]
 
 
-def test_two_builds_are_equal(archive):
+def test_build_is_reproducible(archive):
     listing = zipfile.ZipFile(archive).infolist()
     assert [entry.filename for entry in listing] == sorted(entry.filename for entry in listing)
     assert {entry.date_time for entry in listing} == {(1980, 1, 1, 0, 0, 0)}

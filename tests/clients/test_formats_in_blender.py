@@ -130,7 +130,7 @@ def note(suffix, kind, error, dump=None, clip=None):
 
 
 @pytest.mark.parametrize("suffix", CLIPS)
-def test_blender_shows_every_frame_of_a_clip(suffix, ours):
+def test_blender_reads_every_frame_of_a_clip(suffix, ours):
     folder, clip = ours
     if suffix in (".obj", ".ply"):
         dumps = [np.load(folder / f"clip{suffix}{t}.npz") for t in range(len(clip))]
@@ -144,7 +144,7 @@ def test_blender_shows_every_frame_of_a_clip(suffix, ours):
 
 
 @pytest.mark.parametrize("suffix", MESHES)
-def test_blender_shows_a_mesh(suffix, ours):
+def test_blender_reads_a_mesh(suffix, ours):
     folder, clip = ours
     dump = np.load(folder / f"mesh{suffix}.npz")
     error = apart(dump["vertices"], in_blender(clip.mesh.vertices)[None])
@@ -152,13 +152,13 @@ def test_blender_shows_a_mesh(suffix, ours):
     assert error <= CLOSE
 
 
-def test_blender_shows_blend_shapes_as_we_do(ours):
+def test_blender_evaluates_blend_shapes_equally(ours):
     folder, _ = ours
     expected = load_clip(folder / "few.glb").vertices
     assert apart(np.load(folder / "few.glb.npz")["vertices"], in_blender(expected)) <= CLOSE
 
 
-def test_blender_shows_a_skin_as_we_do(ours):
+def test_blender_evaluates_skinning_equally(ours):
     folder, _ = ours
     expected = load_clip(folder / "skinned.glb", fps=10.0).vertices
     error = apart(np.load(folder / "skinned.glb.npz")["vertices"], in_blender(expected))
@@ -167,7 +167,7 @@ def test_blender_shows_a_skin_as_we_do(ours):
 
 
 @pytest.mark.parametrize("name", OURS_OF_BLENDER)
-def test_we_read_what_blender_wrote(name, theirs):
+def test_files_of_blender_are_read_exactly(name, theirs):
     truth = np.load(theirs / ("truth_fbx.npz" if name == "fbx.glb" else "truth.npz"))["vertices"]
     clip = load_clip(theirs / name, fps=24.0)
     found = clip.vertices.astype(np.float64)
@@ -179,7 +179,7 @@ def test_we_read_what_blender_wrote(name, theirs):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".usdc", ".abc"])
-def test_what_blender_wrote_survives_conversion(suffix, theirs, tmp_path):
+def test_files_of_blender_survive_conversion(suffix, theirs, tmp_path):
     convert(theirs / f"scene{suffix}", tmp_path / f"a{suffix}")
     again = load_clip(tmp_path / f"a{suffix}")
     first = load_clip(theirs / f"scene{suffix}")

@@ -57,20 +57,20 @@ def good_file(folder, suffix: str):
 
 @pytest.mark.parametrize("suffix", MESH_READERS)
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_missing_file(load, suffix, tmp_path):
+def test_missing_file_is_refused(load, suffix, tmp_path):
     assert "found nothing of that name; check the path" in refuse(load, tmp_path / f"none{suffix}")
 
 
 @pytest.mark.parametrize("suffix", MESH_READERS)
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_empty_file(load, suffix, tmp_path):
+def test_empty_file_is_refused(load, suffix, tmp_path):
     (tmp_path / f"a{suffix}").write_bytes(b"")
     assert "found an empty file of 0 bytes" in refuse(load, tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.zip", "a.OBJ.txt"])
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
-def test_unknown_suffix_lists_what_is_read(load, name, tmp_path):
+def test_unknown_suffix_lists_the_supported_ones(load, name, tmp_path):
     (tmp_path / name).write_bytes(b"x")
     message = refuse(load, tmp_path / name)
     assert all(suffix in message for suffix in mesh_suffixes())
@@ -83,11 +83,11 @@ def test_suffixes_may_be_upper_case(suffix, tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / f"AGAIN{suffix.upper()}").vertices, mesh.vertices)
 
 
-def test_a_folder_where_a_mesh_is_expected(tmp_path):
+def test_folder_is_refused_as_a_mesh(tmp_path):
     assert "found a folder; name one file in it" in refuse(load_mesh, tmp_path)
 
 
-def test_a_folder_without_meshes(tmp_path):
+def test_folder_without_meshes_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("x")
     assert "found 0 meshes without a number" in refuse(load_clip, tmp_path)
     save_mesh(zoo.cube(), tmp_path / "hero.obj")
@@ -100,13 +100,13 @@ def test_frame_rate_must_be_positive(fps, tmp_path):
 
 
 @pytest.mark.parametrize("fps", [0.0, -3.0])
-def test_a_file_with_a_frame_rate_that_is_none(fps, tmp_path):
+def test_invalid_frame_rate_in_a_file_is_refused(fps, tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.eye(3)[None], fps=fps)
     assert "expected a positive frame rate" in refuse(load_clip, tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8, 0.97])
-def test_cut_short(suffix, fraction, tmp_path):
+def test_truncated_files_are_refused(suffix, fraction, tmp_path):
     if suffix == ".obj":
         pytest.skip("an OBJ file does not say how long it is; see below")
     data = good_file(tmp_path, suffix).read_bytes()
@@ -142,7 +142,7 @@ def test_obj_mistakes_name_their_line(text, found, tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_numbers_that_are_none(suffix, value, tmp_path):
+def test_nan_and_infinity_are_refused(suffix, value, tmp_path):
     mesh = zoo.cube()
     mesh.vertices[3, 1] = value
     with np.errstate(invalid="ignore"):  # the writers are not the ones to check
@@ -151,7 +151,7 @@ def test_numbers_that_are_none(suffix, value, tmp_path):
 
 
 @pytest.mark.parametrize("index", [8, -9, 70000])
-def test_index_out_of_range(suffix, index, tmp_path):
+def test_face_index_out_of_range_is_refused(suffix, index, tmp_path):
     if suffix == ".stl" or (suffix == ".obj" and index < 0):
         pytest.skip("STL has no indices, and negative ones mean something in OBJ")
     faces = zoo.cube().faces.copy()
@@ -161,13 +161,13 @@ def test_index_out_of_range(suffix, index, tmp_path):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_bytes_of_no_format(suffix, seed, tmp_path):
+def test_random_bytes_are_refused(suffix, seed, tmp_path):
     (tmp_path / f"a{suffix}").write_bytes(np.random.default_rng(seed).bytes(5 + 60 * seed**2))
     refuse(load_mesh, tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_damaged_files_are_read_or_refused_but_never_break(suffix, seed, tmp_path):
+def test_damaged_files_are_read_or_refused_with_an_input_error(suffix, seed, tmp_path):
     """Flip a few bytes: whatever comes of it, it is a mesh or an InputError."""
     rng = np.random.default_rng(seed)
     data = bytearray(good_file(tmp_path, suffix).read_bytes())
@@ -214,12 +214,12 @@ def test_damaged_files_are_read_or_refused_but_never_break(suffix, seed, tmp_pat
         ),
     ],
 )
-def test_ply_mistakes(text, found, tmp_path):
+def test_ply_mistakes_are_explained(text, found, tmp_path):
     (tmp_path / "a.ply").write_text(text)
     assert found in refuse(load_mesh, tmp_path / "a.ply")
 
 
-def test_ply_with_integer_coordinates_is_read_but_not_moved(tmp_path):
+def test_ply_with_integer_coordinates_is_read_but_not_written_with_other_points(tmp_path):
     text = ASCII_PLY.replace("float", "short").format(v=3, f=1) + "0 0 0 1 0 0 0 1 0\n3 0 1 2\n"
     (tmp_path / "a.ply").write_text(text)
     mesh = load_mesh(tmp_path / "a.ply")
@@ -248,7 +248,7 @@ def test_ply_with_integer_coordinates_is_read_but_not_moved(tmp_path):
         ("NOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n", "expected 3 numbers in line 3"),
     ],
 )
-def test_off_mistakes(text, found, tmp_path):
+def test_off_mistakes_are_explained(text, found, tmp_path):
     (tmp_path / "a.off").write_text(text)
     assert found in refuse(load_mesh, tmp_path / "a.off")
 
@@ -268,23 +268,23 @@ def test_off_mistakes(text, found, tmp_path):
         (b"not an STL", "expected an STL file of 84 bytes"),
     ],
 )
-def test_stl_mistakes(data, found, tmp_path):
+def test_stl_mistakes_are_explained(data, found, tmp_path):
     (tmp_path / "a.stl").write_bytes(data)
     assert found in refuse(load_mesh, tmp_path / "a.stl")
 
 
-def test_a_point_cloud_has_no_place_in_stl(tmp_path):
+def test_point_cloud_is_refused_as_stl(tmp_path):
     assert "found a point cloud; write .ply or .obj" in refuse(save_mesh, zoo.point_cloud(), tmp_path / "a.stl")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["a.fbx", "a"])
-def test_a_mesh_format_that_is_not_written(name, tmp_path):
+def test_unsupported_mesh_output_is_refused(name, tmp_path):
     message = refuse(save_mesh, zoo.cube(), tmp_path / name)
     assert all(suffix in message for suffix in MESH_WRITERS)
 
 
-def test_a_clip_needs_a_clip_format_or_a_folder(tmp_path):
+def test_clip_in_a_mesh_format_is_refused(tmp_path):
     clip = Clip(zoo.cube(), zoo.cube().vertices[None])
     assert all(suffix in refuse(save_clip, clip, tmp_path / "a.obj") for suffix in clip_suffixes())
     assert "found '.stl'; choose one of them" in refuse(lambda path: save_clip(clip, path, ".stl"), tmp_path / "out")
@@ -293,7 +293,7 @@ def test_a_clip_needs_a_clip_format_or_a_folder(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", MESH_WRITERS)
-def test_a_place_that_cannot_be_written_to(suffix, tmp_path):
+def test_unwritable_mesh_path_is_refused(suffix, tmp_path):
     (tmp_path / "file").write_text("x")
     refuse(save_mesh, zoo.cube(), tmp_path / "file" / f"a{suffix}")
     (tmp_path / f"folder{suffix}").mkdir()
@@ -302,18 +302,18 @@ def test_a_place_that_cannot_be_written_to(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", CLIP_WRITERS)
-def test_a_clip_that_cannot_be_written(suffix, tmp_path):
+def test_unwritable_clip_path_is_refused(suffix, tmp_path):
     (tmp_path / "file").write_text("x")
     refuse(save_clip, Clip(zoo.cube(), zoo.cube().vertices[None]), tmp_path / "file" / f"a{suffix}")
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_without_permission(suffix, tmp_path):
+def test_file_without_read_permission_is_refused(suffix, tmp_path):
     good_file(tmp_path, suffix).chmod(0)
     assert "check its permissions" in refuse(load_mesh, tmp_path / f"good{suffix}")
 
 
-def test_a_failed_write_leaves_the_old_file(suffix, tmp_path):
+def test_failed_write_keeps_the_old_file(suffix, tmp_path):
     path = good_file(tmp_path, suffix)
     before = path.read_bytes()
     mesh = load_mesh(path)

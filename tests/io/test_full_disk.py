@@ -38,13 +38,13 @@ def little_room():
 # The temporary file of a glTF file's numbers has no room either, and complains once more when it is closed.
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("suffix", ONE_FILE)
-def test_a_clip_that_does_not_fit_is_refused_whole(clip, suffix, tmp_path, little_room):
+def test_clip_on_a_full_disk_is_refused_without_leftovers(clip, suffix, tmp_path, little_room):
     with pytest.raises(InputError, match="expected a place"):
         save_clip(clip, tmp_path / f"a{suffix}")
     assert not [path for path in tmp_path.iterdir() if path.suffix not in (".obj", ".mtl")]
 
 
-def test_a_movie_that_does_not_fit_is_refused_whole(tmp_path, little_room):
+def test_movie_on_a_full_disk_is_refused_without_leftovers(tmp_path, little_room):
     pictures = np.random.default_rng(0).integers(0, 255, (4, 64, 64, 3), dtype=np.uint8)
     with pytest.raises(InputError, match="expected a place"):
         save_movie(list(pictures), tmp_path / "a.gif", 10.0)
@@ -59,7 +59,7 @@ def test_alembic_stops_before_the_disk_is_full(clip, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_frames_that_find_no_room_in_the_temporary_folder_are_refused(monkeypatch):
+def test_full_temporary_folder_is_refused(monkeypatch):
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 

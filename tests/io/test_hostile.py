@@ -43,12 +43,12 @@ def words_of(data: bytes) -> list[bytes]:
     return re.split(rb"([\s\\]+)", data)
 
 
-def test_unmoved_the_file_is_the_same_byte_by_byte(file):
+def test_unchanged_mesh_is_written_as_equal_bytes(file):
     save_mesh(load_mesh(file), file.with_stem("same"))
     assert file.with_stem("same").read_bytes() == file.read_bytes()
 
 
-def test_moved_points_come_back_and_everything_else_does_too(file):
+def test_moved_points_and_all_else_round_trip(file):
     mesh = load_mesh(file)
     moved = shifted(mesh)
     save_mesh(moved, file.with_stem("moved"))
@@ -61,7 +61,7 @@ def test_moved_points_come_back_and_everything_else_does_too(file):
         assert np.array_equal(getattr(back, name), getattr(mesh, name))
 
 
-def test_only_numbers_change_and_only_of_points_that_moved(file):
+def test_only_numbers_of_moved_points_change(file):
     mesh = load_mesh(file)
     # A step keeps all normals; where they turn, lines for more of them may be added.
     moved = mesh.with_vertices(mesh.vertices + 1) if mesh.corner_normals is not None else shifted(mesh)
@@ -74,7 +74,7 @@ def test_only_numbers_change_and_only_of_points_that_moved(file):
 
 
 @pytest.mark.parametrize("name", hostile.OBJ)
-def test_a_naive_reader_finds_the_same_polygons(name, tmp_path):
+def test_polygons_equal_those_of_a_naive_reader(name, tmp_path):
     text = hostile.OBJ[name]
     (tmp_path / "a.obj").write_bytes(text)
     mesh = load_mesh(tmp_path / "a.obj")
@@ -85,7 +85,7 @@ def test_a_naive_reader_finds_the_same_polygons(name, tmp_path):
 
 
 @pytest.mark.parametrize("key", FILES, ids=" ".join)
-def test_a_clip_keeps_looks_and_names(key, tmp_path):
+def test_clip_keeps_materials_and_names(key, tmp_path):
     file = tmp_path / f"a.{key[0]}"
     file.write_bytes(FILES[key])
     mesh = load_mesh(file)

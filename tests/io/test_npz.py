@@ -34,7 +34,7 @@ def test_clip_round_trip_is_exact(dtype, tmp_path):
 
 @pytest.mark.parametrize("vertices", ["vertices", "v", "verts", "points"])
 @pytest.mark.parametrize("faces", ["faces", "f", "triangles"])
-def test_other_names_of_the_arrays(vertices, faces, tmp_path):
+def test_alternative_array_names_are_read(vertices, faces, tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", **{vertices: mesh.vertices, faces: mesh.faces.astype(np.uint16)})
     back = load_mesh(tmp_path / "a.npz")
@@ -49,7 +49,7 @@ def test_quads_become_triangles(tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / "a.npz").faces, [[0, 2, 3], [0, 3, 1]])
 
 
-def test_moving_keeps_every_other_array_the_shape_and_the_type(tmp_path):
+def test_moved_points_keep_shape_type_and_other_arrays(tmp_path):
     mesh = zoo.cube()
     secret = np.array([{"a": 1}], dtype=object)
     np.savez(
@@ -65,7 +65,7 @@ def test_moving_keeps_every_other_array_the_shape_and_the_type(tmp_path):
         assert back["notes"][0] == {"a": 1}
 
 
-def test_moved_points_of_whole_numbers_keep_their_fractions(tmp_path):
+def test_moved_integer_points_become_floats(tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", vertices=(10 * mesh.vertices).astype(np.int16), faces=mesh.faces)
     moved = bent(load_mesh(tmp_path / "a.npz").vertices)
@@ -73,7 +73,7 @@ def test_moved_points_of_whole_numbers_keep_their_fractions(tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / "b.npz").vertices, moved)
 
 
-def test_a_pickle_is_never_opened(tmp_path):
+def test_pickled_arrays_are_never_loaded(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.array([[0, 0, None]], dtype=object))
     with pytest.raises(InputError, match="expected a NumPy archive of plain arrays"):
         load_mesh(tmp_path / "a.npz")
@@ -90,13 +90,13 @@ def test_a_pickle_is_never_opened(tmp_path):
         ({"vertices": np.stack([np.eye(3)] * 2)}, "found a clip of 2 frames"),
     ],
 )
-def test_wrong_arrays_are_named(arrays, message, tmp_path):
+def test_invalid_arrays_are_explained(arrays, message, tmp_path):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(InputError, match=message):
         load_mesh(tmp_path / "a.npz")
 
 
-def test_a_clip_without_frames_is_refused(tmp_path):
+def test_clip_without_frames_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.zeros((0, 4, 3)))
     with pytest.raises(InputError, match="expected at least one frame, found none"):
         load_clip(tmp_path / "a.npz")

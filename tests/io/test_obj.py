@@ -55,14 +55,14 @@ def test_unmoved_mesh_gives_the_same_bytes(obj, tmp_path):
     assert (tmp_path / "out" / "same.obj").read_bytes() == obj.read_bytes()
 
 
-def test_a_rigid_move_changes_nothing_but_points_and_normals(obj, tmp_path):
+def test_rigid_motion_changes_only_points_and_normals(obj, tmp_path):
     mesh = load_mesh(obj)
     save_mesh(mesh.with_vertices(mesh.vertices @ rotation().T + 5), tmp_path / "b.obj")
     before, after = (kept_lines(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
     assert after == before
 
 
-def test_bending_changes_normal_indices_too_where_one_vn_line_served_several_corners(obj, tmp_path):
+def test_bending_changes_normal_indices_where_corners_share_a_vn(obj, tmp_path):
     move(obj, tmp_path / "b.obj")
     before, after = (kept_lines(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
     assert after != before
@@ -71,7 +71,7 @@ def test_bending_changes_normal_indices_too_where_one_vn_line_served_several_cor
     ]
 
 
-def test_bending_a_smooth_mesh_changes_nothing_but_points_and_normals(tmp_path):
+def test_bending_a_smooth_mesh_changes_only_points_and_normals(tmp_path):
     grid = zoo.grid()
     normals = vertex_normals(grid.vertices + np.random.default_rng(0).normal(size=(25, 3)), grid.faces)
     save_mesh(dataclasses.replace(grid, corner_normals=normals[grid.faces]), tmp_path / "a.obj")
@@ -103,7 +103,7 @@ def test_written_normals_are_those_of_the_moved_mesh(obj, tmp_path):
     assert checked >= 12
 
 
-def test_a_shared_normal_is_split_and_only_normal_indices_of_faces_change(tmp_path):
+def test_shared_normal_is_split_and_only_normal_indices_change(tmp_path):
     (tmp_path / "a.obj").write_bytes(SHEETS_SHARED_NORMALS)
     move(tmp_path / "a.obj", tmp_path / "b.obj")
     before, after = (kept_lines((tmp_path / name).read_bytes(), b"v", b"vn") for name in ("a.obj", "b.obj"))
@@ -117,7 +117,7 @@ def test_a_shared_normal_is_split_and_only_normal_indices_of_faces_change(tmp_pa
     assert max(used) <= words[:first_face].count(b"vn"), "a face refers to a normal that comes later"
 
 
-def test_a_rigid_move_turns_the_shared_normals_of_a_cube_in_place(tmp_path):
+def test_rigid_motion_rotates_shared_normals_in_place(tmp_path):
     (tmp_path / "cube.obj").write_bytes(CUBE_SHARED_NORMALS)
     mesh = load_mesh(tmp_path / "cube.obj")
     turn = rotation()
@@ -155,7 +155,7 @@ def test_permuting_the_file_permutes_the_mesh(tmp_path):
     np.testing.assert_array_equal(triangle_soup(back.vertices, back.faces), triangle_soup(mesh.vertices, mesh.faces))
 
 
-def test_reading_agrees_with_a_naive_reader_and_with_trimesh(obj):
+def test_mesh_equals_that_of_a_naive_reader_and_of_trimesh(obj):
     mesh = load_mesh(obj)
     vertices, polygons, _ = naive_obj(obj.read_bytes())
     np.testing.assert_array_equal(mesh.vertices, vertices)
@@ -163,7 +163,7 @@ def test_reading_agrees_with_a_naive_reader_and_with_trimesh(obj):
 
 
 @pytest.mark.parametrize("name", ["cube", "sheets"])
-def test_trimesh_reads_the_moved_file_as_we_do(name, tmp_path):
+def test_trimesh_reads_the_moved_file_equally(name, tmp_path):
     (tmp_path / "a.obj").write_bytes(FILES[name].replace(b"# 5//2", b""))
     _, _, back = move(tmp_path / "a.obj", tmp_path / "b.obj")
     other = trimesh.load(tmp_path / "b.obj", process=False, force="mesh")
@@ -177,7 +177,7 @@ def test_trimesh_reads_the_moved_file_as_we_do(name, tmp_path):
         assert np.isclose(other.area, area)
 
 
-def test_old_mac_line_ends_and_a_byte_order_mark_survive(tmp_path):
+def test_cr_line_ends_and_byte_order_mark_are_kept(tmp_path):
     data = b"\xef\xbb\xbf" + CUBE_SHARED_NORMALS.split(b"\n", 1)[1].replace(b"\n", b"\r")
     (tmp_path / "mac.obj").write_bytes(data)
     mesh, moved, back = move(tmp_path / "mac.obj", tmp_path / "moved.obj")
@@ -186,7 +186,7 @@ def test_old_mac_line_ends_and_a_byte_order_mark_survive(tmp_path):
     assert (tmp_path / "moved.obj").read_bytes().startswith(b"\xef\xbb\xbfv ")
 
 
-def test_looks_of_the_nasty_file(tmp_path):
+def test_parts_and_uv_of_the_unusual_file(tmp_path):
     (tmp_path / "a.obj").write_bytes(NASTY_OBJ)
     mesh = load_mesh(tmp_path / "a.obj")
     runs = [(part.name, part.material and part.material.name, part.start, part.stop) for part in mesh.parts]
@@ -217,14 +217,14 @@ def painted(tmp_path):
     return folder / "house.obj"
 
 
-def test_materials_come_from_the_library(painted):
+def test_materials_are_read_from_the_library(painted):
     brick, plaster = (load_mesh(painted).parts[k].material for k in (0, 1))
     assert brick.base_color == (0.5, 0.25, 0.125, 0.75)
     assert brick.texture == (painted.parent / "maps" / "red wall.png").read_bytes()
     assert plaster.base_color == (0.8, 0.8, 0.8, 0.5)
 
 
-def test_library_and_images_are_copied_beside_the_output_and_never_overwrite(painted, tmp_path):
+def test_library_and_images_are_copied_without_overwriting(painted, tmp_path):
     out = tmp_path / "deep" / "out"
     out.mkdir(parents=True)
     (out / "my looks.mtl").write_text("mine")
@@ -237,13 +237,13 @@ def test_library_and_images_are_copied_beside_the_output_and_never_overwrite(pai
     assert load_mesh(out / "moved.obj").parts[0] == load_mesh(painted).parts[0]
 
 
-def test_a_missing_library_costs_the_looks_and_not_the_mesh(tmp_path):
+def test_mesh_is_read_without_its_missing_library(tmp_path):
     (tmp_path / "a.obj").write_bytes(NASTY_OBJ)
     assert load_mesh(tmp_path / "a.obj").parts[0].material == Material("Brick")
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew_and_read_back_exactly(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back_exactly(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.obj")
     back = load_mesh(tmp_path / "new.obj")
@@ -253,7 +253,7 @@ def test_any_mesh_is_written_anew_and_read_back_exactly(make, tmp_path):
 
 @pytest.mark.parametrize("with_uv", [False, True])
 @pytest.mark.parametrize("with_normals", [False, True])
-def test_corner_data_and_parts_are_written_anew(with_uv, with_normals, tmp_path):
+def test_new_file_keeps_corner_data_and_parts(with_uv, with_normals, tmp_path):
     texture = tmp_path / "t.png"
     Image.new("RGB", (1, 1)).save(texture)
     cube = zoo.cube()

@@ -63,7 +63,7 @@ def test_only_coordinates_change(tmp_path):
     assert (tmp_path / "b.off").read_bytes() == expected.replace(b"0\t1 0", b"0.25\t1.25 0.25")
 
 
-def test_vertex_normals_turn_with_the_surface(tmp_path):
+def test_vertex_normals_rotate_with_the_surface(tmp_path):
     (tmp_path / "a.off").write_bytes(NORMALS)
     mesh = load_mesh(tmp_path / "a.off")
     save_mesh(mesh.with_vertices(mesh.vertices @ rotation().T), tmp_path / "b.off")
@@ -72,7 +72,7 @@ def test_vertex_normals_turn_with_the_surface(tmp_path):
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew_and_read_back_exactly(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back_exactly(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.off")
     back = load_mesh(tmp_path / "new.off")

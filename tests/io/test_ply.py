@@ -79,7 +79,7 @@ def test_unmoved_mesh_gives_the_same_bytes(ply, tmp_path):
     assert (tmp_path / "same.ply").read_bytes() == ply.read_bytes()
 
 
-def test_reading_takes_points_polygons_normals_and_texture_coordinates(ply):
+def test_points_polygons_normals_and_uv_are_read(ply):
     mesh = load_mesh(ply)
     np.testing.assert_array_equal(mesh.vertices, zoo.cube().vertices / 4)
     np.testing.assert_array_equal(mesh.faces, [t for polygon in POLYGONS for t in fan_triangles(list(polygon))])
@@ -87,7 +87,7 @@ def test_reading_takes_points_polygons_normals_and_texture_coordinates(ply):
     np.testing.assert_array_equal(mesh.corner_uv[1], [[0, 1 / 8], [4 / 8, 5 / 8], [6 / 8, 7 / 8]])
 
 
-def test_moving_replaces_points_and_normals_and_nothing_else(ply, tmp_path):
+def test_moved_mesh_changes_only_points_and_normals(ply, tmp_path):
     mesh = load_mesh(ply)
     turned = mesh.with_vertices(mesh.vertices @ rotation().T)
     save_mesh(turned, tmp_path / "turned.ply")
@@ -116,7 +116,7 @@ def masked(data: bytes) -> list:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_moved_points_are_what_trimesh_reads(encoding, tmp_path):
+def test_trimesh_reads_the_moved_points(encoding, tmp_path):
     triangles = [tuple(face) for face in zoo.cube().faces.tolist()]
     (tmp_path / "a.ply").write_bytes(plain(encoding, triangles))
     mesh = load_mesh(tmp_path / "a.ply")
@@ -136,7 +136,7 @@ def plain(
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("index", ["uchar int", "int uint32", "ushort short", "char uchar"])
 @pytest.mark.parametrize("polygons", [POLYGONS, POLYGONS[3:], [*POLYGONS, (), (0,)]], ids=["mixed", "quads", "short"])
-def test_every_count_and_index_type(encoding, index, polygons, tmp_path):
+def test_every_count_and_index_type_is_read(encoding, index, polygons, tmp_path):
     (tmp_path / "a.ply").write_bytes(plain(encoding, polygons, index=index))
     mesh = load_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.faces, [t for p in polygons for t in fan_triangles(list(p))])
@@ -167,7 +167,7 @@ def test_ascii_keeps_spacing_and_the_text_of_unmoved_vertices(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_point_cloud_without_faces(encoding, tmp_path):
+def test_file_without_faces_is_a_point_cloud(encoding, tmp_path):
     rows = [tuple(row) for row in zoo.point_cloud().vertices.round(3).tolist()]
     (tmp_path / "a.ply").write_bytes(encode(encoding, [("vertex", ["double x", "double y", "double z"], rows)]))
     mesh = load_mesh(tmp_path / "a.ply")
@@ -177,7 +177,7 @@ def test_point_cloud_without_faces(encoding, tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bent(mesh.vertices))
 
 
-def test_vertex_normals_follow_the_surface(tmp_path):
+def test_vertex_normals_rotate_with_the_surface(tmp_path):
     grid = zoo.grid()
     normals = vertex_normals(grid.vertices, grid.faces)
     rows = [(*v, *n) for v, n in zip(grid.vertices.tolist(), normals.tolist(), strict=True)]
@@ -191,7 +191,7 @@ def test_vertex_normals_follow_the_surface(tmp_path):
     np.testing.assert_allclose(back.corner_normals, vertex_normals(back.vertices, back.faces)[back.faces], atol=1e-12)
 
 
-def test_texture_and_texture_coordinates_per_vertex(tmp_path):
+def test_texture_and_uv_per_vertex_are_read(tmp_path):
     Image.new("RGB", (1, 1)).save(tmp_path / "skin.png")
     rows = [(*v, *v[:2]) for v in zoo.cube().vertices.tolist()]
     properties = [f"float {name}" for name in ("x", "y", "z", "s", "t")]
@@ -207,7 +207,7 @@ def test_texture_and_texture_coordinates_per_vertex(tmp_path):
 
 @pytest.mark.parametrize("with_uv", [False, True])
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew(make, with_uv, tmp_path):
+def test_new_file_of_any_mesh_reads_back(make, with_uv, tmp_path):
     mesh = make()
     if with_uv:
         mesh = dataclasses.replace(mesh, corner_uv=mesh.vertices[mesh.faces][..., :2])

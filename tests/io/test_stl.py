@@ -48,7 +48,7 @@ def stl(request, tmp_path):
     return path
 
 
-def test_welding_finds_the_shared_corners_in_order_of_appearance(stl):
+def test_corners_are_welded_in_order_of_appearance(stl):
     mesh = load_mesh(stl)
     soup = zoo.two_parts().vertices[zoo.two_parts().faces]
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], soup)
@@ -93,7 +93,7 @@ def test_header_attributes_and_tail_are_kept(tmp_path):
     np.testing.assert_allclose(struct.unpack_from("<3f", data, 84 + 50 * 5), normal / np.linalg.norm(normal), atol=1e-6)
 
 
-def test_text_keeps_its_words_and_only_moved_triangles_change(tmp_path):
+def test_only_moved_triangles_of_a_text_file_change(tmp_path):
     (tmp_path / "a.stl").write_bytes(FILES["text"])
     mesh = load_mesh(tmp_path / "a.stl")
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == [("first half", 0, 2), ("second", 2, 16)]
@@ -107,7 +107,7 @@ def test_text_keeps_its_words_and_only_moved_triangles_change(tmp_path):
     assert all(before[i].split()[0] == after[i].split()[0] and before[i][:2] == after[i][:2] for i in changed)
 
 
-def test_vertex_order_of_a_mesh_does_not_matter_to_the_file(tmp_path):
+def test_file_does_not_depend_on_vertex_order(tmp_path):
     mesh = zoo.cube()
     save_mesh(mesh, tmp_path / "a.stl")
     save_mesh(permute_vertices(mesh, np.random.default_rng(0).permutation(8)), tmp_path / "b.stl")
@@ -115,14 +115,14 @@ def test_vertex_order_of_a_mesh_does_not_matter_to_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_any_mesh_is_written_anew(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.stl")
     back = load_mesh(tmp_path / "new.stl")
     np.testing.assert_array_equal(back.vertices[back.faces], mesh.vertices[mesh.faces].astype(np.float32))
 
 
-def test_minus_zero_is_zero_when_corners_are_welded(tmp_path):
+def test_minus_zero_is_welded_with_zero(tmp_path):
     mesh = Mesh(
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, 0], [0, -1, 0]], float), np.array([[0, 1, 2], [3, 4, 1]])
     )

@@ -95,7 +95,7 @@ def moved(vertices: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_a_mesh_reads_back(make, tmp_path):
+def test_mesh_round_trips(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "a.abc")
     back = load_mesh(tmp_path / "a.abc")
@@ -104,7 +104,7 @@ def test_a_mesh_reads_back(make, tmp_path):
     assert (back.corner_uv, back.corner_normals, back.parts) == (None, None, ())
 
 
-def test_a_clip_reads_back_with_all_it_carries(tmp_path):
+def test_clip_round_trips_with_uv_normals_and_face_sets(tmp_path):
     clip = dressed()
     save_clip(clip, tmp_path / "kleid é.abc")
     back = load_clip(tmp_path / "kleid é.abc")
@@ -117,7 +117,7 @@ def test_a_clip_reads_back_with_all_it_carries(tmp_path):
     assert [part.material for part in back.mesh.parts] == [part.material for part in clip.mesh.parts]
 
 
-def test_looks_of_one_name_stay_apart(tmp_path):
+def test_materials_of_equal_name_stay_separate(tmp_path):
     red, green = (Material("skin", color) for color in ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
     parts = (Part("a", 0, 2, red), Part("b", 2, 6, green), Part("skin", 6, 10), Part("c", 10, 12, red))
     save_mesh(dataclasses.replace(zoo.cube(), parts=parts), tmp_path / "a.abc")
@@ -125,7 +125,7 @@ def test_looks_of_one_name_stay_apart(tmp_path):
     assert [(part.name, part.stop - part.start) for part in back.parts] == [("skin", 4), ("skin_2", 4), ("skin_3", 4)]
 
 
-def test_normals_turn_with_the_surface(tmp_path):
+def test_normals_rotate_with_the_surface(tmp_path):
     clip = dressed()
     turn = np.stack([clip.mesh.vertices, clip.mesh.vertices @ rotation().T])
     save_clip(dataclasses.replace(clip, vertices=turn), tmp_path / "a.abc")
@@ -139,7 +139,7 @@ def shape_of(path):
     return Abc.IArchive(str(path)).getTop().children[0].children[0]
 
 
-def test_alembic_itself_says_what_was_written(tmp_path):
+def test_library_reads_what_was_written(tmp_path):
     clip = dressed()
     save_clip(clip, tmp_path / "a.abc")
     schema = AbcGeom.IPolyMesh(shape_of(tmp_path / "a.abc"), Abc.WrapExistingFlag.kWrapExisting).getSchema()
@@ -151,12 +151,12 @@ def test_alembic_itself_says_what_was_written(tmp_path):
     np.testing.assert_array_equal(corners[:, ::-1], clip.mesh.faces)  # clockwise
 
 
-def test_still_clips_keep_their_frames(tmp_path):
+def test_static_clips_keep_their_frames(tmp_path):
     save_clip(Clip(zoo.cube(), np.repeat(zoo.cube().vertices[None], 5, axis=0), 12.0), tmp_path / "a.abc")
     assert (len(load_clip(tmp_path / "a.abc")), load_clip(tmp_path / "a.abc").fps) == (5, 12.0)
 
 
-def test_polygons_of_a_file_stay_whole(tmp_path):
+def test_polygons_of_a_file_are_kept(tmp_path):
     (tmp_path / "cube.obj").write_bytes(CUBE_SHARED_NORMALS)
     mesh = load_mesh(tmp_path / "cube.obj")
     assert (polygon_sizes(mesh) == 4).all()
@@ -180,7 +180,7 @@ def test_polygons_of_any_size_become_fans(tmp_path):
     assert (polygon_sizes(mesh).tolist(), len(mesh.faces)) == ([5, 3, 3], 5)
 
 
-def test_transforms_nest_and_move(tmp_path):
+def test_nested_and_animated_transforms_are_applied(tmp_path):
     turns = [matrix(rotation(), (t, 0, 0)) for t in range(3)]
     scale = matrix(np.diag([2.0, 3.0, 0.5]), (0, 1, 0))
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
@@ -225,7 +225,7 @@ def test_normals_follow_transforms(tmp_path):
     np.testing.assert_allclose(mesh.corner_normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_texture_coordinates_of_vertices_and_what_does_not_fit(tmp_path):
+def test_uv_per_vertex_are_read_and_unfit_values_dropped_with_a_note(tmp_path):
     for name, count in (("vertex", 8), ("odd", 5)):
         archive = Abc.OArchive(str(tmp_path / f"{name}.abc"))
         shape = AbcGeom.OPolyMesh(archive.getTop(), "cube")
@@ -240,7 +240,7 @@ def test_texture_coordinates_of_vertices_and_what_does_not_fit(tmp_path):
     assert load_mesh(tmp_path / "odd.abc").source.notes == ("dropped 'uv' of cube: not one for each corner or vertex",)
 
 
-def test_only_what_is_visible_is_read(tmp_path):
+def test_only_visible_meshes_are_read(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     hidden = add_transform(archive.getTop(), "hidden", [np.eye(4)])
     AbcGeom.CreateVisibilityProperty(hidden, 0).setValue(0)
@@ -258,7 +258,7 @@ def test_only_what_is_visible_is_read(tmp_path):
     np.testing.assert_array_equal(mesh.vertices, np.concatenate([zoo.cube().vertices, zoo.cube().vertices + 5]))
 
 
-def test_an_archive_without_meshes_says_what_it_has(tmp_path):
+def test_archive_without_meshes_lists_its_objects(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     AbcGeom.OCamera(archive.getTop(), "camera")
     del archive
@@ -266,7 +266,7 @@ def test_an_archive_without_meshes_says_what_it_has(tmp_path):
         load_mesh(tmp_path / "a.abc")
 
 
-def test_samplings_may_differ_and_begin_anywhere(tmp_path):
+def test_time_samplings_may_differ_and_start_anywhere(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     slide = [matrix(shift=(t, 0, 0)) for t in range(5)]
     add_mesh(add_transform(archive.getTop(), "a", slide, rate(24, 1 / 24)), "aShape", [zoo.cube().vertices], CUBE_QUADS)
@@ -279,7 +279,7 @@ def test_samplings_may_differ_and_begin_anywhere(tmp_path):
     np.testing.assert_allclose(clip.vertices[:, 8], [[0, t, 0] for t in range(5)], atol=1e-6)
 
 
-def test_uneven_samples_are_laid_on_frames(tmp_path):
+def test_uneven_samples_are_resampled(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     keys = [0, 1, 4, 6, 7]
     frames = [zoo.cube().vertices + [k, 0, 0] for k in keys]
@@ -292,7 +292,7 @@ def test_uneven_samples_are_laid_on_frames(tmp_path):
     np.testing.assert_allclose(twice.vertices[:, 0, 0], np.arange(15) / 2, atol=1e-5)
 
 
-def test_between_samples_transforms_turn_evenly(tmp_path):
+def test_transforms_are_interpolated_by_rotation(tmp_path):
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     turn = [matrix(2 * np.eye(3)), matrix(2 * quarter)]
@@ -317,7 +317,7 @@ def test_changing_topology_names_the_frame(change, tmp_path):
         load_clip(tmp_path / "a.abc")
 
 
-def test_progress_is_told(tmp_path):
+def test_progress_is_reported(tmp_path):
     told = []
     save_clip(dressed(), tmp_path / "a.abc", progress=lambda done, count: told.append((done, count)))
     load_clip(tmp_path / "a.abc", progress=lambda done, count: told.append((done, count)))
@@ -337,7 +337,7 @@ for path in sys.argv[1:]:
 """
 
 
-def test_archives_cut_short_say_so_and_never_crash(tmp_path):
+def test_truncated_archives_are_refused_without_a_crash(tmp_path):
     save_clip(dressed(), tmp_path / "whole.abc")
     data = (tmp_path / "whole.abc").read_bytes()
     lengths = [1, 5, 6, 12, 16, 40, *np.linspace(100, len(data) - 1, 30).astype(int).tolist()]
@@ -357,13 +357,13 @@ def test_archives_cut_short_say_so_and_never_crash(tmp_path):
 
 
 @pytest.mark.parametrize(("head", "words"), [(b"\x89HDF\r\n\x1a\n", "older HDF5"), (b"solid cube", "begins b'solid'")])
-def test_other_files_are_named_for_what_they_are(head, words, tmp_path):
+def test_other_kinds_of_files_are_explained(head, words, tmp_path):
     (tmp_path / "a.abc").write_bytes(head + bytes(100))
     with pytest.raises(InputError, match=words):
         load_mesh(tmp_path / "a.abc")
 
 
-def test_without_the_library_the_way_to_it_is_said(tmp_path, monkeypatch):
+def test_missing_library_is_explained(tmp_path, monkeypatch):
     save_mesh(zoo.cube(), tmp_path / "a.abc")
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "alembic3d" else found(name))

@@ -42,7 +42,7 @@ def dressed(smooth: bool = True) -> Mesh:
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("smooth", [True, False])
-def test_a_clip_comes_back(suffix, smooth, tmp_path):
+def test_new_clip_round_trips(suffix, smooth, tmp_path):
     mesh = dressed(smooth)
     frames = np.stack([bent(mesh.vertices, 0.1 * k) for k in range(40)])
     save_clip(Clip(mesh, frames, 23.976), tmp_path / f"my clip{suffix}")
@@ -60,7 +60,7 @@ def test_a_clip_comes_back(suffix, smooth, tmp_path):
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_a_mesh_comes_back(make, tmp_path):
+def test_new_mesh_round_trips(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "a.usdc")
     again = load_mesh(tmp_path / "a.usdc")
@@ -69,7 +69,7 @@ def test_a_mesh_comes_back(make, tmp_path):
     assert len(load_clip(tmp_path / "a.usdc")) == 1
 
 
-def test_normals_turn_along_and_the_extent_holds_each_frame(tmp_path):
+def test_normals_rotate_and_the_extent_bounds_each_frame(tmp_path):
     mesh = dressed(smooth=False)
     frames = np.stack([bent(mesh.vertices, 0.5 * k) for k in range(4)])
     save_clip(Clip(mesh, frames), tmp_path / "a.usda")
@@ -83,7 +83,7 @@ def test_normals_turn_along_and_the_extent_holds_each_frame(tmp_path):
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode(), stage.GetFramesPerSecond()) == (0, 3, 30)
 
 
-def test_polygons_of_a_file_stay_whole_in_a_clip(tmp_path):
+def test_polygons_of_a_file_are_kept_in_a_clip(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda", up="Z")
     stages.add_cube(stage, polygons=[*stages.QUADS[:-1], (1, 5, 7), (1, 7, 3)]).CreateOrientationAttr("leftHanded")
     stage.Save()
@@ -95,7 +95,7 @@ def test_polygons_of_a_file_stay_whole_in_a_clip(tmp_path):
     assert again.source.up_axis == "Z"
 
 
-def test_other_files_textures_are_not_overwritten(tmp_path):
+def test_textures_of_other_files_are_not_overwritten(tmp_path):
     (tmp_path / "a_textures").mkdir()
     (tmp_path / "a_textures" / "Haut___.png").write_bytes(b"mine")
     for _ in range(2):
@@ -139,7 +139,7 @@ def specs(path: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("before", SUFFIXES)
 @pytest.mark.parametrize("after", SUFFIXES)
-def test_moving_replaces_points_normals_and_extent_and_nothing_else(before, after, tmp_path):
+def test_moved_mesh_changes_only_points_normals_and_extent(before, after, tmp_path):
     path = character(tmp_path / "in" / f"a{'.usda' if before == '.usdz' else before}")
     if before == ".usdz":
         UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(path)), str(path.with_suffix(".usdz")))
@@ -163,7 +163,7 @@ def test_moving_replaces_points_normals_and_extent_and_nothing_else(before, afte
     assert path.read_bytes() == content
 
 
-def test_what_shows_is_the_given_points_at_every_time(tmp_path):
+def test_written_points_are_constant_over_time(tmp_path):
     """Time samples, moving transforms, joints and blend shapes move them no more; velocities neither."""
     stage = stages.new_stage(tmp_path / "a.usda")
     stages.set_times(stage, 0, 2)
@@ -196,7 +196,7 @@ def test_what_shows_is_the_given_points_at_every_time(tmp_path):
     assert not UsdGeom.Mesh(stage.GetPrimAtPath("/world/puppet/body")).GetVelocitiesAttr().Get()
 
 
-def test_what_other_layers_animate_stands_still_too(tmp_path):
+def test_animation_of_sublayers_is_removed(tmp_path):
     """Samples of a referenced file and of a sublayer, in a folder of their own."""
     (tmp_path / "parts").mkdir()
     stage = stages.new_stage(tmp_path / "parts" / "a.usdc")
@@ -223,7 +223,7 @@ def test_what_other_layers_animate_stands_still_too(tmp_path):
             np.testing.assert_allclose(again.vertices, moved.vertices[None], atol=1e-6)
 
 
-def test_instances_move_apart(tmp_path):
+def test_instances_become_separate_prims(tmp_path):
     stage = stages.new_stage(tmp_path / "part.usda")
     UsdGeom.Xform.Define(stage, "/world/inner")
     stages.add_cube(stage, "/world/inner/cube")
@@ -243,7 +243,7 @@ def test_instances_move_apart(tmp_path):
     np.testing.assert_allclose(load_mesh(tmp_path / "part.usda").vertices, zoo.cube().vertices)
 
 
-def test_a_flattened_or_far_off_mesh_gets_a_place_that_can_hold_its_points(tmp_path):
+def test_singular_or_imprecise_transforms_are_replaced(tmp_path):
     for number, change in enumerate([(1, 0, 1), (1e-20, 1, 1)]):
         stage = stages.new_stage(tmp_path / f"{number}.usda")
         stages.add_cube(stage).AddScaleOp().Set(change)
@@ -268,7 +268,7 @@ def test_packages_are_aligned_and_keep_their_files(tmp_path):
             assert entry.compress_type == zipfile.ZIP_STORED
 
 
-def test_a_file_that_has_gone_is_said(tmp_path):
+def test_missing_source_file_is_explained(tmp_path):
     mesh = load_mesh(character(tmp_path / "a.usda"))
     (tmp_path / "a.usda").unlink()
     with pytest.raises(InputError, match=r"a\.usda: expected the file that was read, found none"):
@@ -281,7 +281,7 @@ def test_a_file_that_has_gone_is_said(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.usda", "skin.png"]
 
 
-def test_written_materials_pass_as_preview_surfaces(tmp_path):
+def test_written_materials_are_valid_preview_surfaces(tmp_path):
     save_mesh(dressed(), tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     materials = [UsdShade.Material(prim) for prim in stage.Traverse() if prim.IsA(UsdShade.Material)]
@@ -291,7 +291,7 @@ def test_written_materials_pass_as_preview_surfaces(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".abc"])
-def test_a_z_up_stage_in_centimetres_stands_up_in_metres(suffix, tmp_path):
+def test_z_up_stage_in_centimetres_is_exported_y_up_in_metres(suffix, tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda", up="Z")
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     stages.add_cube(stage)
