@@ -1,4 +1,4 @@
-"""The extension in Blender itself: what its buttons make is what mimesh makes of the same arrays.
+"""The extension in Blender: its buttons give the same result as mimesh on the same arrays.
 
 Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
 """
@@ -42,7 +42,7 @@ def archive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def outcome(archive, tmp_path_factory):
-    """The folder of what Blender noted of a scene."""
+    """Run `blender_scene.py` in Blender; return the folder of its results."""
     folder, clip = tmp_path_factory.mktemp("scene"), walk(1, frames=6, faces=2500)
     identity = person(0, faces=3000)
     np.savez(
@@ -64,8 +64,8 @@ def facts(outcome):
     return json.loads((outcome / "facts.json").read_text())
 
 
-def of_mimesh(outcome, name, faces, **options):
-    """Frames of Blender, and the result of mimesh on what Blender showed."""
+def run_mimesh(outcome, name, faces, **options):
+    """Return the frames that the extension made, and the result of mimesh on the driving frames Blender evaluated."""
     case, scene = np.load(outcome / f"{name}.npz"), np.load(outcome / "scene.npz")
     frames = case["driving"].astype(np.float32)
     driving = mimesh.Mesh(frames[0].astype(np.float64), scene[faces].astype(np.int64), name="driving")
@@ -74,48 +74,48 @@ def of_mimesh(outcome, name, faces, **options):
 
 
 def skinned_frames(result):
-    """Linear blend skinning with four weights a vertex, by the book."""
+    """Compute linear blend skinning with four weights per vertex, vertex by vertex."""
     skeleton = result.skeleton
     joints, weights = skeleton.strongest()
     bones = skeleton.rig.bones(skeleton.parents)
     frames = []
     for turns, root in zip(skeleton.rotation, skeleton.root, strict=True):
-        places = [root]
+        joints_now = [root]
         for bone, parent in zip(bones, skeleton.parents[1:], strict=True):
-            places.append(places[parent] + turns[parent] @ bone)
+            joints_now.append(joints_now[parent] + turns[parent] @ bone)
         moved = np.zeros_like(skeleton.mesh.vertices)
         for v, vertex in enumerate(skeleton.mesh.vertices):
             for j, weight in zip(joints[v], weights[v], strict=True):
-                seen = skeleton.rig.rotation[j].T @ (vertex - skeleton.rig.joints[j])
-                moved[v] += weight * (places[j] + turns[j] @ seen)
+                local = skeleton.rig.rotation[j].T @ (vertex - skeleton.rig.joints[j])
+                moved[v] += weight * (joints_now[j] + turns[j] @ local)
         frames.append(moved)
     return np.stack(frames)
 
 
-def off(ours, theirs):
-    """Farthest that a vertex is from where it should be, over the size of the mesh."""
-    return np.linalg.norm(ours - theirs, axis=-1).max() / np.ptp(theirs[0], axis=0).max()
+def relative_error(frames, expected):
+    """Return the largest distance of a vertex from its expected position, as a fraction of the mesh's extent."""
+    return np.linalg.norm(frames - expected, axis=-1).max() / np.ptp(expected[0], axis=0).max()
 
 
 @pytest.mark.parametrize(("name", "model"), [("keys", "mime"), ("other", "npt-maxpool")])
 def test_shape_keys_equal_the_frames(outcome, facts, name, model):
-    ours, result = of_mimesh(outcome, name, "driving", model=model)
-    assert off(ours, result.clip.vertices) < 1e-5
+    frames, result = run_mimesh(outcome, name, "driving", model=model)
+    assert relative_error(frames, result.clip.vertices) < 1e-5
     assert facts[name]["keys"] == ["Basis", *(f"frame {frame}" for frame in range(4, 9))]
 
 
 @pytest.mark.parametrize(("name", "faces", "options"), [("bones", "driving", JOINTS), ("skinned", "skin", {})])
 def test_armature_moves_as_the_joints(outcome, facts, name, faces, options):
-    ours, result = of_mimesh(outcome, name, faces, **options)
-    assert off(ours, skinned_frames(result)) < 1e-5
+    frames, result = run_mimesh(outcome, name, faces, **options)
+    assert relative_error(frames, skinned_frames(result)) < 1e-5
     assert tuple(facts[name]["bones"]) == result.skeleton.names
 
 
 def test_pose_button_makes_one_frame(outcome, facts):
-    ours, result = of_mimesh(outcome, "posed", "skin")
-    assert off(ours, skinned_frames(result)) < 1e-5
-    ours, result = of_mimesh(outcome, "pose key", "driving")
-    assert off(ours, result.clip.vertices) < 1e-5
+    frames, result = run_mimesh(outcome, "posed", "skin")
+    assert relative_error(frames, skinned_frames(result)) < 1e-5
+    frames, result = run_mimesh(outcome, "pose key", "driving")
+    assert relative_error(frames, result.clip.vertices) < 1e-5
     assert facts["pose key"]["keys"] == ["Basis", "frame 1"]
 
 

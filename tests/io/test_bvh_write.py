@@ -1,4 +1,4 @@
-"""A motion written as BVH is read as it was."""
+"""A motion written as BVH is read back equal."""
 
 import dataclasses
 
@@ -25,8 +25,8 @@ def test_bvh_round_trip_keeps_joints_rotations_and_root(tmp_path):
 def test_written_bvh_moves_the_default_body_as_the_motion_does(tmp_path):
     played = load_clip(save_bvh(MOTION, BODY, tmp_path / "turn.bvh")).vertices
     truth = motion_clip(BODY, None, MOTION).vertices
-    off = (played - played.mean(axis=(0, 1))) - (truth - truth.mean(axis=(0, 1)))
-    assert np.linalg.norm(off, axis=-1).mean() < 0.02
+    error = (played - played.mean(axis=(0, 1))) - (truth - truth.mean(axis=(0, 1)))
+    assert np.linalg.norm(error, axis=-1).mean() < 0.02
 
 
 def test_motion_of_another_skeleton_is_refused(tmp_path):

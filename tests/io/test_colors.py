@@ -1,4 +1,4 @@
-"""Colours of vertices: read where a format has them, carried along, and written as that format means them."""
+"""Vertex colours: read from every format that has them, converted, and written in that format's encoding."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def test_colours_survive_conversion_between_formats(steps, tmp_path):
     for number, suffix in enumerate(steps):
         save_mesh(mesh, tmp_path / f"{number}.{suffix}")
         mesh = load_mesh(tmp_path / f"{number}.{suffix}")
-    places = [np.flatnonzero((mesh.vertices == v).all(axis=1))[0] for v in first.vertices]
-    assert np.allclose(mesh.vertex_colors[places], first.vertex_colors, atol=2e-6)
+    index = [np.flatnonzero((mesh.vertices == v).all(axis=1))[0] for v in first.vertices]
+    assert np.allclose(mesh.vertex_colors[index], first.vertex_colors, atol=2e-6)
 
 
 def test_byte_colours_round_trip_exactly(tmp_path):

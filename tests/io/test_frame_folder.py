@@ -1,4 +1,4 @@
-"""A folder of numbered meshes is a clip, read and written."""
+"""Clips are read from and written to folders of numbered meshes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bent
+from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bend
 from PIL import Image
 
 from mimesh.core.errors import InputError
@@ -25,7 +25,7 @@ FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
 
 def frames_of(vertices: np.ndarray, count: int = 12) -> np.ndarray:
     """Frames of a smooth motion, exact in float32."""
-    steps = [(1 - t) * vertices + t * bent(vertices) for t in np.linspace(0, 1, count)]
+    steps = [(1 - t) * vertices + t * bend(vertices) for t in np.linspace(0, 1, count)]
     return np.stack(steps).astype(np.float32).astype(np.float64)
 
 
@@ -63,8 +63,8 @@ def test_frames_written_to_a_folder_read_back(suffix, tmp_path):
     frames = frames_of(zoo.cube().vertices)
     save_clip(Clip(zoo.cube(), frames), tmp_path / "out", suffix)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{t:04d}{suffix}" for t in range(12)]
-    back = load_clip(tmp_path / "out")
-    np.testing.assert_array_equal(back.vertices, frames)
+    reread = load_clip(tmp_path / "out")
+    np.testing.assert_array_equal(reread.vertices, frames)
     np.testing.assert_array_equal(
         trimesh.load(tmp_path / "out" / f"0007{suffix}", process=False).faces, zoo.cube().faces
     )

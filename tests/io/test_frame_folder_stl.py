@@ -1,4 +1,4 @@
-"""Folders of STL and OFF frames: triangle soups are welded as the first of them is."""
+"""Folders of STL and OFF frames: triangle soups are welded as the first frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import zoo
-from nasty import bent, rotation
+from nasty import bend, rotation
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
@@ -33,7 +33,7 @@ def test_vertices_that_touch_in_a_later_frame_stay_separate(write, tmp_path):
     frames = [both.vertices.copy() for _ in range(4)]
     frames[1][4:] -= [2, 0, 0]  # the cube touches the tetrahedron's corner
     frames[2][7] = frames[2][5]  # an edge has no length
-    frames[3] = single(bent(both.vertices))
+    frames[3] = single(bend(both.vertices))
     for t, vertices in enumerate(frames):
         write(tmp_path / f"{t}.stl", both.with_vertices(vertices))
     assert len(load_mesh(tmp_path / "1.stl").vertices) == 11
@@ -86,7 +86,7 @@ def test_nan_in_a_later_frame_is_named_by_its_file(tmp_path):
 
 def test_off_frames_keep_vertices_that_touch(tmp_path):
     both = zoo.two_parts()
-    frames = np.stack([both.vertices, both.vertices, single(bent(both.vertices))])
+    frames = np.stack([both.vertices, both.vertices, single(bend(both.vertices))])
     frames[1, 4:] -= [2, 0, 0]
     for t, vertices in enumerate(frames):
         save_mesh(both.with_vertices(vertices), tmp_path / f"{t}.off")

@@ -1,4 +1,4 @@
-"""Marker files: pairs of whole numbers, comments, and every mistake told by its line."""
+"""Marker files: pairs of whole numbers, comments, and mistakes reported with their line."""
 
 import numpy as np
 import pytest

@@ -1,11 +1,11 @@
-"""NumPy archives: meshes and clips, other names for the arrays, and no pickles."""
+"""NumPy archives: meshes and clips, alternative array names, and no pickled objects."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import zoo
-from nasty import bent
+from nasty import bend
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -15,20 +15,20 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 @pytest.mark.parametrize("make", zoo.ZOO)
 def test_mesh_round_trip_is_exact(make, tmp_path):
     save_mesh(make(), tmp_path / "a.npz")
-    back = load_mesh(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, make().vertices)
-    np.testing.assert_array_equal(back.faces, make().faces)
+    reread = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, make().vertices)
+    np.testing.assert_array_equal(reread.faces, make().faces)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_clip_round_trip_is_exact(dtype, tmp_path):
     mesh = zoo.cube()
-    frames = np.stack([mesh.vertices, bent(mesh.vertices)]).astype(dtype)
+    frames = np.stack([mesh.vertices, bend(mesh.vertices)]).astype(dtype)
     save_clip(Clip(mesh, frames, 12.5), tmp_path / "a.npz")
-    back = load_clip(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, frames)
-    np.testing.assert_array_equal(back.mesh.faces, mesh.faces)
-    assert (back.fps, back.vertices.dtype) == (12.5, dtype)
+    reread = load_clip(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, frames)
+    np.testing.assert_array_equal(reread.mesh.faces, mesh.faces)
+    assert (reread.fps, reread.vertices.dtype) == (12.5, dtype)
     assert load_clip(tmp_path / "a.npz", fps=60.0).fps == 60
 
 
@@ -37,9 +37,9 @@ def test_clip_round_trip_is_exact(dtype, tmp_path):
 def test_alternative_array_names_are_read(vertices, faces, tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", **{vertices: mesh.vertices, faces: mesh.faces.astype(np.uint16)})
-    back = load_mesh(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    reread = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
     assert load_clip(tmp_path / "a.npz").vertices.shape == (1, 8, 3)
     assert load_clip(tmp_path / "a.npz").fps == 30
 
@@ -56,19 +56,19 @@ def test_moved_points_keep_shape_type_and_other_arrays(tmp_path):
         tmp_path / "a.npz", points=mesh.vertices[None].astype(np.float32), f=mesh.faces, notes=secret, weights=np.eye(8)
     )
     loaded = load_mesh(tmp_path / "a.npz")
-    save_mesh(loaded.with_vertices(bent(loaded.vertices)), tmp_path / "b.npz")
-    with np.load(tmp_path / "b.npz", allow_pickle=True) as back:
-        assert back.files == ["points", "f", "notes", "weights"]
-        assert (back["points"].shape, back["points"].dtype) == ((1, 8, 3), np.float32)
-        np.testing.assert_array_equal(back["points"][0], bent(mesh.vertices).astype(np.float32))
-        np.testing.assert_array_equal(back["weights"], np.eye(8))
-        assert back["notes"][0] == {"a": 1}
+    save_mesh(loaded.with_vertices(bend(loaded.vertices)), tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz", allow_pickle=True) as reread:
+        assert reread.files == ["points", "f", "notes", "weights"]
+        assert (reread["points"].shape, reread["points"].dtype) == ((1, 8, 3), np.float32)
+        np.testing.assert_array_equal(reread["points"][0], bend(mesh.vertices).astype(np.float32))
+        np.testing.assert_array_equal(reread["weights"], np.eye(8))
+        assert reread["notes"][0] == {"a": 1}
 
 
 def test_moved_integer_points_become_floats(tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", vertices=(10 * mesh.vertices).astype(np.int16), faces=mesh.faces)
-    moved = bent(load_mesh(tmp_path / "a.npz").vertices)
+    moved = bend(load_mesh(tmp_path / "a.npz").vertices)
     save_mesh(load_mesh(tmp_path / "a.npz").with_vertices(moved), tmp_path / "b.npz")
     np.testing.assert_array_equal(load_mesh(tmp_path / "b.npz").vertices, moved)
 

@@ -1,11 +1,11 @@
-"""PC2, MDD and NPY: points come back exactly, with the mesh beside them; damage and strangers are refused."""
+"""PC2, MDD and NPY: points round trip exactly with the mesh beside them; damaged or unrelated files are refused."""
 
 import struct
 
 import numpy as np
 import pytest
 import zoo
-from nasty import bent
+from nasty import bend
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -16,7 +16,7 @@ SUFFIXES = (".pc2", ".mdd", ".npy")
 
 def clip(frames: int = 5, fps: float = 24.0) -> Clip:
     mesh = zoo.cube()
-    points = np.stack([mesh.vertices + t * bent(mesh.vertices) / 7 for t in range(frames)]).astype(np.float32)
+    points = np.stack([mesh.vertices + t * bend(mesh.vertices) / 7 for t in range(frames)]).astype(np.float32)
     return Clip(mesh, points, fps)
 
 
@@ -24,10 +24,10 @@ def clip(frames: int = 5, fps: float = 24.0) -> Clip:
 def test_points_and_faces_round_trip(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"walk{suffix}")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["walk.obj", f"walk{suffix}"])
-    back = load_clip(tmp_path / f"walk{suffix}", fps=None)
-    np.testing.assert_array_equal(back.vertices, clip().vertices)
-    np.testing.assert_array_equal(back.mesh.faces, clip().mesh.faces)
-    assert (back.fps, back.vertices.dtype) == (24.0 if suffix == ".mdd" else 30.0, np.float32)
+    reread = load_clip(tmp_path / f"walk{suffix}", fps=None)
+    np.testing.assert_array_equal(reread.vertices, clip().vertices)
+    np.testing.assert_array_equal(reread.mesh.faces, clip().mesh.faces)
+    assert (reread.fps, reread.vertices.dtype) == (24.0 if suffix == ".mdd" else 30.0, np.float32)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -61,11 +61,11 @@ def test_existing_mesh_is_not_overwritten(suffix, tmp_path):
 
 def test_mdd_is_resampled_at_another_rate(tmp_path):
     save_clip(clip(fps=10.0), tmp_path / "a.mdd")
-    back = load_clip(tmp_path / "a.mdd", fps=20.0)
-    given = clip().vertices.astype(float)
-    assert (len(back), back.fps) == (9, 20.0)
-    np.testing.assert_allclose(back.vertices[::2], given, atol=1e-6)
-    np.testing.assert_allclose(back.vertices[1::2], (given[1:] + given[:-1]) / 2, atol=1e-6)
+    reread = load_clip(tmp_path / "a.mdd", fps=20.0)
+    frames = clip().vertices.astype(float)
+    assert (len(reread), reread.fps) == (9, 20.0)
+    np.testing.assert_allclose(reread.vertices[::2], frames, atol=1e-6)
+    np.testing.assert_allclose(reread.vertices[1::2], (frames[1:] + frames[:-1]) / 2, atol=1e-6)
 
 
 def test_written_bytes_are_those_of_the_formats(tmp_path):

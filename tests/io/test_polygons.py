@@ -1,4 +1,4 @@
-"""Polygons become fans of triangles, and come back whole."""
+"""Polygons are triangulated as fans, and written as polygons again."""
 
 import struct
 
@@ -64,9 +64,9 @@ def test_polygons_stay_in_their_parts(tmp_path):
     (tmp_path / "a.obj").write_text(MIXED)
     mesh = load_mesh(tmp_path / "a.obj")
     write_obj(mesh, tmp_path / "b.obj")
-    back = load_mesh(tmp_path / "b.obj")
-    assert [(p.start, p.stop, p.material.name) for p in back.parts] == [(0, 3, "red"), (3, 8, "blue")]
-    assert polygons_of(back, back.faces) == POLYGONS
+    reread = load_mesh(tmp_path / "b.obj")
+    assert [(p.start, p.stop, p.material.name) for p in reread.parts] == [(0, 3, "red"), (3, 8, "blue")]
+    assert polygons_of(reread, reread.faces) == POLYGONS
 
 
 @pytest.mark.parametrize("corners", [127, 128, 300])
@@ -75,8 +75,8 @@ def test_polygons_with_more_corners_than_a_byte_counts_are_written(corners, tmp_
     points = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for x, y in zip(np.cos(angle), np.sin(angle), strict=True))
     (tmp_path / "a.obj").write_text(points + "f " + " ".join(f"{k}/{k}" for k in range(1, corners + 1)) + "\nf 1 2 3\n")
     save_mesh(load_mesh(tmp_path / "a.obj"), tmp_path / "b.ply")
-    back = load_mesh(tmp_path / "b.ply")
-    assert polygons_of(back, back.faces) == [list(range(corners)), [0, 1, 2]]
+    reread = load_mesh(tmp_path / "b.ply")
+    assert polygons_of(reread, reread.faces) == [list(range(corners)), [0, 1, 2]]
     body = (tmp_path / "b.ply").read_bytes().partition(b"end_header\n")[2][12 * corners :]
     one, two = ("<B", "<i")[corners > 127], []
     while body:  # a naive reader of the faces
