@@ -74,6 +74,7 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
             f"{folder}: expected one series of numbered meshes, found {both} with {ranked[0][1]} each; "
             "move one of them to another folder"
         )
+    # All numbers in the name are compared, so that shot2_0001 comes after shot1_0002.
     chosen = [path for path in visible if _NUMBER.search(path.stem) and _series(path) == ranked[0][0]]
     return sorted(chosen, key=lambda path: ([int(digits) for digits in _NUMBER.findall(path.stem)], path.name))
 
@@ -100,6 +101,7 @@ def write_sequence(
     with whole_folder(folder) as temporary:
         mesh = clip.mesh
         if mesh.source is None or mesh.source.suffix != suffix:
+            # Reading the first frame gives a source that writes the other frames without formatting faces again.
             write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
             mesh = read(temporary / names[0])
         assert mesh.source is not None

@@ -92,6 +92,7 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
             shape, fortran, dtype = _read_header(member)
             _check_points(key, dtype, shape, path)
             count, vertices = int(np.prod(shape[:-2])), shape[-2]
+            # In Fortran order the numbers of one frame are spread over the whole array, so it is read at once.
             if fortran:
                 frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
@@ -111,6 +112,7 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
     """Write a clip as an archive of `vertices` (T, V, 3), `faces` and `fps`, frame by frame."""
     header = {"descr": clip.vertices.dtype.str, "fortran_order": False, "shape": clip.vertices.shape}
     with whole_file(path) as temporary:
+        # NumPy can only write whole arrays: the small ones first, then the frames are appended to the archive.
         np.savez_compressed(temporary, faces=clip.mesh.faces, fps=clip.fps)
         with (
             zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION_LEVEL) as archive,

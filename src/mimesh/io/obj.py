@@ -160,7 +160,7 @@ def _logical_lines(data: bytes) -> list[bytes]:
     if b"\\\n" not in data and b"\\\r" not in data:
         return lines
     joined: list[bytes] = []
-    continued = False
+    continued = False  # whether the previous line ends in a backslash
     for line in lines:
         if continued:
             joined[-1] += line
@@ -198,7 +198,7 @@ def _read_corners(
 def _parse_corners(words: Sequence[bytes]) -> Int[np.ndarray, "C 3"]:
     """Parse corners such as 7, 7/8, 7//9 or 7/8/9, all at once: completed to three indices, then split as integers."""
     text = b" ".join([word + _MISSING_INDICES[word.count(b"/")] for word in words]) + b" "
-    text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")
+    text = text.replace(b"//", b"/0/").replace(b"/ ", b"/0 ").replace(b"/", b" ")  # empty indices become 0
     return np.array(list(map(int, text.split())), np.int64).reshape(len(words), 3)
 
 
@@ -210,6 +210,7 @@ def _absolute_indices(
     A negative index counts back from the last definition before the face's line; `definitions` are the lines of `v`,
     `vt` or `vn`, `corner_lines` the line of each corner's face.
     """
+    # The number of definitions before the face's line, found by the line numbers of both.
     relative = np.searchsorted(definitions, corner_lines) + raw
     index = np.where(raw < 0, relative, raw - 1)
     bad = np.flatnonzero((index >= len(definitions)) | ((raw < 0) & (index < 0)))

@@ -145,6 +145,7 @@ def read_ply_points(path: Path, like: PlySource) -> Float[np.ndarray, "V 3"] | N
         return None
     units = read_units(data, header, path)
     stop = first.length * sum(1 if header.ascii else p.dtype.itemsize for p in first.properties)
+    # Equal headers and equal units after the vertices: only vertex rows can differ.
     if len(units) != len(like.units) or not np.array_equal(units[stop:], like.units[stop:]):
         return None
     return _read_points(like.columns, units, ("x", "y", "z"))

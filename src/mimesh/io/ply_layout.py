@@ -135,6 +135,7 @@ def gather(units: np.ndarray, column: PlyColumn) -> np.ndarray:
     """Return the values of a column; those of lists are concatenated."""
     starts = column.starts
     if column.counts is not None:
+        # Unit index of each list item: start of its list plus its position in the list times the item's size.
         within = np.arange(column.counts.sum()) - np.repeat(np.cumsum(column.counts) - column.counts, column.counts)
         starts = np.repeat(starts, column.counts) + within * _size(column.dtype, units)
     if units.dtype != np.uint8:
@@ -217,6 +218,7 @@ def _locate_rows(element: PlyElement, units: np.ndarray, start: int) -> tuple[di
                 width = _size(p.count, units)
                 if position + width > len(units):
                     return None
+                # The length is read from bytes or from a number; a negative or absurd one means damage.
                 if numbers is None:
                     order = "big" if p.count.str[0] == ">" else "little"
                     count = int.from_bytes(raw[position : position + width], order)

@@ -58,6 +58,7 @@ def read_cache(
     count, vertices = cache.frames.shape[:2]
     mesh = _mesh_beside(path, vertices, suffixes, read)
     dtype = cache.frames.dtype.newbyteorder("=")
+    # Without times, or without a wanted rate, the stored frames are the clip's frames.
     if cache.times is None or not count:
         frames, fps = each_frame(cache.frames), fps or DEFAULT_FPS
     elif fps is None:

@@ -46,6 +46,7 @@ class StlSource:
         path.write_bytes(self._text(moved, corners, normals) if self.is_text else self._binary(moved, corners, normals))
 
     def _binary(self, moved, corners, normals) -> bytes:
+        # Some files have content after the last triangle, which is kept too.
         body = self.data[_HEADER_SIZE : _HEADER_SIZE + len(self.faces) * _RECORD.itemsize]
         records = np.frombuffer(body, _RECORD).copy()
         records["normal"][moved], records["corners"][moved] = normals, corners

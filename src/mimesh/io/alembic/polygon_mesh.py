@@ -113,6 +113,7 @@ def _corner_values(
         if not _within(index, len(rows)):
             return None
         rows = rows[index]
+    # Values at varying scope are per vertex for polygons.
     at_vertices = str(found.getScope()) in ("kVertexScope", "kVaryingScope")
     if len(rows) == len(corners) and not (at_vertices and len(rows) == count):
         return rows

@@ -67,6 +67,7 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
     with whole_file(path) as temporary:
         archive = abc.CreateArchiveWithInfo(str(temporary), clip.fps, "mimesh", "")
         sampling = abc.Argument(archive.addTimeSampling(core.TimeSampling(1.0 / clip.fps, 0.0)))
+        # One static transform; the mesh has a sample per frame at the archive's time sampling.
         transform = geometry.OXform(archive.getTop(), name)
         transform.getSchema().set(_axis_transform(mesh, geometry, imath))
         shape = geometry.OPolyMesh(transform, f"{name}Shape", sampling)

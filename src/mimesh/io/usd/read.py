@@ -144,51 +144,55 @@ def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mes
     xforms = UsdGeom.XformCache(DEFAULT_TIME if at_default_time else Usd.TimeCode(first))
     materials: MaterialCache = {}
     world_meshes = [_read_prim(mesh_prim, xforms, materials, path) for mesh_prim in mesh_prims]
-    vertices = np.concatenate([world_mesh.mesh.vertices for world_mesh in world_meshes])
-    # Prim k has vertices ends[k] to ends[k + 1] of the joined mesh, and likewise its faces.
-    ends = np.cumsum([0] + [len(world_mesh.mesh.vertices) for world_mesh in world_meshes]).tolist()
-    face_ends = np.cumsum([0] + [len(world_mesh.mesh.faces) for world_mesh in world_meshes]).tolist()
-    faces = np.concatenate(
-        [world_mesh.mesh.faces + start for world_mesh, start in zip(world_meshes, ends, strict=False)]
-    )
-    ranges = tuple(
-        PrimRange(
-            str(mesh_prim.prim.GetPath()),
-            ends[k],
-            ends[k + 1],
-            face_ends[k],
-            world_mesh.corner_of,
-            world_mesh.is_mirrored,
-        )
-        for k, (mesh_prim, world_mesh) in enumerate(zip(mesh_prims, world_meshes, strict=True))
-    )
-    counts = [len(world_mesh.mesh.faces) for world_mesh in world_meshes]
-    normals = joined_corners([world_mesh.mesh.corner_normals for world_mesh in world_meshes], counts)
+    mesh = _concatenate([world_mesh.mesh for world_mesh in world_meshes], path.stem)
     source = UsdSource(
         path=path.resolve(),
         suffix=path.suffix.lower(),
-        vertices=vertices,
+        vertices=mesh.vertices,
         sizes=np.concatenate([world_mesh.sizes for world_mesh in world_meshes]),
-        ranges=ranges,
+        ranges=_prim_ranges(mesh_prims, world_meshes),
         at_default_time=at_default_time,
         first=first,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
         notes=writing_notes(stage, mesh_prims),
     )
-    mesh = Mesh(
+    return dataclasses.replace(mesh, source=source)
+
+
+def _concatenate(meshes: list[Mesh], name: str) -> Mesh:
+    """Concatenate meshes to one of the given name, with shifted vertex indices and face ranges of parts."""
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes]).tolist()
+    face_starts = np.cumsum([0] + [len(mesh.faces) for mesh in meshes]).tolist()
+    counts = [len(mesh.faces) for mesh in meshes]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
+    normals = joined_corners([mesh.corner_normals for mesh in meshes], counts)
+    return Mesh(
         vertices,
         faces,
-        name=path.stem,
-        corner_uv=joined_corners([world_mesh.mesh.corner_uv for world_mesh in world_meshes], counts),
+        name=name,
+        corner_uv=joined_corners([mesh.corner_uv for mesh in meshes], counts),
+        # Prims without authored normals among prims with them get those of their faces.
         corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
         parts=tuple(
             dataclasses.replace(part, start=part.start + start, stop=part.stop + start)
-            for world_mesh, start in zip(world_meshes, face_ends, strict=False)
-            for part in world_mesh.mesh.parts
+            for mesh, start in zip(meshes, face_starts, strict=False)
+            for part in mesh.parts
         ),
     )
-    return dataclasses.replace(mesh, source=source)
+
+
+def _prim_ranges(mesh_prims: list[MeshPrim], world_meshes: list[WorldMesh]) -> tuple[PrimRange, ...]:
+    """Return which vertices and faces of the joined mesh came from each prim."""
+    ranges = []
+    start = first_face = 0
+    for mesh_prim, world_mesh in zip(mesh_prims, world_meshes, strict=True):
+        stop = start + len(world_mesh.mesh.vertices)
+        prim_path = str(mesh_prim.prim.GetPath())
+        ranges.append(PrimRange(prim_path, start, stop, first_face, world_mesh.corner_of, world_mesh.is_mirrored))
+        start, first_face = stop, first_face + len(world_mesh.mesh.faces)
+    return tuple(ranges)
 
 
 def _read_prim(mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: MaterialCache, path: Path) -> WorldMesh:
@@ -214,7 +218,7 @@ def _read_prim(mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: Mater
     left_handed = UsdGeom.Mesh(prim).GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
     corner_of, polygon = _fans(counts, order, is_mirrored != left_handed)
     faces = corners[corner_of]
-    polygon_of = np.repeat(np.arange(len(counts)), counts)
+    polygon_of = np.repeat(np.arange(len(counts)), counts)  # polygon of each corner in `faceVertexIndices`
     uv = primvar_values(prim, uv_primvar_name(binding_prims), 2)
     what = f"{path}: texture coordinates of {prim.GetPath()}"
     mesh = Mesh(

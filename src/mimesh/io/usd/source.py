@@ -247,8 +247,8 @@ def _set_normals(
 ) -> None:
     """Set normals for all times where the prim has authored ones; corners outside of all faces keep theirs.
 
-    Per-vertex normals stay per vertex. All others become faceVarying, since faces of one polygon or one value may have
-    been rotated apart. They are written to the attribute that they were read from.
+    Per-vertex normals stay per vertex. All others become faceVarying, since corners that shared one value may have been
+    rotated differently. They are written to the attribute that they were read from.
     """
     authored = authored_normals(prim, time)
     if authored is None:
@@ -268,9 +268,11 @@ def _set_normals(
             values, interpolation, corners, np.repeat(np.arange(len(counts)), counts), prim.GetName()
         )
         index, interpolation = prim_range.corner_of, UsdGeom.Tokens.faceVarying
+    # Corners that were not read (holes, polygons of two corners) keep the values that were read.
     values = values.astype(np.float32)
     values[index.ravel()] = normals.reshape(-1, 3)
     if primvar and primvar.HasValue():
+        # The new values are one per vertex or corner, so indices into the old values no longer apply.
         if primvar.IsIndexed():
             primvar.BlockIndices()
         primvar.SetInterpolation(interpolation)
