@@ -1,4 +1,4 @@
-"""Run by Blender's Python, not by ours: note what Blender shows of our files, or write files of its own.
+"""Script for Blender's Python: record what Blender evaluates of files of mimesh, or write files with Blender.
 
     python blender_formats.py read FOLDER     FOLDER/jobs.json -> FOLDER/<name>.npz
     python blender_formats.py write FOLDER    files of a scene, and truth.npz with what Blender shows of it
@@ -59,7 +59,7 @@ def meshes():
 
 
 def shown(frames):
-    """What the scene shows in every frame, and what its meshes carry."""
+    """Evaluate the world positions of all meshes in every frame; return them with the meshes' other data."""
     points = np.stack([np.concatenate([world_points(thing, frame) for thing in meshes()]) for frame in frames])
     data = [thing.data for thing in meshes()]
     materials = [slot.material for thing in meshes() for slot in thing.material_slots if slot.material]
@@ -128,7 +128,7 @@ def write_all():
 
 
 def build_scene():
-    """A skinned tube below a turned and scaled armature below a moving empty; a mirrored block with shape keys."""
+    """Add a skinned tube below a rotated and scaled armature below a moving empty, and a mirrored block with keys."""
     above = bpy.data.objects.new("way", None)
     bpy.context.scene.collection.objects.link(above)
     for frame in FRAMES:

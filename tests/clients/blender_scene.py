@@ -1,9 +1,9 @@
-"""Run by Blender's Python, not by ours: install the extension, make a scene, press the buttons, note what came out.
+"""Script for Blender's Python: install the extension, make a scene, press the buttons, record the results.
 
     python blender_scene.py EXTENSION.zip FOLDER
 
-The folder holds `meshes.npz` (see `test_blender_extension.py`) and `driving.glb`; `facts.json` and an `.npz` for each
-case are written into it. What is read of the scene here is read the slow way, vertex by vertex.
+The folder has `meshes.npz` (see `test_blender_extension.py`) and `driving.glb`; `facts.json` and an `.npz` for each
+case are written into it. The scene is read vertex by vertex here, independently of the extension's code.
 """
 
 import json
@@ -34,7 +34,7 @@ def new_object(name, vertices, faces, place):
 
 
 def new_identity(data):
-    """Turned, scaled and moved; with a shape key that is on, which may not count."""
+    """Add the identity, rotated, scaled and moved, with an active shape key that the extension must ignore."""
     made = new_object(
         "hero", data["identity"], data["identity_faces"], Matrix.LocRotScale((3, 1, 0.5), turn(2), (2,) * 3)
     )
@@ -47,7 +47,7 @@ def new_identity(data):
 
 
 def new_driving(data):
-    """Moved by shape keys, an object's way, and an empty above it."""
+    """Add the driving mesh, animated by shape keys, its object's location, and a rotated parent empty."""
     frames = data["driving"]
     made = new_object("dancer", frames[0], data["driving_faces"], Matrix.Identity(4))
     made.shape_key_add(name="Basis")
@@ -73,7 +73,7 @@ def turn(quarters):
 
 
 def shown(made):
-    """World vertices of an object as it is shown now."""
+    """Evaluate the world positions of an object in the current frame."""
     bpy.context.view_layer.update()
     evaluated = made.evaluated_get(bpy.context.evaluated_depsgraph_get())
     mesh = evaluated.to_mesh()
@@ -104,7 +104,7 @@ def state(made):
 
 
 def results():
-    """Meshes that were made, and the objects that go with them."""
+    """Return the objects that the extension made."""
     return [one for one in bpy.data.objects if one.name.startswith("hero ")]
 
 
@@ -115,7 +115,7 @@ def tidy():
 
 
 def case(name, driving, meshes, operator=None, frames=FRAMES, **settings):
-    """Press a button; keep what is shown of the driving, and of the result, in every frame."""
+    """Press a button; save the driving frames and the result's frames, and return facts about the result."""
     chosen = bpy.context.scene.mimesh
     chosen.driving = driving
     for key, value in settings.items():
@@ -138,7 +138,7 @@ def case(name, driving, meshes, operator=None, frames=FRAMES, **settings):
 
 
 def stopped(until):
-    """Stop the work where it says a text; what is there before and after."""
+    """Cancel the work at the first message with this text; return the numbers of data blocks before and after."""
     from bl_ext.user_default.mimesh import operator
 
     before = counts()
@@ -177,7 +177,7 @@ class Window:
 
 
 def clicked(escape_at):
-    """Click on Animate, and press Esc at the first text that has this in it."""
+    """Click on Animate, press Esc at the first message that contains `escape_at`, and return what happened."""
     from bl_ext.user_default.mimesh import operator
 
     methods = {name: value for name, value in vars(operator._Moves).items() if callable(value)}
@@ -198,7 +198,7 @@ def clicked(escape_at):
 
 
 class Layout:
-    """What a panel draws on; a property or an operator that does not exist is an error."""
+    """Stand-in for a panel's layout that records labels; an unknown property or operator is an error."""
 
     def __init__(self):
         self.shown = []
@@ -219,7 +219,7 @@ class Layout:
 
 
 def drawn():
-    """All that the panels show."""
+    """Return the labels that the panels draw."""
     from bl_ext.user_default.mimesh import panel
 
     layout = Layout()
@@ -229,7 +229,7 @@ def drawn():
 
 
 def modified(kind):
-    """Pose a hidden identity that has a modifier: what is left of it, and how much of it is in the points."""
+    """Pose a hidden identity with a modifier; return the result's modifiers and the change of its points."""
     chosen = bpy.context.scene.mimesh
     chosen.identity.modifiers.new("its own", kind)
     chosen.identity.hide_viewport = True

@@ -1,4 +1,4 @@
-"""Other programs that tests ask: where they are, or a skip that says how to get them."""
+"""Find the external programs that tests run; a missing one skips the test with how to install it."""
 
 import functools
 import os
@@ -13,7 +13,7 @@ CLIENTS = ROOT / ".clients"
 
 
 def blender() -> Path:
-    """The Python that has `bpy`."""
+    """Return the Python interpreter that can import `bpy`."""
     python = Path(os.environ.get("MIMESH_BPY", CLIENTS / "bpy" / "bin" / "python"))
     if not _answers(python, "-I", "-c", "import bpy"):
         pytest.skip(f"no Blender at {python}: run make clients, or set MIMESH_BPY to a Python that has bpy")
@@ -21,7 +21,7 @@ def blender() -> Path:
 
 
 def validator() -> list[str]:
-    """A command that takes the path of a glTF file and prints the Khronos validator's report as JSON."""
+    """Return the command that prints the Khronos validator's report on a glTF file as JSON; its path is to be added."""
     folder, node = Path(os.environ.get("MIMESH_VALIDATOR", CLIENTS / "validator")), shutil.which("node")
     if node is None or not (folder / "node_modules" / "gltf-validator").is_dir():
         pytest.skip(f"no glTF validator in {folder}: run make clients with Node.js installed, or set MIMESH_VALIDATOR")

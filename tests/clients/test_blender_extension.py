@@ -1,4 +1,4 @@
-"""The extension in Blender itself: what its buttons make is what mimesh makes of the same arrays.
+"""The extension in Blender: its buttons give the same result as mimesh on the same arrays.
 
 Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
 """
@@ -42,7 +42,7 @@ def archive(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def outcome(archive, tmp_path_factory):
-    """The folder of what Blender noted of a scene."""
+    """Run `blender_scene.py` in Blender; return the folder of its results."""
     folder, clip = tmp_path_factory.mktemp("scene"), walk(1, frames=6, faces=2500)
     identity = person(0, faces=3000)
     np.savez(
@@ -64,8 +64,8 @@ def facts(outcome):
     return json.loads((outcome / "facts.json").read_text())
 
 
-def of_mimesh(outcome, name, faces, **options):
-    """Frames of Blender, and the result of mimesh on what Blender showed."""
+def run_mimesh(outcome, name, faces, **options):
+    """Return the frames that the extension made, and the result of mimesh on the driving frames Blender evaluated."""
     case, scene = np.load(outcome / f"{name}.npz"), np.load(outcome / "scene.npz")
     frames = case["driving"].astype(np.float32)
     driving = mimesh.Mesh(frames[0].astype(np.float64), scene[faces].astype(np.int64), name="driving")
@@ -74,58 +74,58 @@ def of_mimesh(outcome, name, faces, **options):
 
 
 def skinned_frames(result):
-    """Linear blend skinning with four weights a vertex, by the book."""
+    """Compute linear blend skinning with four weights per vertex, vertex by vertex."""
     skeleton = result.skeleton
     joints, weights = skeleton.strongest()
     bones = skeleton.rig.bones(skeleton.parents)
     frames = []
     for turns, root in zip(skeleton.rotation, skeleton.root, strict=True):
-        places = [root]
+        joints_now = [root]
         for bone, parent in zip(bones, skeleton.parents[1:], strict=True):
-            places.append(places[parent] + turns[parent] @ bone)
+            joints_now.append(joints_now[parent] + turns[parent] @ bone)
         moved = np.zeros_like(skeleton.mesh.vertices)
         for v, vertex in enumerate(skeleton.mesh.vertices):
             for j, weight in zip(joints[v], weights[v], strict=True):
-                seen = skeleton.rig.rotation[j].T @ (vertex - skeleton.rig.joints[j])
-                moved[v] += weight * (places[j] + turns[j] @ seen)
+                local = skeleton.rig.rotation[j].T @ (vertex - skeleton.rig.joints[j])
+                moved[v] += weight * (joints_now[j] + turns[j] @ local)
         frames.append(moved)
     return np.stack(frames)
 
 
-def off(ours, theirs):
-    """Farthest that a vertex is from where it should be, over the size of the mesh."""
-    return np.linalg.norm(ours - theirs, axis=-1).max() / np.ptp(theirs[0], axis=0).max()
+def relative_error(frames, expected):
+    """Return the largest distance of a vertex from its expected position, as a fraction of the mesh's extent."""
+    return np.linalg.norm(frames - expected, axis=-1).max() / np.ptp(expected[0], axis=0).max()
 
 
 @pytest.mark.parametrize(("name", "model"), [("keys", "mime"), ("other", "npt-maxpool")])
-def test_shape_keys_are_the_frames(outcome, facts, name, model):
-    ours, result = of_mimesh(outcome, name, "driving", model=model)
-    assert off(ours, result.clip.vertices) < 1e-5
+def test_shape_keys_equal_the_frames(outcome, facts, name, model):
+    frames, result = run_mimesh(outcome, name, "driving", model=model)
+    assert relative_error(frames, result.clip.vertices) < 1e-5
     assert facts[name]["keys"] == ["Basis", *(f"frame {frame}" for frame in range(4, 9))]
 
 
 @pytest.mark.parametrize(("name", "faces", "options"), [("bones", "driving", JOINTS), ("skinned", "skin", {})])
-def test_an_armature_moves_as_the_joints_do(outcome, facts, name, faces, options):
-    ours, result = of_mimesh(outcome, name, faces, **options)
-    assert off(ours, skinned_frames(result)) < 1e-5
+def test_armature_moves_as_the_joints(outcome, facts, name, faces, options):
+    frames, result = run_mimesh(outcome, name, faces, **options)
+    assert relative_error(frames, skinned_frames(result)) < 1e-5
     assert tuple(facts[name]["bones"]) == result.skeleton.names
 
 
-def test_a_pose_is_one_frame(outcome, facts):
-    ours, result = of_mimesh(outcome, "posed", "skin")
-    assert off(ours, skinned_frames(result)) < 1e-5
-    ours, result = of_mimesh(outcome, "pose key", "driving")
-    assert off(ours, result.clip.vertices) < 1e-5
+def test_pose_button_makes_one_frame(outcome, facts):
+    frames, result = run_mimesh(outcome, "posed", "skin")
+    assert relative_error(frames, skinned_frames(result)) < 1e-5
+    frames, result = run_mimesh(outcome, "pose key", "driving")
+    assert relative_error(frames, result.clip.vertices) < 1e-5
     assert facts["pose key"]["keys"] == ["Basis", "frame 1"]
 
 
-def test_the_identity_stays_as_it_was(facts):
+def test_identity_object_is_unchanged(facts):
     cases = [fact for fact in facts.values() if "unchanged" in fact]
     assert len(cases) == 6
     assert all(case["unchanged"] and case["outcome"] == ["FINISHED"] for case in cases)
 
 
-def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts):
+def test_modifiers_that_keep_vertices_are_baked_and_others_kept(facts):
     kept, baked = facts["modified"]["SUBSURF"], facts["modified"]["SMOOTH"]
     assert kept["modifiers"] == ["ARMATURE", "SUBSURF"]
     assert baked["modifiers"] == ["ARMATURE"]
@@ -134,12 +134,12 @@ def test_modifiers_that_keep_the_vertices_are_baked_and_others_come_after(facts)
     assert baked["apart"] > 1e-3
 
 
-def test_work_that_is_stopped_leaves_nothing(facts):
+def test_cancelled_work_leaves_no_data(facts):
     for stopped in facts["stopped"]:
         assert stopped["before"] == stopped["after"]
 
 
-def test_the_window_lives_while_it_works_and_escape_stops_it(facts):
+def test_work_runs_in_steps_and_escape_cancels_it(facts):
     done = facts["clicked"][-1]
     assert [one["outcome"] for one in facts["clicked"]] == [["CANCELLED"], ["CANCELLED"], ["FINISHED"]]
     assert [one["left"] for one in facts["clicked"]] == [True, True, False]
@@ -148,18 +148,18 @@ def test_the_window_lives_while_it_works_and_escape_stops_it(facts):
         assert (one["timers"], one["text"], one["last"]) == (0, "", None)
 
 
-def test_the_panel_shows_what_there_is(facts):
+def test_panel_draws_all_properties(facts):
     assert {"Identity", "Driving", "Model", "Result", "Step", "Animate", "Pose", "Smooth", "Front"} <= set(
         facts["drawn"]
     )
 
 
-def test_what_cannot_be_done_is_told(facts):
+def test_invalid_settings_are_explained(facts):
     assert "expected a first frame before the last" in facts["no frames"]
     assert "expected a model with joints (mime), found npt-maxpool; choose it as the model" in facts["no joints"]
 
 
-def test_two_builds_are_equal(archive):
+def test_build_is_reproducible(archive):
     listing = zipfile.ZipFile(archive).infolist()
     assert [entry.filename for entry in listing] == sorted(entry.filename for entry in listing)
     assert {entry.date_time for entry in listing} == {(1980, 1, 1, 0, 0, 0)}

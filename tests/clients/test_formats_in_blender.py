@@ -1,4 +1,4 @@
-"""Every format in Blender: what it shows of our files in every frame, and what we read of the files it writes.
+"""Every format in Blender: files of mimesh evaluated by Blender in every frame, and files of Blender read by mimesh.
 
 Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
 Figures go to the file that MIMESH_FORMATS names; the table of docs/formats.md is made of them.
@@ -25,7 +25,7 @@ from mimesh.tools.convert import convert
 pytestmark = pytest.mark.client
 CLIPS = (".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz", ".abc", ".pc2", ".mdd", ".obj", ".ply")
 MESHES = (".glb", ".gltf", ".usda", ".usdz", ".abc", ".obj", ".ply", ".stl")
-OURS_OF_BLENDER = (
+BLENDER_FILES = (
     "scene.glb",
     "separate.gltf",
     "scene.usda",
@@ -38,24 +38,27 @@ OURS_OF_BLENDER = (
 )
 FIGURES: dict[str, dict] = {}
 CLOSE = 1e-5
-"""Of the mesh's size."""
+"""Largest error of a position, as a fraction of the mesh's extent."""
 
 
 def in_blender(vertices):
-    """From y up to z up, as Blender's importers turn it."""
+    """Convert from y up to z up, as Blender's importers do."""
     return np.stack([vertices[..., 0], -vertices[..., 2], vertices[..., 1]], axis=-1)
 
 
-def apart(found, wanted):
-    """Farthest that a vertex's way is from the nearest way of the other side, over the size; orders may differ."""
-    assert len(found) == len(wanted)
-    ways = [frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) for frames in (found, wanted)]
-    farthest = 0.0
-    for one, other in itertools.permutations(ways):
-        _, nearest = cKDTree(other).query(one)
-        off = (one - other[nearest]).reshape(len(one), -1, 3)
-        farthest = max(farthest, float(np.linalg.norm(off, axis=-1).max()))
-    return farthest / float(np.ptp(wanted, axis=(0, 1)).max())
+def clip_distance(found, expected):
+    """Return the largest distance between trajectories of corresponding vertices, as a fraction of the extent.
+
+    Vertex orders may differ: each trajectory is compared with the nearest one of the other clip, in both directions.
+    """
+    assert len(found) == len(expected)
+    trajectories = [frames.transpose(1, 0, 2).reshape(frames.shape[1], -1) for frames in (found, expected)]
+    largest = 0.0
+    for first, second in itertools.permutations(trajectories):
+        _, nearest = cKDTree(second).query(first)
+        offset = (first - second[nearest]).reshape(len(first), -1, 3)
+        largest = max(largest, float(np.linalg.norm(offset, axis=-1).max()))
+    return largest / float(np.ptp(expected, axis=(0, 1)).max())
 
 
 def run(mode, folder):
@@ -65,7 +68,7 @@ def run(mode, folder):
 
 @pytest.fixture(scope="module", autouse=True)
 def report():
-    """Keep the figures once all is done."""
+    """Write the figures to a file after the last test."""
     yield
     path = os.environ.get("MIMESH_FORMATS")
     if path and FIGURES:
@@ -74,9 +77,9 @@ def report():
 
 
 @pytest.fixture(scope="module")
-def ours(tmp_path_factory):
-    """Our files of a dressed clip (quads, seams, materials, a texture, colours), and what Blender shows of them."""
-    folder = tmp_path_factory.mktemp("ours")
+def mimesh_files(tmp_path_factory):
+    """Write `dressed_clip` in every format and evaluate the files in Blender; return the folder and the clip."""
+    folder = tmp_path_factory.mktemp("mimesh")
     clip = dressed_clip(folder / "dressed", frames=6, fps=24.0)
     jobs = []
     for suffix in CLIPS:
@@ -107,16 +110,16 @@ def ours(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def theirs(tmp_path_factory):
-    """A folder of Blender's files."""
+def blender_files(tmp_path_factory):
+    """Let Blender write files in every format; return the folder."""
     blender()
-    folder = tmp_path_factory.mktemp("theirs")
+    folder = tmp_path_factory.mktemp("blender")
     run("write", folder)
     return folder
 
 
 def note(suffix, kind, error, dump=None, clip=None):
-    """Keep a figure, and of our files what Blender finds in them."""
+    """Record a figure, and which features of the file Blender found (`dump`)."""
     figures = FIGURES.setdefault(suffix, {})
     figures[kind] = max(figures.get(kind, 0.0), error)
     if dump is not None:
@@ -130,58 +133,58 @@ def note(suffix, kind, error, dump=None, clip=None):
 
 
 @pytest.mark.parametrize("suffix", CLIPS)
-def test_blender_shows_every_frame_of_a_clip(suffix, ours):
-    folder, clip = ours
+def test_blender_reads_every_frame_of_a_clip(suffix, mimesh_files):
+    folder, clip = mimesh_files
     if suffix in (".obj", ".ply"):
         dumps = [np.load(folder / f"clip{suffix}{t}.npz") for t in range(len(clip))]
         dump, frames = dumps[0], np.concatenate([one["vertices"] for one in dumps])
     else:
         dump = np.load(folder / f"clip{suffix}.npz")
         frames = dump["vertices"]
-    error = apart(frames, in_blender(clip.vertices.astype(np.float64)))
+    error = clip_distance(frames, in_blender(clip.vertices.astype(np.float64)))
     note(suffix, "clip in Blender", error, None if suffix in (".pc2", ".mdd") else dump, clip)
     assert error <= CLOSE
 
 
 @pytest.mark.parametrize("suffix", MESHES)
-def test_blender_shows_a_mesh(suffix, ours):
-    folder, clip = ours
+def test_blender_reads_a_mesh(suffix, mimesh_files):
+    folder, clip = mimesh_files
     dump = np.load(folder / f"mesh{suffix}.npz")
-    error = apart(dump["vertices"], in_blender(clip.mesh.vertices)[None])
+    error = clip_distance(dump["vertices"], in_blender(clip.mesh.vertices)[None])
     note(suffix, "mesh in Blender", error, dump, clip)
     assert error <= CLOSE
 
 
-def test_blender_shows_blend_shapes_as_we_do(ours):
-    folder, _ = ours
+def test_blender_evaluates_blend_shapes_equally(mimesh_files):
+    folder, _ = mimesh_files
     expected = load_clip(folder / "few.glb").vertices
-    assert apart(np.load(folder / "few.glb.npz")["vertices"], in_blender(expected)) <= CLOSE
+    assert clip_distance(np.load(folder / "few.glb.npz")["vertices"], in_blender(expected)) <= CLOSE
 
 
-def test_blender_shows_a_skin_as_we_do(ours):
-    folder, _ = ours
+def test_blender_evaluates_skinning_equally(mimesh_files):
+    folder, _ = mimesh_files
     expected = load_clip(folder / "skinned.glb", fps=10.0).vertices
-    error = apart(np.load(folder / "skinned.glb.npz")["vertices"], in_blender(expected))
+    error = clip_distance(np.load(folder / "skinned.glb.npz")["vertices"], in_blender(expected))
     note(".glb", "skin in Blender", error)
     assert error <= 1e-6
 
 
-@pytest.mark.parametrize("name", OURS_OF_BLENDER)
-def test_we_read_what_blender_wrote(name, theirs):
-    truth = np.load(theirs / ("truth_fbx.npz" if name == "fbx.glb" else "truth.npz"))["vertices"]
-    clip = load_clip(theirs / name, fps=24.0)
+@pytest.mark.parametrize("name", BLENDER_FILES)
+def test_files_of_blender_are_read_exactly(name, blender_files):
+    truth = np.load(blender_files / ("truth_fbx.npz" if name == "fbx.glb" else "truth.npz"))["vertices"]
+    clip = load_clip(blender_files / name, fps=24.0)
     found = clip.vertices.astype(np.float64)
     if not name.endswith(("usda", "usdc", "usdz", "ply")):  # those Blender writes z up, as they are
         found = in_blender(found)
-    error = apart(found, truth)
+    error = clip_distance(found, truth)
     note({"fbx.glb": ".fbx", "obj": ".obj", "ply": ".ply"}.get(name, Path(name).suffix), "Blender's, read", error)
     assert error <= CLOSE
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".usdc", ".abc"])
-def test_what_blender_wrote_survives_conversion(suffix, theirs, tmp_path):
-    convert(theirs / f"scene{suffix}", tmp_path / f"a{suffix}")
+def test_files_of_blender_survive_conversion(suffix, blender_files, tmp_path):
+    convert(blender_files / f"scene{suffix}", tmp_path / f"a{suffix}")
     again = load_clip(tmp_path / f"a{suffix}")
-    first = load_clip(theirs / f"scene{suffix}")
+    first = load_clip(blender_files / f"scene{suffix}")
     assert again.fps == first.fps
-    assert apart(again.vertices.astype(np.float64), first.vertices.astype(np.float64)) <= CLOSE
+    assert clip_distance(again.vertices.astype(np.float64), first.vertices.astype(np.float64)) <= CLOSE

@@ -24,26 +24,26 @@ def assert_valid(path):
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
 @pytest.mark.parametrize("shapes", [None, 3])
-def test_a_clip(suffix, shapes, tmp_path):
+def test_written_clip_is_valid(suffix, shapes, tmp_path):
     save_clip(dressed_clip(tmp_path / "d"), tmp_path / f"a{suffix}", blendshapes=shapes)
     assert_valid(tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_a_mesh(suffix, tmp_path):
+def test_written_mesh_is_valid(suffix, tmp_path):
     save_mesh(dressed_clip(tmp_path / "d").mesh, tmp_path / f"a{suffix}")
     assert_valid(tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_a_skin(suffix, tmp_path):
+def test_written_skin_is_valid(suffix, tmp_path):
     moved = mimesh.animate(person(0, faces=2000), walk(1, frames=4, faces=2000))
     moved.save_skinned(tmp_path / f"a{suffix}")
     assert_valid(tmp_path / f"a{suffix}")
 
 
 @pytest.mark.parametrize("name", ["hero", "props"])
-def test_files_of_others_moved(name, tmp_path):
+def test_edited_file_is_valid(name, tmp_path):
     mesh = load_mesh(getattr(samples, name)().glb(tmp_path / "a.glb"))
     save_mesh(mesh.with_vertices(mesh.vertices * 1.1), tmp_path / "b.glb")
     assert_valid(tmp_path / "b.glb")

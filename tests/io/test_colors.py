@@ -1,4 +1,4 @@
-"""Colours of vertices: read where a format has them, carried along, and written as that format means them."""
+"""Vertex colours: read from every format that has them, converted, and written in that format's encoding."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def painted(alpha: bool = True):
     return dataclasses.replace(zoo.cube(), vertex_colors=linear_rgba(values))
 
 
-def test_the_curve_is_that_of_the_standard_and_comes_back():
+def test_srgb_encoding_is_that_of_the_standard_and_inverts():
     values = np.linspace(0, 1, 256).repeat(4).reshape(-1, 4)
     linear = linear_rgba(values)
     assert np.allclose(srgb_rgba(linear), values, atol=1e-12)
@@ -41,16 +41,16 @@ def test_the_curve_is_that_of_the_standard_and_comes_back():
 @pytest.mark.parametrize(
     "steps", [["ply"], ["glb"], ["gltf", "ply"], ["ply", "glb", "ply"], ["obj"], ["obj", "glb", "ply"]]
 )
-def test_colours_survive_from_format_to_format(steps, tmp_path):
+def test_colours_survive_conversion_between_formats(steps, tmp_path):
     mesh = first = painted(alpha="obj" not in steps)
     for number, suffix in enumerate(steps):
         save_mesh(mesh, tmp_path / f"{number}.{suffix}")
         mesh = load_mesh(tmp_path / f"{number}.{suffix}")
-    places = [np.flatnonzero((mesh.vertices == v).all(axis=1))[0] for v in first.vertices]
-    assert np.allclose(mesh.vertex_colors[places], first.vertex_colors, atol=2e-6)
+    index = [np.flatnonzero((mesh.vertices == v).all(axis=1))[0] for v in first.vertices]
+    assert np.allclose(mesh.vertex_colors[index], first.vertex_colors, atol=2e-6)
 
 
-def test_bytes_come_back_as_bytes(tmp_path):
+def test_byte_colours_round_trip_exactly(tmp_path):
     mesh = painted()
     save_mesh(mesh, tmp_path / "a.ply")
     save_mesh(load_mesh(tmp_path / "a.ply"), tmp_path / "b.glb")
@@ -63,7 +63,7 @@ def test_bytes_come_back_as_bytes(tmp_path):
     assert np.array_equal(colors[0], np.round(255 * srgb_rgba(mesh.vertex_colors)))
 
 
-def test_glb_holds_them_linear_on_a_white_material(tmp_path):
+def test_glb_stores_linear_colours_on_a_white_material(tmp_path):
     save_mesh(painted(), tmp_path / "a.glb")
     content = (tmp_path / "a.glb").read_bytes()
     gltf = json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
@@ -72,13 +72,13 @@ def test_glb_holds_them_linear_on_a_white_material(tmp_path):
     assert (accessor["type"], accessor["componentType"]) == ("VEC4", 5126)
 
 
-def test_a_vertex_without_a_colour_is_white_and_large_numbers_are_bytes(tmp_path):
+def test_missing_colours_are_white_and_values_above_one_are_bytes(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0 255 0 51\nv 1 0 0\nv 0 1 0 0 255 0 # a note\nv 0 0 1 1.0\nf 1 2 3 4\n")
     colors = load_mesh(tmp_path / "a.obj").vertex_colors
     assert np.allclose(srgb_rgba(colors), [[1, 0, 0.2, 1], [1, 1, 1, 1], [0, 1, 0, 1], [1, 1, 1, 1]])
 
 
-def test_without_colours_there_are_none(tmp_path):
+def test_file_without_colours_gives_none(tmp_path):
     for suffix in ("obj", "ply", "glb"):
         save_mesh(zoo.cube(), tmp_path / f"a.{suffix}")
         assert load_mesh(tmp_path / f"a.{suffix}").vertex_colors is None
@@ -107,14 +107,14 @@ def test_gltf_colours_are_read_where_primitives_have_them(tmp_path):
     assert np.array_equal(others, np.ones_like(others))
 
 
-def test_they_move_along_with_vertices_and_order():
+def test_colours_follow_a_permutation_of_vertices():
     mesh, order = painted(), np.random.default_rng(1).permutation(8)
     assert np.array_equal(permute_vertices(mesh, order).vertex_colors, mesh.vertex_colors[order])
     assert np.array_equal(mesh.with_vertices(mesh.vertices + 1).vertex_colors, mesh.vertex_colors)
 
 
 @pytest.mark.parametrize("name", ["clip.glb", "frames"])
-def test_clips_have_them_too(name, tmp_path):
+def test_clips_keep_colours(name, tmp_path):
     mesh = painted(alpha=False)
     save_clip(Clip(mesh, np.stack([mesh.vertices, mesh.vertices + 1])), tmp_path / name)
     colors = load_clip(tmp_path / name).mesh.vertex_colors
@@ -122,7 +122,7 @@ def test_clips_have_them_too(name, tmp_path):
     assert rows[0] == rows[1]
 
 
-def test_what_is_no_number_is_dark_and_what_is_too_much_is_full():
+def test_nan_colours_become_zero_and_large_ones_are_clipped():
     odd = np.array([[np.nan, np.inf, -np.inf, np.nan], [2.0, -1.0, 0.0, np.inf]])
     assert np.array_equal(linear_rgba(odd), [[0, 1, 0, 0], [1, 0, 0, 1]])
     assert np.array_equal(with_alpha(odd[:, :3]), [[0, 1, 0, 1], [1, 0, 0, 1]])

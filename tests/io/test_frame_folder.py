@@ -1,4 +1,4 @@
-"""A folder of numbered meshes is a clip, read and written."""
+"""Clips are read from and written to folders of numbered meshes."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bent
+from nasty import CUBE_SHARED_NORMALS, NASTY_OBJ, bend
 from PIL import Image
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Part, permute_vertices
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io import obj as obj_module
+from mimesh.io import ply as ply_module
 
 FORMATS = (".obj", ".ply", ".off", ".stl", ".npz", ".glb")
 
 
 def frames_of(vertices: np.ndarray, count: int = 12) -> np.ndarray:
     """Frames of a smooth motion, exact in float32."""
-    steps = [(1 - t) * vertices + t * bent(vertices) for t in np.linspace(0, 1, count)]
+    steps = [(1 - t) * vertices + t * bend(vertices) for t in np.linspace(0, 1, count)]
     return np.stack(steps).astype(np.float32).astype(np.float64)
 
 
@@ -62,15 +63,15 @@ def test_frames_written_to_a_folder_read_back(suffix, tmp_path):
     frames = frames_of(zoo.cube().vertices)
     save_clip(Clip(zoo.cube(), frames), tmp_path / "out", suffix)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{t:04d}{suffix}" for t in range(12)]
-    back = load_clip(tmp_path / "out")
-    np.testing.assert_array_equal(back.vertices, frames)
+    reread = load_clip(tmp_path / "out")
+    np.testing.assert_array_equal(reread.vertices, frames)
     np.testing.assert_array_equal(
         trimesh.load(tmp_path / "out" / f"0007{suffix}", process=False).faces, zoo.cube().faces
     )
 
 
 @pytest.mark.parametrize("data", [NASTY_OBJ, CUBE_SHARED_NORMALS], ids=["nasty", "cube"])
-def test_each_frame_is_the_identitys_own_file(data, tmp_path):
+def test_each_frame_is_the_original_file_with_other_points(data, tmp_path):
     (tmp_path / "in").mkdir()
     (tmp_path / "in" / "looks.mtl").write_text("newmtl Brick\n")
     (tmp_path / "in" / "hero.obj").write_bytes(data)
@@ -85,8 +86,8 @@ def test_each_frame_is_the_identitys_own_file(data, tmp_path):
     assert (tmp_path / "out" / "looks.mtl").exists() == (data is NASTY_OBJ)
 
 
-def test_own_library_is_not_overwritten_in_a_folder_of_frames(tmp_path):
-    test_each_frame_is_the_identitys_own_file(NASTY_OBJ, tmp_path)
+def test_existing_library_is_not_overwritten_in_a_folder_of_frames(tmp_path):
+    test_each_frame_is_the_original_file_with_other_points(NASTY_OBJ, tmp_path)
     (tmp_path / "out" / "looks.mtl").write_text("mine")
     mesh = load_mesh(tmp_path / "in" / "hero.obj")
     save_clip(Clip(mesh, frames_of(mesh.vertices, 3)), tmp_path / "out")
@@ -105,19 +106,19 @@ def test_new_frames_share_one_library(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply"])
-def test_later_frames_are_read_fast_and_as_exactly(suffix, tmp_path, monkeypatch):
+def test_later_frames_are_read_by_the_fast_path_with_equal_result(suffix, tmp_path, monkeypatch):
     save_clip(Clip(zoo.grid(), frames_of(zoo.grid().vertices)), tmp_path / "out", suffix)
     slow = np.stack([load_mesh(path).vertices for path in sorted((tmp_path / "out").glob(f"*{suffix}"))])
     calls = []
-    reader = "mimesh.io.obj._read_source" if suffix == ".obj" else "mimesh.io.ply.locate"
-    original = obj_module._read_source if suffix == ".obj" else __import__("mimesh.io.ply", fromlist=["locate"]).locate
-    monkeypatch.setattr(reader, lambda *arguments: (calls.append(arguments), original(*arguments))[1])
+    module, name = (obj_module, "_read_source") if suffix == ".obj" else (ply_module, "locate_columns")
+    original = getattr(module, name)
+    monkeypatch.setattr(module, name, lambda *arguments: (calls.append(arguments), original(*arguments))[1])
     np.testing.assert_array_equal(load_clip(tmp_path / "out").vertices, slow)
     assert len(calls) == 1
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".npz"])
-def test_a_frame_of_another_topology_is_named(suffix, tmp_path):
+def test_frame_of_another_topology_is_named(suffix, tmp_path):
     cube = zoo.cube()
     write_frames(tmp_path, suffix, frames_of(cube.vertices, 5), "f_{:03d}")
     save_mesh(dataclasses.replace(cube, faces=cube.faces[::-1]), tmp_path / f"f_003{suffix}")
@@ -129,7 +130,7 @@ def test_a_frame_of_another_topology_is_named(suffix, tmp_path):
         load_clip(tmp_path)
 
 
-def test_permuted_faces_with_equal_vertices_are_noticed(tmp_path):
+def test_permuted_faces_with_equal_vertices_are_refused(tmp_path):
     cube = zoo.cube()
     save_mesh(cube, tmp_path / "0.obj")
     save_mesh(permute_vertices(cube, np.arange(8)[::-1].copy()), tmp_path / "1.obj")
@@ -137,7 +138,7 @@ def test_permuted_faces_with_equal_vertices_are_noticed(tmp_path):
         load_clip(tmp_path)
 
 
-def test_relative_indices_are_compared_by_what_they_mean(tmp_path):
+def test_relative_indices_are_compared_as_absolute_ones(tmp_path):
     lines = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
     (tmp_path / "0.obj").write_text(lines + "f -3 -2 -1\nv 1 1 1\n")
     (tmp_path / "1.obj").write_text(lines + "v 1 1 1\nf -3 -2 -1\n")
@@ -147,7 +148,7 @@ def test_relative_indices_are_compared_by_what_they_mean(tmp_path):
     assert load_clip(tmp_path).vertices[1, 3, 2] == 5
 
 
-def test_the_longest_series_is_read_and_a_tie_is_an_error(tmp_path):
+def test_longest_series_is_read_and_a_tie_is_an_error(tmp_path):
     write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3), "a{}")
     write_frames(tmp_path, ".ply", frames_of(zoo.cube().vertices, 2), "a{}")
     write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 2), "b{}")
@@ -157,7 +158,7 @@ def test_the_longest_series_is_read_and_a_tie_is_an_error(tmp_path):
         load_clip(tmp_path)
 
 
-def test_old_frames_that_would_be_mistaken_for_new_ones_are_an_error(tmp_path):
+def test_stale_frames_in_the_output_folder_are_an_error(tmp_path):
     cube = zoo.cube()
     save_clip(Clip(cube, frames_of(cube.vertices, 5)), tmp_path / "out")
     save_clip(Clip(cube, frames_of(cube.vertices, 6)), tmp_path / "out")
@@ -166,7 +167,7 @@ def test_old_frames_that_would_be_mistaken_for_new_ones_are_an_error(tmp_path):
     assert len(load_clip(tmp_path / "out")) == 6
 
 
-def test_frames_of_another_format_beside_new_ones_are_an_error(tmp_path):
+def test_frames_of_another_format_in_the_output_folder_are_an_error(tmp_path):
     clip = Clip(zoo.cube(), np.stack([zoo.cube().vertices] * 2))
     save_clip(clip, tmp_path / "walk", ".obj")
     with pytest.raises(InputError, match=r"without frames in another format, found 0000.obj"):
@@ -174,7 +175,7 @@ def test_frames_of_another_format_beside_new_ones_are_an_error(tmp_path):
     assert len(load_clip(tmp_path / "walk")) == 2
 
 
-def test_a_folder_that_is_there_needs_nothing_of_the_one_above(tmp_path, monkeypatch):
+def test_existing_output_folder_needs_no_writable_parent(tmp_path, monkeypatch):
     (tmp_path / "disk").mkdir()
     beside = []
     make = tempfile.mkdtemp
@@ -184,7 +185,7 @@ def test_a_folder_that_is_there_needs_nothing_of_the_one_above(tmp_path, monkeyp
     assert [path.name for path in (tmp_path / "disk").iterdir()] == ["0000.obj"]
 
 
-def test_a_bad_frame_is_named_by_its_file(tmp_path):
+def test_damaged_frame_is_named_by_its_file(tmp_path):
     write_frames(tmp_path, ".obj", frames_of(zoo.cube().vertices, 3))
     (tmp_path / "1.obj").write_bytes(b"")
     with pytest.raises(InputError, match=r"1\.obj: expected a mesh, found an empty file"):

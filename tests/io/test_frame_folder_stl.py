@@ -1,4 +1,4 @@
-"""Folders of STL and OFF frames: triangle soups are welded as the first of them is."""
+"""Folders of STL and OFF frames: triangle soups are welded as the first frame."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 import zoo
-from nasty import bent, rotation
+from nasty import bend, rotation
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
@@ -28,12 +28,12 @@ def single(vertices: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("write", [lambda path, mesh: save_mesh(mesh, path), write_text], ids=["binary", "text"])
-def test_vertices_that_meet_and_part_again_are_motion(write, tmp_path):
+def test_vertices_that_touch_in_a_later_frame_stay_separate(write, tmp_path):
     both = zoo.two_parts()
     frames = [both.vertices.copy() for _ in range(4)]
     frames[1][4:] -= [2, 0, 0]  # the cube touches the tetrahedron's corner
     frames[2][7] = frames[2][5]  # an edge has no length
-    frames[3] = single(bent(both.vertices))
+    frames[3] = single(bend(both.vertices))
     for t, vertices in enumerate(frames):
         write(tmp_path / f"{t}.stl", both.with_vertices(vertices))
     assert len(load_mesh(tmp_path / "1.stl").vertices) == 11
@@ -42,7 +42,7 @@ def test_vertices_that_meet_and_part_again_are_motion(write, tmp_path):
     np.testing.assert_allclose(clip.vertices[:, clip.mesh.faces], np.stack(frames)[:, both.faces], atol=1e-6)
 
 
-def test_a_vertex_split_after_the_first_frame_is_said_in_words(tmp_path):
+def test_vertex_split_after_the_first_frame_is_explained(tmp_path):
     both = zoo.two_parts()
     touching = both.vertices.copy()
     touching[4:] -= [2, 0, 0]
@@ -55,7 +55,7 @@ def test_a_vertex_split_after_the_first_frame_is_said_in_words(tmp_path):
         load_clip(tmp_path)
 
 
-def test_corners_may_differ_by_rounding(tmp_path):
+def test_corners_of_one_vertex_may_differ_by_rounding(tmp_path):
     mesh = zoo.cube().with_vertices(zoo.cube().vertices + 100)
     write_text(tmp_path / "0.stl", mesh)
     turned = mesh.vertices @ rotation().T
@@ -70,7 +70,7 @@ def test_corners_may_differ_by_rounding(tmp_path):
     np.testing.assert_allclose(clip.vertices[1, clip.mesh.faces], turned[mesh.faces], atol=2e-5)
 
 
-def test_another_number_of_triangles_is_named(tmp_path):
+def test_frame_with_another_number_of_triangles_is_named(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "0.stl")
     save_mesh(zoo.two_parts(), tmp_path / "1.stl")
     with pytest.raises(InputError, match=re.escape("1.stl: expected 12 triangles as in the first frame, found 16")):
@@ -84,9 +84,9 @@ def test_nan_in_a_later_frame_is_named_by_its_file(tmp_path):
         load_clip(tmp_path)
 
 
-def test_off_frames_keep_their_vertices_where_these_meet(tmp_path):
+def test_off_frames_keep_vertices_that_touch(tmp_path):
     both = zoo.two_parts()
-    frames = np.stack([both.vertices, both.vertices, single(bent(both.vertices))])
+    frames = np.stack([both.vertices, both.vertices, single(bend(both.vertices))])
     frames[1, 4:] -= [2, 0, 0]
     for t, vertices in enumerate(frames):
         save_mesh(both.with_vertices(vertices), tmp_path / f"{t}.off")

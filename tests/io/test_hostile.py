@@ -1,4 +1,4 @@
-"""Hostile but legal text files: nothing of them is lost, whatever is done to their points."""
+"""Legal but unusual text files: all of their content is kept when points are changed."""
 
 from __future__ import annotations
 
@@ -31,42 +31,42 @@ def file(request, tmp_path) -> Path:
     return path
 
 
-def shifted(mesh: Mesh) -> Mesh:
-    """Every second vertex elsewhere, so that some lines change and others must not."""
+def move_every_second_vertex(mesh: Mesh) -> Mesh:
+    """Move every second vertex, so that some lines change and others must not."""
     vertices = mesh.vertices.copy()
     vertices[1::2] += np.array([0.125, -3.0, 1 / 3]) * np.maximum(1.0, np.abs(vertices[1::2]))
     return mesh.with_vertices(vertices)
 
 
-def words_of(data: bytes) -> list[bytes]:
-    """All words and all gaps between them."""
+def split_words(data: bytes) -> list[bytes]:
+    """Split a file into words and the white space between them."""
     return re.split(rb"([\s\\]+)", data)
 
 
-def test_unmoved_the_file_is_the_same_byte_by_byte(file):
+def test_unchanged_mesh_is_written_as_equal_bytes(file):
     save_mesh(load_mesh(file), file.with_stem("same"))
     assert file.with_stem("same").read_bytes() == file.read_bytes()
 
 
-def test_moved_points_come_back_and_everything_else_does_too(file):
+def test_moved_points_and_all_else_round_trip(file):
     mesh = load_mesh(file)
-    moved = shifted(mesh)
+    moved = move_every_second_vertex(mesh)
     save_mesh(moved, file.with_stem("moved"))
-    back = load_mesh(file.with_stem("moved"))
+    reread = load_mesh(file.with_stem("moved"))
     width = np.float32 if b"property float" in file.read_bytes() else np.float64
-    assert np.array_equal(back.vertices.astype(width), moved.vertices.astype(width))
-    assert np.array_equal(back.faces, mesh.faces)
-    assert [(p.name, p.start, p.stop) for p in back.parts] == [(p.name, p.start, p.stop) for p in mesh.parts]
+    assert np.array_equal(reread.vertices.astype(width), moved.vertices.astype(width))
+    assert np.array_equal(reread.faces, mesh.faces)
+    assert [(p.name, p.start, p.stop) for p in reread.parts] == [(p.name, p.start, p.stop) for p in mesh.parts]
     for name in ("corner_uv", "vertex_colors"):
-        assert np.array_equal(getattr(back, name), getattr(mesh, name))
+        assert np.array_equal(getattr(reread, name), getattr(mesh, name))
 
 
-def test_only_numbers_change_and_only_of_points_that_moved(file):
+def test_only_numbers_of_moved_points_change(file):
     mesh = load_mesh(file)
-    # A step keeps all normals; where they turn, lines for more of them may be added.
-    moved = mesh.with_vertices(mesh.vertices + 1) if mesh.corner_normals is not None else shifted(mesh)
+    # A translation keeps all normals; where they rotate, further `vn` lines may be added.
+    moved = mesh.with_vertices(mesh.vertices + 1) if mesh.corner_normals is not None else move_every_second_vertex(mesh)
     save_mesh(moved, file.with_stem("moved"))
-    before, after = (words_of(path.read_bytes()) for path in (file, file.with_stem("moved")))
+    before, after = (split_words(path.read_bytes()) for path in (file, file.with_stem("moved")))
     assert before[1::2] == after[1::2]  # all gaps, line ends included
     changed = sum(old != new for old, new in zip(before, after, strict=True))
     points = (moved.vertices != mesh.vertices).any(axis=1).sum()
@@ -74,7 +74,7 @@ def test_only_numbers_change_and_only_of_points_that_moved(file):
 
 
 @pytest.mark.parametrize("name", hostile.OBJ)
-def test_a_naive_reader_finds_the_same_polygons(name, tmp_path):
+def test_polygons_equal_those_of_a_naive_reader(name, tmp_path):
     text = hostile.OBJ[name]
     (tmp_path / "a.obj").write_bytes(text)
     mesh = load_mesh(tmp_path / "a.obj")
@@ -85,16 +85,16 @@ def test_a_naive_reader_finds_the_same_polygons(name, tmp_path):
 
 
 @pytest.mark.parametrize("key", FILES, ids=" ".join)
-def test_a_clip_keeps_looks_and_names(key, tmp_path):
+def test_clip_keeps_materials_and_names(key, tmp_path):
     file = tmp_path / f"a.{key[0]}"
     file.write_bytes(FILES[key])
     mesh = load_mesh(file)
-    moved = shifted(mesh)
+    moved = move_every_second_vertex(mesh)
     save_clip(Clip(mesh, np.stack([mesh.vertices, moved.vertices])), file.with_name("clip.glb"))
     clip = load_clip(file.with_name("clip.glb"))
     size = np.abs(moved.vertices).max()
-    for frame, wanted in zip(clip.vertices, (mesh.vertices, moved.vertices), strict=True):
-        assert np.allclose(frame[clip.mesh.faces], wanted[mesh.faces], atol=1e-6 * size)
+    for frame, expected in zip(clip.vertices, (mesh.vertices, moved.vertices), strict=True):
+        assert np.allclose(frame[clip.mesh.faces], expected[mesh.faces], atol=1e-6 * size)
     if mesh.corner_uv is not None:
         assert np.allclose(clip.mesh.corner_uv, mesh.corner_uv, atol=1e-6)
     if mesh.vertex_colors is not None:

@@ -1,4 +1,4 @@
-"""Names, materials and pictures that few expect: found, copied along, and kept apart in new files."""
+"""Unusual names of materials, images and files: found, copied with the mesh, and unique in new files."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ POINTS = b"v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
 FOLDER = "Größe & 大小 #1 %20"
 
 
-def looks_of(mesh: Mesh) -> list[tuple]:
-    """Name, extent, colour and picture of each part."""
+def materials_of(mesh: Mesh) -> list[tuple]:
+    """Return name, face range, colour and image of each part."""
     materials = [part.material or Material("") for part in mesh.parts]
     return [(p.name, p.start, p.stop, m.base_color, m.texture) for p, m in zip(mesh.parts, materials, strict=True)]
 
@@ -36,17 +36,17 @@ def test_names_in_utf8_and_latin1(encoding, library, tmp_path):
     words = f"mtllib {library}\no Häuschen am Wald\nusemtl Ziegel süß\nf 1/1 2/2 3/3\nusemtl Größe\nf 1/1 3/3 4/4\n"
     (folder / "Haus ß.obj").write_bytes(words.encode(encoding) + POINTS)
     mesh = load_mesh(folder / "Haus ß.obj")
-    assert looks_of(mesh) == [
+    assert materials_of(mesh) == [
         ("Häuschen am Wald", 0, 1, (0.5, 0.25, 1, 1), samples.png()),
         ("Häuschen am Wald", 1, 2, (0.8, 0.8, 0.8, 0.5), None),
     ]
     save_mesh(mesh, tmp_path / "out" / "Haus.obj")
-    assert looks_of(load_mesh(tmp_path / "out" / "Haus.obj")) == looks_of(mesh)
+    assert materials_of(load_mesh(tmp_path / "out" / "Haus.obj")) == materials_of(mesh)
     save_mesh(mesh, tmp_path / "Haus.glb")
     assert [p.material.name for p in load_mesh(tmp_path / "Haus.glb").parts] == ["Ziegel süß", "Größe"]
 
 
-def test_all_pictures_of_a_material_are_copied_along(tmp_path):
+def test_all_images_of_a_material_are_copied(tmp_path):
     names = ["color.png", "bump map.png", "gloss.png", "mirror.png", "holes.png", "normal.png", "high.png"]
     (tmp_path / "in").mkdir()
     for name in names:
@@ -59,7 +59,7 @@ def test_all_pictures_of_a_material_are_copied_along(tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == sorted([*names, "a.mtl", "b.obj"])
 
 
-def test_materials_of_one_name_stay_apart_in_new_files(tmp_path):
+def test_materials_of_equal_name_stay_separate_in_new_files(tmp_path):
     other = samples.png() + b"other"
     names = ["red", "red", "Red", "a b", "a_b", "a/b", "a:b", "default"]
     looks = [Material(name, (k / 8, 0.5, 1.0, 1.0), samples.png() + bytes([k])) for k, name in enumerate(names)]
@@ -68,14 +68,14 @@ def test_materials_of_one_name_stay_apart_in_new_files(tmp_path):
     cube = zoo.cube()
     mesh = dataclasses.replace(cube, parts=(*parts, Part("rest", 10, 12)), corner_uv=cube.vertices[cube.faces][..., :2])
     save_mesh(mesh, tmp_path / "a.obj")
-    back = load_mesh(tmp_path / "a.obj")
-    assert [look[3:] for look in looks_of(back)] == [look[3:] for look in looks_of(mesh)]
-    assert back.parts[10].material.name == "default"  # no statement ends a material in an OBJ
-    assert len({part.material.name.lower() for part in back.parts[:9]}) == 9
-    assert back.parts[9].material == back.parts[0].material
+    reread = load_mesh(tmp_path / "a.obj")
+    assert [look[3:] for look in materials_of(reread)] == [look[3:] for look in materials_of(mesh)]
+    assert reread.parts[10].material.name == "default"  # no statement ends a material in an OBJ
+    assert len({part.material.name.lower() for part in reread.parts[:9]}) == 9
+    assert reread.parts[9].material == reread.parts[0].material
 
 
-def test_new_files_of_a_nasty_mesh_are_what_trimesh_reads(tmp_path):
+def test_new_files_of_an_unusual_mesh_are_read_by_trimesh(tmp_path):
     mesh = load_mesh(samples.hero().glb(tmp_path / "a.glb"))
     for suffix in ("obj", "off", "stl", "ply"):
         save_mesh(mesh, tmp_path / f"{FOLDER}.{suffix}")
@@ -84,7 +84,7 @@ def test_new_files_of_a_nasty_mesh_are_what_trimesh_reads(tmp_path):
         assert np.allclose(*soups, rtol=1e-6, atol=1e-5)
 
 
-def test_the_picture_of_a_ply_may_be_called_anything(tmp_path):
+def test_ply_texture_file_may_have_any_name(tmp_path):
     name = "a  skin  von größe 2.png"
     (tmp_path / name).write_bytes(samples.png())
     header = f"ply\nformat ascii 1.0\ncomment TextureFile {name}\nelement vertex 3\n"
@@ -100,8 +100,8 @@ def test_the_picture_of_a_ply_may_be_called_anything(tmp_path):
 
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"], ids=["LF", "CRLF", "CR"])
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_a_binary_body_may_begin_with_a_line_feed(order, end, tmp_path):
-    """Whatever ends the lines of the header, the first byte after it belongs to the body."""
+def test_binary_ply_body_may_begin_with_a_line_feed(order, end, tmp_path):
+    """The first byte after the header belongs to the body, whichever line end the header has."""
     encoding = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     lines = ["ply", f"format {encoding} 1.0", "element mark 1", "property uchar first", "element vertex 3"]
     lines += [*(f"property double {axis}" for axis in "xyz"), "end_header", ""]
@@ -115,7 +115,7 @@ def test_a_binary_body_may_begin_with_a_line_feed(order, end, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "off", "stl", "npz", "glb", "gltf"])
-def test_names_as_long_as_the_system_allows(suffix, tmp_path):
+def test_file_names_of_maximal_length_are_written(suffix, tmp_path):
     name = "大" * 80 + f".{suffix}"  # 240 bytes and the suffix
     save_mesh(zoo.cube(), tmp_path / name)
     mesh = load_mesh(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Marker files: pairs of whole numbers, comments, and every mistake told by its line."""
+"""Marker files: pairs of whole numbers, comments, and mistakes reported with their line."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from mimesh.core.errors import InputError
 from mimesh.io.markers import load_markers
 
 
-def test_pairs_and_comments(tmp_path):
+def test_pairs_are_read_and_comments_skipped(tmp_path):
     path = tmp_path / "five.txt"
     path.write_text("# identity driving\n3 5  # nose\n\n 10\t0\r\n")
     assert np.array_equal(load_markers(path), [[3, 5], [10, 0]])
@@ -24,13 +24,13 @@ def test_pairs_and_comments(tmp_path):
         ("", "found no line"),
     ],
 )
-def test_mistakes_are_told(tmp_path, text, message):
+def test_mistakes_name_their_line(tmp_path, text, message):
     path = tmp_path / "bad.txt"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
         load_markers(path)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_missing_marker_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="found none"):
         load_markers(tmp_path / "none.txt")

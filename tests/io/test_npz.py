@@ -1,11 +1,11 @@
-"""NumPy archives: meshes and clips, other names for the arrays, and no pickles."""
+"""NumPy archives: meshes and clips, alternative array names, and no pickled objects."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 import zoo
-from nasty import bent
+from nasty import bend
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -15,31 +15,31 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 @pytest.mark.parametrize("make", zoo.ZOO)
 def test_mesh_round_trip_is_exact(make, tmp_path):
     save_mesh(make(), tmp_path / "a.npz")
-    back = load_mesh(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, make().vertices)
-    np.testing.assert_array_equal(back.faces, make().faces)
+    reread = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, make().vertices)
+    np.testing.assert_array_equal(reread.faces, make().faces)
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_clip_round_trip_is_exact(dtype, tmp_path):
     mesh = zoo.cube()
-    frames = np.stack([mesh.vertices, bent(mesh.vertices)]).astype(dtype)
+    frames = np.stack([mesh.vertices, bend(mesh.vertices)]).astype(dtype)
     save_clip(Clip(mesh, frames, 12.5), tmp_path / "a.npz")
-    back = load_clip(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, frames)
-    np.testing.assert_array_equal(back.mesh.faces, mesh.faces)
-    assert (back.fps, back.vertices.dtype) == (12.5, dtype)
+    reread = load_clip(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, frames)
+    np.testing.assert_array_equal(reread.mesh.faces, mesh.faces)
+    assert (reread.fps, reread.vertices.dtype) == (12.5, dtype)
     assert load_clip(tmp_path / "a.npz", fps=60.0).fps == 60
 
 
 @pytest.mark.parametrize("vertices", ["vertices", "v", "verts", "points"])
 @pytest.mark.parametrize("faces", ["faces", "f", "triangles"])
-def test_other_names_of_the_arrays(vertices, faces, tmp_path):
+def test_alternative_array_names_are_read(vertices, faces, tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", **{vertices: mesh.vertices, faces: mesh.faces.astype(np.uint16)})
-    back = load_mesh(tmp_path / "a.npz")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    reread = load_mesh(tmp_path / "a.npz")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
     assert load_clip(tmp_path / "a.npz").vertices.shape == (1, 8, 3)
     assert load_clip(tmp_path / "a.npz").fps == 30
 
@@ -49,31 +49,31 @@ def test_quads_become_triangles(tmp_path):
     np.testing.assert_array_equal(load_mesh(tmp_path / "a.npz").faces, [[0, 2, 3], [0, 3, 1]])
 
 
-def test_moving_keeps_every_other_array_the_shape_and_the_type(tmp_path):
+def test_moved_points_keep_shape_type_and_other_arrays(tmp_path):
     mesh = zoo.cube()
     secret = np.array([{"a": 1}], dtype=object)
     np.savez(
         tmp_path / "a.npz", points=mesh.vertices[None].astype(np.float32), f=mesh.faces, notes=secret, weights=np.eye(8)
     )
     loaded = load_mesh(tmp_path / "a.npz")
-    save_mesh(loaded.with_vertices(bent(loaded.vertices)), tmp_path / "b.npz")
-    with np.load(tmp_path / "b.npz", allow_pickle=True) as back:
-        assert back.files == ["points", "f", "notes", "weights"]
-        assert (back["points"].shape, back["points"].dtype) == ((1, 8, 3), np.float32)
-        np.testing.assert_array_equal(back["points"][0], bent(mesh.vertices).astype(np.float32))
-        np.testing.assert_array_equal(back["weights"], np.eye(8))
-        assert back["notes"][0] == {"a": 1}
+    save_mesh(loaded.with_vertices(bend(loaded.vertices)), tmp_path / "b.npz")
+    with np.load(tmp_path / "b.npz", allow_pickle=True) as reread:
+        assert reread.files == ["points", "f", "notes", "weights"]
+        assert (reread["points"].shape, reread["points"].dtype) == ((1, 8, 3), np.float32)
+        np.testing.assert_array_equal(reread["points"][0], bend(mesh.vertices).astype(np.float32))
+        np.testing.assert_array_equal(reread["weights"], np.eye(8))
+        assert reread["notes"][0] == {"a": 1}
 
 
-def test_moved_points_of_whole_numbers_keep_their_fractions(tmp_path):
+def test_moved_integer_points_become_floats(tmp_path):
     mesh = zoo.cube()
     np.savez(tmp_path / "a.npz", vertices=(10 * mesh.vertices).astype(np.int16), faces=mesh.faces)
-    moved = bent(load_mesh(tmp_path / "a.npz").vertices)
+    moved = bend(load_mesh(tmp_path / "a.npz").vertices)
     save_mesh(load_mesh(tmp_path / "a.npz").with_vertices(moved), tmp_path / "b.npz")
     np.testing.assert_array_equal(load_mesh(tmp_path / "b.npz").vertices, moved)
 
 
-def test_a_pickle_is_never_opened(tmp_path):
+def test_pickled_arrays_are_never_loaded(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.array([[0, 0, None]], dtype=object))
     with pytest.raises(InputError, match="expected a NumPy archive of plain arrays"):
         load_mesh(tmp_path / "a.npz")
@@ -90,13 +90,13 @@ def test_a_pickle_is_never_opened(tmp_path):
         ({"vertices": np.stack([np.eye(3)] * 2)}, "found a clip of 2 frames"),
     ],
 )
-def test_wrong_arrays_are_named(arrays, message, tmp_path):
+def test_invalid_arrays_are_explained(arrays, message, tmp_path):
     np.savez(tmp_path / "a.npz", **arrays)
     with pytest.raises(InputError, match=message):
         load_mesh(tmp_path / "a.npz")
 
 
-def test_a_clip_without_frames_is_refused(tmp_path):
+def test_clip_without_frames_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=np.zeros((0, 4, 3)))
     with pytest.raises(InputError, match="expected at least one frame, found none"):
         load_clip(tmp_path / "a.npz")

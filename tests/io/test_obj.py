@@ -1,4 +1,4 @@
-"""OBJ: the identity's file comes back unharmed, and any mesh can be written anew."""
+"""OBJ: a file is written again with only points and normals changed, and any mesh as a new file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from nasty import (
     CUBE_SHARED_NORMALS,
     NASTY_OBJ,
     SHEETS_SHARED_NORMALS,
-    bent,
+    bend,
     naive_obj,
     rotation,
     triangle_soup,
@@ -36,16 +36,16 @@ def obj(request, tmp_path):
     return path
 
 
-def kept_lines(data: bytes, *keywords: bytes) -> list[bytes]:
-    """The lines that begin with none of the keywords; a continued line is one with the next."""
+def lines_without(data: bytes, *keywords: bytes) -> list[bytes]:
+    """Return the lines that begin with none of the keywords; a continued line is joined with the next."""
     lines = re.sub(rb"(?<!twice )\\\r?\n", b"\\\\", data).splitlines(keepends=True)
     return [line for line in lines if (line.split() or [b""])[0] not in keywords]
 
 
-def move(source, target):
-    """Bend the mesh of a file, save it, and return it as it was, as it was saved, and as it is read again."""
+def bend_and_save(source, target):
+    """Bend the mesh of a file and save it; return the original mesh, the bent mesh and the mesh read again."""
     mesh = load_mesh(source)
-    moved = mesh.with_vertices(bent(mesh.vertices))
+    moved = mesh.with_vertices(bend(mesh.vertices))
     save_mesh(moved, target)
     return mesh, moved, load_mesh(target)
 
@@ -55,58 +55,58 @@ def test_unmoved_mesh_gives_the_same_bytes(obj, tmp_path):
     assert (tmp_path / "out" / "same.obj").read_bytes() == obj.read_bytes()
 
 
-def test_a_rigid_move_changes_nothing_but_points_and_normals(obj, tmp_path):
+def test_rigid_motion_changes_only_points_and_normals(obj, tmp_path):
     mesh = load_mesh(obj)
     save_mesh(mesh.with_vertices(mesh.vertices @ rotation().T + 5), tmp_path / "b.obj")
-    before, after = (kept_lines(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
+    before, after = (lines_without(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
     assert after == before
 
 
-def test_bending_changes_normal_indices_too_where_one_vn_line_served_several_corners(obj, tmp_path):
-    move(obj, tmp_path / "b.obj")
-    before, after = (kept_lines(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
+def test_bending_changes_normal_indices_where_corners_share_a_vn(obj, tmp_path):
+    bend_and_save(obj, tmp_path / "b.obj")
+    before, after = (lines_without(path.read_bytes(), b"v", b"vn") for path in (obj, tmp_path / "b.obj"))
     assert after != before
     assert [re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in after] == [
         re.sub(rb"(\d/\d*/)-?\d+", rb"\1", line) for line in before
     ]
 
 
-def test_bending_a_smooth_mesh_changes_nothing_but_points_and_normals(tmp_path):
+def test_bending_a_smooth_mesh_changes_only_points_and_normals(tmp_path):
     grid = zoo.grid()
     normals = vertex_normals(grid.vertices + np.random.default_rng(0).normal(size=(25, 3)), grid.faces)
     save_mesh(dataclasses.replace(grid, corner_normals=normals[grid.faces]), tmp_path / "a.obj")
-    move(tmp_path / "a.obj", tmp_path / "b.obj")
+    bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
     before, after = ((tmp_path / name).read_bytes() for name in ("a.obj", "b.obj"))
-    assert kept_lines(before, b"v", b"vn") == kept_lines(after, b"v", b"vn")
-    assert kept_lines(before, b"v") != kept_lines(after, b"v")
+    assert lines_without(before, b"v", b"vn") == lines_without(after, b"v", b"vn")
+    assert lines_without(before, b"v") != lines_without(after, b"v")
 
 
 def test_moved_points_read_back_exactly(obj, tmp_path):
-    mesh, moved, back = move(obj, tmp_path / "moved.obj")
-    np.testing.assert_array_equal(back.vertices, moved.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    assert back.parts == mesh.parts
+    mesh, moved, reread = bend_and_save(obj, tmp_path / "moved.obj")
+    np.testing.assert_array_equal(reread.vertices, moved.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
+    assert reread.parts == mesh.parts
     if mesh.corner_uv is not None:
-        np.testing.assert_array_equal(back.corner_uv, mesh.corner_uv)
+        np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv)
 
 
 def test_written_normals_are_those_of_the_moved_mesh(obj, tmp_path):
-    mesh, moved, _ = move(obj, tmp_path / "moved.obj")
-    _, polygons, given = naive_obj((tmp_path / "moved.obj").read_bytes())
-    assert given.keys() == naive_obj(obj.read_bytes())[2].keys()
+    mesh, moved, _ = bend_and_save(obj, tmp_path / "moved.obj")
+    _, polygons, file_normals = naive_obj((tmp_path / "moved.obj").read_bytes())
+    assert file_normals.keys() == naive_obj(obj.read_bytes())[2].keys()
     checked = 0
     for face, polygon in enumerate(triangles_of(polygons)[1]):
         for corner, vertex in enumerate(mesh.faces[face]):
-            if (polygon, vertex) in given:
-                np.testing.assert_allclose(given[polygon, vertex], moved.corner_normals[face, corner], atol=3e-6)
+            if (polygon, vertex) in file_normals:
+                np.testing.assert_allclose(file_normals[polygon, vertex], moved.corner_normals[face, corner], atol=3e-6)
                 checked += 1
     assert checked >= 12
 
 
-def test_a_shared_normal_is_split_and_only_normal_indices_of_faces_change(tmp_path):
+def test_shared_normal_is_split_and_only_normal_indices_change(tmp_path):
     (tmp_path / "a.obj").write_bytes(SHEETS_SHARED_NORMALS)
-    move(tmp_path / "a.obj", tmp_path / "b.obj")
-    before, after = (kept_lines((tmp_path / name).read_bytes(), b"v", b"vn") for name in ("a.obj", "b.obj"))
+    bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
+    before, after = (lines_without((tmp_path / name).read_bytes(), b"v", b"vn") for name in ("a.obj", "b.obj"))
     corners = [[re.sub(rb"//-?\d+", b"//", line, count=3) for line in lines] for lines in (before, after)]
     assert corners[0] == corners[1]
     assert before != after
@@ -117,7 +117,7 @@ def test_a_shared_normal_is_split_and_only_normal_indices_of_faces_change(tmp_pa
     assert max(used) <= words[:first_face].count(b"vn"), "a face refers to a normal that comes later"
 
 
-def test_a_rigid_move_turns_the_shared_normals_of_a_cube_in_place(tmp_path):
+def test_rigid_motion_rotates_shared_normals_in_place(tmp_path):
     (tmp_path / "cube.obj").write_bytes(CUBE_SHARED_NORMALS)
     mesh = load_mesh(tmp_path / "cube.obj")
     turn = rotation()
@@ -130,7 +130,7 @@ def test_a_rigid_move_turns_the_shared_normals_of_a_cube_in_place(tmp_path):
         atol=1e-5,
     )
     text = (tmp_path / "turned.obj").read_bytes()
-    assert kept_lines(text, b"v", b"vn") == kept_lines(CUBE_SHARED_NORMALS, b"v", b"vn")
+    assert lines_without(text, b"v", b"vn") == lines_without(CUBE_SHARED_NORMALS, b"v", b"vn")
 
 
 def test_unmoved_vertices_keep_their_text_and_colours_stay(tmp_path):
@@ -150,12 +150,14 @@ def test_permuting_the_file_permutes_the_mesh(tmp_path):
     order = np.random.default_rng(3).permutation(8)
     save_mesh(permute_vertices(mesh, order), tmp_path / "permuted.obj")
     save_mesh(mesh, tmp_path / "plain.obj")
-    back = load_mesh(tmp_path / "permuted.obj")
-    np.testing.assert_array_equal(back.vertices, load_mesh(tmp_path / "plain.obj").vertices[order])
-    np.testing.assert_array_equal(triangle_soup(back.vertices, back.faces), triangle_soup(mesh.vertices, mesh.faces))
+    reread = load_mesh(tmp_path / "permuted.obj")
+    np.testing.assert_array_equal(reread.vertices, load_mesh(tmp_path / "plain.obj").vertices[order])
+    np.testing.assert_array_equal(
+        triangle_soup(reread.vertices, reread.faces), triangle_soup(mesh.vertices, mesh.faces)
+    )
 
 
-def test_reading_agrees_with_a_naive_reader_and_with_trimesh(obj):
+def test_mesh_equals_that_of_a_naive_reader_and_of_trimesh(obj):
     mesh = load_mesh(obj)
     vertices, polygons, _ = naive_obj(obj.read_bytes())
     np.testing.assert_array_equal(mesh.vertices, vertices)
@@ -163,30 +165,30 @@ def test_reading_agrees_with_a_naive_reader_and_with_trimesh(obj):
 
 
 @pytest.mark.parametrize("name", ["cube", "sheets"])
-def test_trimesh_reads_the_moved_file_as_we_do(name, tmp_path):
+def test_trimesh_reads_the_moved_file_equally(name, tmp_path):
     (tmp_path / "a.obj").write_bytes(FILES[name].replace(b"# 5//2", b""))
-    _, _, back = move(tmp_path / "a.obj", tmp_path / "b.obj")
+    _, _, reread = bend_and_save(tmp_path / "a.obj", tmp_path / "b.obj")
     other = trimesh.load(tmp_path / "b.obj", process=False, force="mesh")
-    area = np.linalg.norm(face_vectors(back.vertices, back.faces), axis=1).sum() / 2
-    assert len(other.faces) == len(back.faces)
+    area = np.linalg.norm(face_vectors(reread.vertices, reread.faces), axis=1).sum() / 2
+    assert len(other.faces) == len(reread.faces)
     if name == "cube":  # trimesh cuts bent quads along the other diagonal at times
         np.testing.assert_allclose(
-            sorted(set(map(tuple, np.round(other.vertices, 5)))), sorted(map(tuple, np.round(back.vertices, 5)))
+            sorted(set(map(tuple, np.round(other.vertices, 5)))), sorted(map(tuple, np.round(reread.vertices, 5)))
         )
     else:
         assert np.isclose(other.area, area)
 
 
-def test_old_mac_line_ends_and_a_byte_order_mark_survive(tmp_path):
+def test_cr_line_ends_and_byte_order_mark_are_kept(tmp_path):
     data = b"\xef\xbb\xbf" + CUBE_SHARED_NORMALS.split(b"\n", 1)[1].replace(b"\n", b"\r")
     (tmp_path / "mac.obj").write_bytes(data)
-    mesh, moved, back = move(tmp_path / "mac.obj", tmp_path / "moved.obj")
+    mesh, moved, reread = bend_and_save(tmp_path / "mac.obj", tmp_path / "moved.obj")
     assert len(mesh.vertices) == 8
-    np.testing.assert_array_equal(back.vertices, moved.vertices)
+    np.testing.assert_array_equal(reread.vertices, moved.vertices)
     assert (tmp_path / "moved.obj").read_bytes().startswith(b"\xef\xbb\xbfv ")
 
 
-def test_looks_of_the_nasty_file(tmp_path):
+def test_parts_and_uv_of_the_unusual_file(tmp_path):
     (tmp_path / "a.obj").write_bytes(NASTY_OBJ)
     mesh = load_mesh(tmp_path / "a.obj")
     runs = [(part.name, part.material and part.material.name, part.start, part.stop) for part in mesh.parts]
@@ -217,14 +219,14 @@ def painted(tmp_path):
     return folder / "house.obj"
 
 
-def test_materials_come_from_the_library(painted):
+def test_materials_are_read_from_the_library(painted):
     brick, plaster = (load_mesh(painted).parts[k].material for k in (0, 1))
     assert brick.base_color == (0.5, 0.25, 0.125, 0.75)
     assert brick.texture == (painted.parent / "maps" / "red wall.png").read_bytes()
     assert plaster.base_color == (0.8, 0.8, 0.8, 0.5)
 
 
-def test_library_and_images_are_copied_beside_the_output_and_never_overwrite(painted, tmp_path):
+def test_library_and_images_are_copied_without_overwriting(painted, tmp_path):
     out = tmp_path / "deep" / "out"
     out.mkdir(parents=True)
     (out / "my looks.mtl").write_text("mine")
@@ -237,23 +239,23 @@ def test_library_and_images_are_copied_beside_the_output_and_never_overwrite(pai
     assert load_mesh(out / "moved.obj").parts[0] == load_mesh(painted).parts[0]
 
 
-def test_a_missing_library_costs_the_looks_and_not_the_mesh(tmp_path):
+def test_mesh_is_read_without_its_missing_library(tmp_path):
     (tmp_path / "a.obj").write_bytes(NASTY_OBJ)
     assert load_mesh(tmp_path / "a.obj").parts[0].material == Material("Brick")
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew_and_read_back_exactly(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back_exactly(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.obj")
-    back = load_mesh(tmp_path / "new.obj")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    reread = load_mesh(tmp_path / "new.obj")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
 
 
 @pytest.mark.parametrize("with_uv", [False, True])
 @pytest.mark.parametrize("with_normals", [False, True])
-def test_corner_data_and_parts_are_written_anew(with_uv, with_normals, tmp_path):
+def test_new_file_keeps_corner_data_and_parts(with_uv, with_normals, tmp_path):
     texture = tmp_path / "t.png"
     Image.new("RGB", (1, 1)).save(texture)
     cube = zoo.cube()
@@ -267,15 +269,15 @@ def test_corner_data_and_parts_are_written_anew(with_uv, with_normals, tmp_path)
         parts=(Part("low", 0, 4, red), Part("high", 4, 12, Material("b"))),
     )
     save_mesh(mesh, tmp_path / "out" / "cube.obj")
-    back = load_mesh(tmp_path / "out" / "cube.obj")
-    assert [(p.name, p.start, p.stop) for p in back.parts] == [("low", 0, 4), ("high", 4, 12)]
-    assert back.parts[0].material == dataclasses.replace(red, name="deep_red")
+    reread = load_mesh(tmp_path / "out" / "cube.obj")
+    assert [(p.name, p.start, p.stop) for p in reread.parts] == [("low", 0, 4), ("high", 4, 12)]
+    assert reread.parts[0].material == dataclasses.replace(red, name="deep_red")
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["cube.mtl", "cube.obj", "cube_deep_red.png"]
-    assert (back.corner_uv is not None, back.corner_normals is not None) == (with_uv, with_normals)
+    assert (reread.corner_uv is not None, reread.corner_normals is not None) == (with_uv, with_normals)
     if with_uv:
-        np.testing.assert_array_equal(back.corner_uv, mesh.corner_uv)
+        np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv)
     if with_normals:
-        np.testing.assert_allclose(back.corner_normals, mesh.corner_normals, atol=2e-6)
+        np.testing.assert_allclose(reread.corner_normals, mesh.corner_normals, atol=2e-6)
     other = trimesh.load(tmp_path / "out" / "cube.obj", process=False, force="mesh")
     np.testing.assert_array_equal(triangle_soup(other.vertices, other.faces), triangle_soup(mesh.vertices, mesh.faces))
 

@@ -1,4 +1,4 @@
-"""OFF: polygons, colours and comments stay, points move."""
+"""OFF: a file is written again with only points and vertex normals changed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import bent, fan_triangles, rotation, triangle_soup
+from nasty import bend, fan_triangles, rotation, triangle_soup
 
 from mimesh.io import load_mesh, save_mesh
 
@@ -44,10 +44,10 @@ def test_unmoved_mesh_gives_the_same_bytes(off, tmp_path):
 
 def test_moved_points_read_back_exactly_and_faces_stay(off, tmp_path):
     mesh = load_mesh(off)
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.off")
-    back = load_mesh(tmp_path / "b.off")
-    np.testing.assert_array_equal(back.vertices, bent(mesh.vertices))
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.off")
+    reread = load_mesh(tmp_path / "b.off")
+    np.testing.assert_array_equal(reread.vertices, bend(mesh.vertices))
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
 
 
 def test_only_coordinates_change(tmp_path):
@@ -63,7 +63,7 @@ def test_only_coordinates_change(tmp_path):
     assert (tmp_path / "b.off").read_bytes() == expected.replace(b"0\t1 0", b"0.25\t1.25 0.25")
 
 
-def test_vertex_normals_turn_with_the_surface(tmp_path):
+def test_vertex_normals_rotate_with_the_surface(tmp_path):
     (tmp_path / "a.off").write_bytes(NORMALS)
     mesh = load_mesh(tmp_path / "a.off")
     save_mesh(mesh.with_vertices(mesh.vertices @ rotation().T), tmp_path / "b.off")
@@ -72,12 +72,12 @@ def test_vertex_normals_turn_with_the_surface(tmp_path):
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew_and_read_back_exactly(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back_exactly(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.off")
-    back = load_mesh(tmp_path / "new.off")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    reread = load_mesh(tmp_path / "new.off")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
     if len(mesh.faces):
         other = trimesh.load(tmp_path / "new.off", process=False)
         np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""PLY in three encodings: everything but the points comes back byte by byte."""
+"""PLY in three encodings: a file is written again with all bytes but those of points and normals unchanged."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import bent, fan_triangles, rotation, triangle_soup
+from nasty import bend, fan_triangles, rotation, triangle_soup
 from PIL import Image
 
 from mimesh.core.geometry import vertex_normals
@@ -44,7 +44,7 @@ def encode_row(encoding: str, properties: list[str], row: tuple, end: str) -> by
 
 
 def everything(encoding: str, end: str = "\n", polygons=POLYGONS, coordinate: str = "float", index: str = "uchar int"):
-    """A cube with all that PLY files carry, and more: an element before the vertices, lists in odd places, an edge."""
+    """Build a cube with every feature of PLY: an element before the vertices, lists of several types, an edge."""
     cube = zoo.cube()
     normals = cube.vertices - 0.5
     vertices = [
@@ -62,7 +62,7 @@ def everything(encoding: str, end: str = "\n", polygons=POLYGONS, coordinate: st
             ("face", ["uchar flag", f"list {index} vertex_indices", "list uchar float texcoord", "char q"], faces),
             ("edge", ["uint32 a", "ushort b"], [(0, 1), (70000, 2)]),
         ],
-        ("comment made by hand", "obj_info and told"),
+        ("comment made by hand", "obj_info and more"),
         end,
     )
 
@@ -79,7 +79,7 @@ def test_unmoved_mesh_gives_the_same_bytes(ply, tmp_path):
     assert (tmp_path / "same.ply").read_bytes() == ply.read_bytes()
 
 
-def test_reading_takes_points_polygons_normals_and_texture_coordinates(ply):
+def test_points_polygons_normals_and_uv_are_read(ply):
     mesh = load_mesh(ply)
     np.testing.assert_array_equal(mesh.vertices, zoo.cube().vertices / 4)
     np.testing.assert_array_equal(mesh.faces, [t for polygon in POLYGONS for t in fan_triangles(list(polygon))])
@@ -87,23 +87,23 @@ def test_reading_takes_points_polygons_normals_and_texture_coordinates(ply):
     np.testing.assert_array_equal(mesh.corner_uv[1], [[0, 1 / 8], [4 / 8, 5 / 8], [6 / 8, 7 / 8]])
 
 
-def test_moving_replaces_points_and_normals_and_nothing_else(ply, tmp_path):
+def test_moved_mesh_changes_only_points_and_normals(ply, tmp_path):
     mesh = load_mesh(ply)
     turned = mesh.with_vertices(mesh.vertices @ rotation().T)
     save_mesh(turned, tmp_path / "turned.ply")
-    back = load_mesh(tmp_path / "turned.ply")
-    np.testing.assert_array_equal(back.vertices.astype(np.float32), turned.vertices.astype(np.float32))
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    np.testing.assert_allclose(back.corner_normals, turned.corner_normals, atol=1e-6)
-    # Put the old numbers into the new file: if nothing else changed, that is the old file again (up to number texts).
-    again = dataclasses.replace(back, vertices=mesh.vertices, corner_normals=mesh.corner_normals)
-    save_mesh(again, tmp_path / "restored.ply")
+    reread = load_mesh(tmp_path / "turned.ply")
+    np.testing.assert_array_equal(reread.vertices.astype(np.float32), turned.vertices.astype(np.float32))
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
+    np.testing.assert_allclose(reread.corner_normals, turned.corner_normals, atol=1e-6)
+    # Put the old numbers into the new file: if nothing else changed, that is the old file (up to number texts).
+    restored = dataclasses.replace(reread, vertices=mesh.vertices, corner_normals=mesh.corner_normals)
+    save_mesh(restored, tmp_path / "restored.ply")
     before, after = (masked(path.read_bytes()) for path in (ply, tmp_path / "restored.ply"))
     assert after == before
 
 
 def masked(data: bytes) -> list:
-    """The values of a file of `everything`, its unit normals left out: header, and words or bytes."""
+    """Return the header and the words or bytes of a file of `everything`, without its unit normals."""
     header, _, body = data.partition(b"end_header")
     if b"ascii" in header:
         rows = [line.split(b" ") for line in body.splitlines(keepends=True)]
@@ -116,13 +116,13 @@ def masked(data: bytes) -> list:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_moved_points_are_what_trimesh_reads(encoding, tmp_path):
+def test_trimesh_reads_the_moved_points(encoding, tmp_path):
     triangles = [tuple(face) for face in zoo.cube().faces.tolist()]
     (tmp_path / "a.ply").write_bytes(plain(encoding, triangles))
     mesh = load_mesh(tmp_path / "a.ply")
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.ply")
     other = trimesh.load(tmp_path / "b.ply", process=False)
-    np.testing.assert_allclose(other.vertices, bent(mesh.vertices), rtol=1e-6)
+    np.testing.assert_allclose(other.vertices, bend(mesh.vertices), rtol=1e-6)
     np.testing.assert_array_equal(other.faces, mesh.faces)
 
 
@@ -136,7 +136,7 @@ def plain(
 @pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize("index", ["uchar int", "int uint32", "ushort short", "char uchar"])
 @pytest.mark.parametrize("polygons", [POLYGONS, POLYGONS[3:], [*POLYGONS, (), (0,)]], ids=["mixed", "quads", "short"])
-def test_every_count_and_index_type(encoding, index, polygons, tmp_path):
+def test_every_count_and_index_type_is_read(encoding, index, polygons, tmp_path):
     (tmp_path / "a.ply").write_bytes(plain(encoding, polygons, index=index))
     mesh = load_mesh(tmp_path / "a.ply")
     np.testing.assert_array_equal(mesh.faces, [t for p in polygons for t in fan_triangles(list(p))])
@@ -148,8 +148,8 @@ def test_every_count_and_index_type(encoding, index, polygons, tmp_path):
 def test_doubles_read_back_exactly(encoding, tmp_path):
     (tmp_path / "a.ply").write_bytes(plain(encoding, POLYGONS, coordinate="double"))
     mesh = load_mesh(tmp_path / "a.ply")
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
-    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bent(mesh.vertices))
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.ply")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bend(mesh.vertices))
 
 
 def test_ascii_keeps_spacing_and_the_text_of_unmoved_vertices(tmp_path):
@@ -167,17 +167,17 @@ def test_ascii_keeps_spacing_and_the_text_of_unmoved_vertices(tmp_path):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_point_cloud_without_faces(encoding, tmp_path):
+def test_file_without_faces_is_a_point_cloud(encoding, tmp_path):
     rows = [tuple(row) for row in zoo.point_cloud().vertices.round(3).tolist()]
     (tmp_path / "a.ply").write_bytes(encode(encoding, [("vertex", ["double x", "double y", "double z"], rows)]))
     mesh = load_mesh(tmp_path / "a.ply")
     assert mesh.faces.shape == (0, 3)
     np.testing.assert_allclose(mesh.vertices, rows, atol=1e-5)
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
-    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bent(mesh.vertices))
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.ply")
+    np.testing.assert_array_equal(load_mesh(tmp_path / "b.ply").vertices, bend(mesh.vertices))
 
 
-def test_vertex_normals_follow_the_surface(tmp_path):
+def test_vertex_normals_rotate_with_the_surface(tmp_path):
     grid = zoo.grid()
     normals = vertex_normals(grid.vertices, grid.faces)
     rows = [(*v, *n) for v, n in zip(grid.vertices.tolist(), normals.tolist(), strict=True)]
@@ -186,12 +186,14 @@ def test_vertex_normals_follow_the_surface(tmp_path):
     data = encode("binary_big_endian", [("vertex", properties, rows), ("face", ["list uchar int vertex_index"], faces)])
     (tmp_path / "a.ply").write_bytes(data)
     mesh = load_mesh(tmp_path / "a.ply")
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.ply")
-    back = load_mesh(tmp_path / "b.ply")
-    np.testing.assert_allclose(back.corner_normals, vertex_normals(back.vertices, back.faces)[back.faces], atol=1e-12)
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.ply")
+    reread = load_mesh(tmp_path / "b.ply")
+    np.testing.assert_allclose(
+        reread.corner_normals, vertex_normals(reread.vertices, reread.faces)[reread.faces], atol=1e-12
+    )
 
 
-def test_texture_and_texture_coordinates_per_vertex(tmp_path):
+def test_texture_and_uv_per_vertex_are_read(tmp_path):
     Image.new("RGB", (1, 1)).save(tmp_path / "skin.png")
     rows = [(*v, *v[:2]) for v in zoo.cube().vertices.tolist()]
     properties = [f"float {name}" for name in ("x", "y", "z", "s", "t")]
@@ -207,16 +209,16 @@ def test_texture_and_texture_coordinates_per_vertex(tmp_path):
 
 @pytest.mark.parametrize("with_uv", [False, True])
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_any_mesh_is_written_anew(make, with_uv, tmp_path):
+def test_new_file_of_any_mesh_reads_back(make, with_uv, tmp_path):
     mesh = make()
     if with_uv:
         mesh = dataclasses.replace(mesh, corner_uv=mesh.vertices[mesh.faces][..., :2])
     save_mesh(mesh, tmp_path / "new.ply")
-    back = load_mesh(tmp_path / "new.ply")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices.astype(np.float32))
-    np.testing.assert_array_equal(back.faces, mesh.faces)
+    reread = load_mesh(tmp_path / "new.ply")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices.astype(np.float32))
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
     if with_uv and len(mesh.faces):
-        np.testing.assert_array_equal(back.corner_uv, mesh.corner_uv.astype(np.float32))
+        np.testing.assert_array_equal(reread.corner_uv, mesh.corner_uv.astype(np.float32))
     if len(mesh.faces):
         other = trimesh.load(tmp_path / "new.ply", process=False)
         np.testing.assert_array_equal(

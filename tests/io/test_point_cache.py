@@ -1,11 +1,11 @@
-"""PC2, MDD and NPY: points come back exactly, with the mesh beside them; damage and strangers are refused."""
+"""PC2, MDD and NPY: points round trip exactly with the mesh beside them; damaged or unrelated files are refused."""
 
 import struct
 
 import numpy as np
 import pytest
 import zoo
-from nasty import bent
+from nasty import bend
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -16,22 +16,22 @@ SUFFIXES = (".pc2", ".mdd", ".npy")
 
 def clip(frames: int = 5, fps: float = 24.0) -> Clip:
     mesh = zoo.cube()
-    points = np.stack([mesh.vertices + t * bent(mesh.vertices) / 7 for t in range(frames)]).astype(np.float32)
+    points = np.stack([mesh.vertices + t * bend(mesh.vertices) / 7 for t in range(frames)]).astype(np.float32)
     return Clip(mesh, points, fps)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_points_and_faces_come_back(suffix, tmp_path):
+def test_points_and_faces_round_trip(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"walk{suffix}")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(["walk.obj", f"walk{suffix}"])
-    back = load_clip(tmp_path / f"walk{suffix}", fps=None)
-    np.testing.assert_array_equal(back.vertices, clip().vertices)
-    np.testing.assert_array_equal(back.mesh.faces, clip().mesh.faces)
-    assert (back.fps, back.vertices.dtype) == (24.0 if suffix == ".mdd" else 30.0, np.float32)
+    reread = load_clip(tmp_path / f"walk{suffix}", fps=None)
+    np.testing.assert_array_equal(reread.vertices, clip().vertices)
+    np.testing.assert_array_equal(reread.mesh.faces, clip().mesh.faces)
+    assert (reread.fps, reread.vertices.dtype) == (24.0 if suffix == ".mdd" else 30.0, np.float32)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_without_a_mesh_beside_it_is_a_point_cloud(suffix, tmp_path):
+def test_cache_without_a_mesh_is_a_point_cloud(suffix, tmp_path):
     save_clip(clip(1), tmp_path / f"a{suffix}")
     (tmp_path / "a.obj").unlink()
     mesh = load_mesh(tmp_path / f"a{suffix}")
@@ -40,7 +40,7 @@ def test_without_a_mesh_beside_it_is_a_point_cloud(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_strange_mesh_beside_it_is_refused(suffix, tmp_path):
+def test_mesh_of_another_vertex_count_is_refused(suffix, tmp_path):
     save_mesh(zoo.grid(2), tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"expected a\.obj to be the mesh it belongs to"):
         save_clip(clip(), tmp_path / f"a{suffix}")
@@ -51,7 +51,7 @@ def test_a_strange_mesh_beside_it_is_refused(suffix, tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_the_mesh_that_lies_there_already_is_left_alone(suffix, tmp_path):
+def test_existing_mesh_is_not_overwritten(suffix, tmp_path):
     save_mesh(clip().mesh, tmp_path / "a.obj")
     text = (tmp_path / "a.obj").read_text() + "# mine\n"
     (tmp_path / "a.obj").write_text(text)
@@ -59,16 +59,16 @@ def test_the_mesh_that_lies_there_already_is_left_alone(suffix, tmp_path):
     assert (tmp_path / "a.obj").read_text() == text
 
 
-def test_mdd_is_sampled_at_another_rate(tmp_path):
+def test_mdd_is_resampled_at_another_rate(tmp_path):
     save_clip(clip(fps=10.0), tmp_path / "a.mdd")
-    back = load_clip(tmp_path / "a.mdd", fps=20.0)
-    given = clip().vertices.astype(float)
-    assert (len(back), back.fps) == (9, 20.0)
-    np.testing.assert_allclose(back.vertices[::2], given, atol=1e-6)
-    np.testing.assert_allclose(back.vertices[1::2], (given[1:] + given[:-1]) / 2, atol=1e-6)
+    reread = load_clip(tmp_path / "a.mdd", fps=20.0)
+    frames = clip().vertices.astype(float)
+    assert (len(reread), reread.fps) == (9, 20.0)
+    np.testing.assert_allclose(reread.vertices[::2], frames, atol=1e-6)
+    np.testing.assert_allclose(reread.vertices[1::2], (frames[1:] + frames[:-1]) / 2, atol=1e-6)
 
 
-def test_the_bytes_are_those_of_the_formats(tmp_path):
+def test_written_bytes_are_those_of_the_formats(tmp_path):
     save_clip(clip(2), tmp_path / "a.pc2")
     save_clip(clip(2), tmp_path / "a.mdd")
     pc2, mdd = ((tmp_path / f"a{suffix}").read_bytes() for suffix in (".pc2", ".mdd"))
@@ -79,7 +79,7 @@ def test_the_bytes_are_those_of_the_formats(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_files_cut_short_are_refused(suffix, tmp_path):
+def test_truncated_caches_are_refused(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"a{suffix}")
     data = (tmp_path / f"a{suffix}").read_bytes()
     for size in (1, 7, 20, 100, len(data) - 1):
@@ -110,7 +110,7 @@ def test_arrays_of_other_kinds_are_refused(array, message, tmp_path):
         load_clip(tmp_path / "a.npy")
 
 
-def test_an_array_in_columns_and_one_mesh(tmp_path):
+def test_fortran_order_and_a_single_frame_are_read(tmp_path):
     points = clip().vertices
     np.save(tmp_path / "a.npy", np.asfortranarray(points))
     np.testing.assert_array_equal(load_clip(tmp_path / "a.npy").vertices, points)
@@ -119,7 +119,7 @@ def test_an_array_in_columns_and_one_mesh(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_a_clip_is_no_mesh(suffix, tmp_path):
+def test_cache_is_refused_as_a_mesh(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"a{suffix}")
     with pytest.raises(InputError, match="expected one mesh, found a clip of 5 frames"):
         load_mesh(tmp_path / f"a{suffix}")

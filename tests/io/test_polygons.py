@@ -1,4 +1,4 @@
-"""Polygons become fans of triangles, and come back whole."""
+"""Polygons are triangulated as fans, and written as polygons again."""
 
 import struct
 
@@ -12,7 +12,7 @@ from mimesh.io.polygons import fan_corners, polygon_corners, polygon_sizes, poly
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_polygons_come_back_from_their_fans(seed):
+def test_polygon_corners_inverts_fan_corners(seed):
     rng = np.random.default_rng(seed)
     sizes = rng.integers(3, 9, rng.integers(1, 40))
     corners = rng.integers(0, 1000, sizes.sum())
@@ -20,7 +20,7 @@ def test_polygons_come_back_from_their_fans(seed):
     assert np.array_equal(corners[triangles].reshape(-1)[polygon_corners(sizes)], corners)
 
 
-def test_a_file_says_how_large_its_polygons_are(tmp_path):
+def test_polygon_sizes_are_those_of_the_file(tmp_path):
     path = tmp_path / "mixed.obj"
     points = "".join(f"v {x} {y} 0\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (2, 2)))
     path.write_text(points + "f 1 2 3 4\nl 1 5\nf 2 5 6\nf 1 2 5 6 3\n")
@@ -32,7 +32,7 @@ def test_a_file_says_how_large_its_polygons_are(tmp_path):
     assert polygon_sizes(load_mesh(tmp_path / "moved.obj")).tolist() == [4, 3, 5]
 
 
-def test_without_a_file_all_are_triangles():
+def test_mesh_without_source_has_triangles():
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2], [2, 1, 0]]))
     assert polygon_sizes(mesh).tolist() == [3, 3]
 
@@ -46,7 +46,7 @@ POLYGONS = [[0, 1, 2, 3], [1, 4, 5], [0, 1, 4, 5, 2], [3, 2, 1, 0]]
 
 
 @pytest.mark.parametrize("steps", [("ply",), ("off",), ("ply", "obj"), ("off", "ply", "obj", "off"), ("obj", "ply")])
-def test_polygons_and_seams_survive_other_formats(steps, tmp_path):
+def test_polygons_and_seams_survive_conversion(steps, tmp_path):
     path = tmp_path / "0.obj"
     path.write_text(MIXED)
     mesh = first = load_mesh(path)
@@ -64,19 +64,19 @@ def test_polygons_stay_in_their_parts(tmp_path):
     (tmp_path / "a.obj").write_text(MIXED)
     mesh = load_mesh(tmp_path / "a.obj")
     write_obj(mesh, tmp_path / "b.obj")
-    back = load_mesh(tmp_path / "b.obj")
-    assert [(p.start, p.stop, p.material.name) for p in back.parts] == [(0, 3, "red"), (3, 8, "blue")]
-    assert polygons_of(back, back.faces) == POLYGONS
+    reread = load_mesh(tmp_path / "b.obj")
+    assert [(p.start, p.stop, p.material.name) for p in reread.parts] == [(0, 3, "red"), (3, 8, "blue")]
+    assert polygons_of(reread, reread.faces) == POLYGONS
 
 
 @pytest.mark.parametrize("corners", [127, 128, 300])
-def test_very_large_polygons_are_counted_in_full(corners, tmp_path):
+def test_polygons_with_more_corners_than_a_byte_counts_are_written(corners, tmp_path):
     angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
     points = "".join(f"v {x} {y} 0\nvt {x} {y}\n" for x, y in zip(np.cos(angle), np.sin(angle), strict=True))
     (tmp_path / "a.obj").write_text(points + "f " + " ".join(f"{k}/{k}" for k in range(1, corners + 1)) + "\nf 1 2 3\n")
     save_mesh(load_mesh(tmp_path / "a.obj"), tmp_path / "b.ply")
-    back = load_mesh(tmp_path / "b.ply")
-    assert polygons_of(back, back.faces) == [list(range(corners)), [0, 1, 2]]
+    reread = load_mesh(tmp_path / "b.ply")
+    assert polygons_of(reread, reread.faces) == [list(range(corners)), [0, 1, 2]]
     body = (tmp_path / "b.ply").read_bytes().partition(b"end_header\n")[2][12 * corners :]
     one, two = ("<B", "<i")[corners > 127], []
     while body:  # a naive reader of the faces

@@ -1,4 +1,4 @@
-"""STL: triangles come back in their order, header and attributes stay, normals follow."""
+"""STL: a file is written again with its triangles in order, header and attributes kept, and new normals."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 import zoo
-from nasty import bent, rotation
+from nasty import bend, rotation
 
 from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.io import load_mesh, save_mesh
@@ -48,7 +48,7 @@ def stl(request, tmp_path):
     return path
 
 
-def test_welding_finds_the_shared_corners_in_order_of_appearance(stl):
+def test_corners_are_welded_in_order_of_appearance(stl):
     mesh = load_mesh(stl)
     soup = zoo.two_parts().vertices[zoo.two_parts().faces]
     np.testing.assert_array_equal(mesh.vertices[mesh.faces], soup)
@@ -66,10 +66,10 @@ def test_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
     mesh = load_mesh(stl)
     moved = mesh.with_vertices((mesh.vertices @ rotation().T).astype(np.float32).astype(np.float64))
     save_mesh(moved, tmp_path / "b.stl")
-    back = load_mesh(tmp_path / "b.stl")
-    np.testing.assert_array_equal(back.vertices, moved.vertices)
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    assert back.parts == mesh.parts
+    reread = load_mesh(tmp_path / "b.stl")
+    np.testing.assert_array_equal(reread.vertices, moved.vertices)
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
+    assert reread.parts == mesh.parts
     if not stl.read_bytes()[84:].endswith(b"more"):  # trimesh rejects a tail
         other = trimesh.load(tmp_path / "b.stl", process=False, force="mesh")
         np.testing.assert_allclose(other.triangles, moved.vertices[moved.faces], atol=1e-6)
@@ -83,17 +83,17 @@ def test_moved_triangles_keep_their_order_and_get_normals(stl, tmp_path):
 def test_header_attributes_and_tail_are_kept(tmp_path):
     (tmp_path / "a.stl").write_bytes(FILES["tail"])
     mesh = load_mesh(tmp_path / "a.stl")
-    save_mesh(mesh.with_vertices(bent(mesh.vertices)), tmp_path / "b.stl")
+    save_mesh(mesh.with_vertices(bend(mesh.vertices)), tmp_path / "b.stl")
     data = (tmp_path / "b.stl").read_bytes()
     assert data[:84] == FILES["tail"][:84]
     assert data[-4:] == b"more"
     assert [struct.unpack_from("<H", data, 84 + 50 * i + 48)[0] for i in range(16)] == list(range(1000, 1016))
-    x, y, z = mesh.with_vertices(bent(mesh.vertices)).vertices[mesh.faces[5]]
+    x, y, z = mesh.with_vertices(bend(mesh.vertices)).vertices[mesh.faces[5]]
     normal = np.cross(y - x, z - x)
     np.testing.assert_allclose(struct.unpack_from("<3f", data, 84 + 50 * 5), normal / np.linalg.norm(normal), atol=1e-6)
 
 
-def test_text_keeps_its_words_and_only_moved_triangles_change(tmp_path):
+def test_only_moved_triangles_of_a_text_file_change(tmp_path):
     (tmp_path / "a.stl").write_bytes(FILES["text"])
     mesh = load_mesh(tmp_path / "a.stl")
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == [("first half", 0, 2), ("second", 2, 16)]
@@ -107,7 +107,7 @@ def test_text_keeps_its_words_and_only_moved_triangles_change(tmp_path):
     assert all(before[i].split()[0] == after[i].split()[0] and before[i][:2] == after[i][:2] for i in changed)
 
 
-def test_vertex_order_of_a_mesh_does_not_matter_to_the_file(tmp_path):
+def test_file_does_not_depend_on_vertex_order(tmp_path):
     mesh = zoo.cube()
     save_mesh(mesh, tmp_path / "a.stl")
     save_mesh(permute_vertices(mesh, np.random.default_rng(0).permutation(8)), tmp_path / "b.stl")
@@ -115,14 +115,14 @@ def test_vertex_order_of_a_mesh_does_not_matter_to_the_file(tmp_path):
 
 
 @pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_any_mesh_is_written_anew(make, tmp_path):
+def test_new_file_of_any_mesh_reads_back(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "new.stl")
-    back = load_mesh(tmp_path / "new.stl")
-    np.testing.assert_array_equal(back.vertices[back.faces], mesh.vertices[mesh.faces].astype(np.float32))
+    reread = load_mesh(tmp_path / "new.stl")
+    np.testing.assert_array_equal(reread.vertices[reread.faces], mesh.vertices[mesh.faces].astype(np.float32))
 
 
-def test_minus_zero_is_zero_when_corners_are_welded(tmp_path):
+def test_minus_zero_is_welded_with_zero(tmp_path):
     mesh = Mesh(
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-0.0, 0, 0], [0, -1, 0]], float), np.array([[0, 1, 2], [3, 4, 1]])
     )

@@ -1,4 +1,4 @@
-"""Text files that are legal and that few expect: what formats allow and exporters do not agree on."""
+"""Legal but unusual text files: variants that a format allows and that exporters write differently."""
 
 from __future__ import annotations
 

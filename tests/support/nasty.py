@@ -1,11 +1,11 @@
-"""Hand-written files with everything real ones have, and small helpers that the format tests share."""
+"""Hand-written OBJ files with unusual statements, and helpers that the format tests share."""
 
 from __future__ import annotations
 
 import numpy as np
 
 # Quads, an n-gon, triangles, two materials, groups, objects, a UV seam, hard edges, negative indices, vertex colours,
-# a w, lines, points, smoothing, a continued line, tabs, indents, comments of every kind, and words no reader knows.
+# a fourth coordinate, lines, points, smoothing groups, a continued line, tabs, indents, comments, unknown statements.
 # The normals are those of their (flat) faces.
 NASTY_OBJ = rb"""# Exported by hand # twice \
 mtllib looks.mtl
@@ -95,7 +95,7 @@ f 5//2 7//2 8//-1 # 5//2
 
 
 def naive_obj(data: bytes) -> tuple[list, list, dict]:
-    """An OBJ reader written for nothing but clarity: vertices, polygons, and the unit normal of (polygon, vertex)."""
+    """Parse an OBJ file line by line; return vertices, polygons, and the unit normal of each (polygon, vertex)."""
     vertices, normals, polygons, index_of = [], [], [], {}
     for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").replace(b"\r\n", b"\n").split(b"\n"):
         words = line.split(b"#")[0].split()
@@ -111,8 +111,8 @@ def naive_obj(data: bytes) -> tuple[list, list, dict]:
                 n = n + len(normals) if n < 0 else n - 1
                 index_of[len(polygons) - 1, v] = n
                 polygons[-1].append(v)
-    given = {key: normals[n] / np.linalg.norm(normals[n]) for key, n in index_of.items() if n >= 0}
-    return vertices, polygons, given
+    file_normals = {key: normals[n] / np.linalg.norm(normals[n]) for key, n in index_of.items() if n >= 0}
+    return vertices, polygons, file_normals
 
 
 def fan_triangles(polygon: list[int]) -> list[tuple[int, int, int]]:
@@ -121,25 +121,25 @@ def fan_triangles(polygon: list[int]) -> list[tuple[int, int, int]]:
 
 
 def triangles_of(polygons: list) -> tuple[list, list]:
-    """The triangles of polygons, and the polygon of each."""
+    """Triangulate polygons as fans; return the triangles and the polygon of each."""
     pairs = [(triangle, i) for i, polygon in enumerate(polygons) for triangle in fan_triangles(polygon)]
     return [triangle for triangle, _ in pairs], [i for _, i in pairs]
 
 
-def bent(vertices: np.ndarray) -> np.ndarray:
-    """A smooth move that is rigid nowhere."""
+def bend(vertices: np.ndarray) -> np.ndarray:
+    """Deform points smoothly and nowhere rigidly."""
     x, y, z = vertices.T
     return np.stack([x + 0.3 * np.sin(2 * y), 1.2 * y + 0.1 * x * z, z - 0.25 * x * y + 0.1], axis=1)
 
 
 def rotation(angle: float = 0.7) -> np.ndarray:
-    """A rotation about an axis that is no coordinate axis."""
+    """Return a rotation matrix (angle in radians) whose axis is not a coordinate axis."""
     c, s = np.cos(angle), np.sin(angle)
     about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     return about_z @ np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def triangle_soup(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Triangles as sorted rows of their corner positions: one mesh whatever its vertex order."""
+    """Return the corner positions of the triangles as sorted rows, equal for all vertex orders of a mesh."""
     rows = np.round(np.asarray(vertices)[np.asarray(faces)].reshape(-1, 9), 5) + 0.0
     return rows[np.lexsort(rows.T)]

@@ -1,4 +1,4 @@
-"""USD stages for tests, written with the library itself and as plain as can be."""
+"""USD stages for tests, written directly with the USD library."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import zoo
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdSkel, Vt
 
 QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-"""The faces of `zoo.cube`, outwards."""
+"""The faces of `zoo.cube` as quads, counter-clockwise seen from outside."""
 
 
 def new_stage(path, up: str = "Y") -> Usd.Stage:
@@ -22,7 +22,7 @@ def vectors(values: np.ndarray) -> Vt.Vec3fArray:
 
 
 def add_cube(stage: Usd.Stage, path: str = "/world/cube", polygons=QUADS) -> UsdGeom.Mesh:
-    """`zoo.cube` as quads."""
+    """Add `zoo.cube` as a Mesh prim of quads, or of other polygons."""
     mesh = UsdGeom.Mesh.Define(stage, path)
     mesh.CreatePointsAttr(vectors(zoo.cube().vertices))
     mesh.CreateFaceVertexCountsAttr([len(polygon) for polygon in polygons])
@@ -38,7 +38,7 @@ def set_times(stage: Usd.Stage, start: float, stop: float, codes: float = 24.0) 
 
 
 def add_material(stage: Usd.Stage, path: str, color, file: str | None = None, varname: str = "st") -> UsdShade.Material:
-    """A UsdPreviewSurface whose inputs go through the material's interface; a texture if `file` names one."""
+    """Add a UsdPreviewSurface connected through the material's interface inputs; with a texture if `file` is given."""
     material = UsdShade.Material.Define(stage, path)
     surface = UsdShade.Shader.Define(stage, f"{path}/shader")
     surface.CreateIdAttr("UsdPreviewSurface")
@@ -62,33 +62,33 @@ def bind(prim: Usd.Prim, material: UsdShade.Material) -> None:
     UsdShade.MaterialBindingAPI.Apply(prim).Bind(material)
 
 
-def add_puppet(stage: Usd.Stage) -> tuple[UsdGeom.Mesh, dict]:
-    """A cube skinned to two joints with a blend shape, over three time codes; and all numbers it was made of."""
+def add_skinned_cube(stage: Usd.Stage) -> tuple[UsdGeom.Mesh, dict]:
+    """Add a cube with two joints and a blend shape, animated over three time codes; return it and its parameters."""
     rng = np.random.default_rng(3)
-    root = UsdSkel.Root.Define(stage, "/world/puppet")
+    root = UsdSkel.Root.Define(stage, "/world/character")
     root.AddTranslateOp().Set((3.0, -1.0, 2.0))
     root.AddScaleOp().Set((2.0, 2.0, 2.0))
-    skeleton = UsdSkel.Skeleton.Define(stage, "/world/puppet/bones")
+    skeleton = UsdSkel.Skeleton.Define(stage, "/world/character/skeleton")
     skeleton.AddRotateZOp().Set(30.0)
     skeleton.CreateJointsAttr(["hip", "hip/knee"])
     bind_matrices = np.stack([np.eye(4), np.eye(4)])
     bind_matrices[1, :3, 3] = [0.2, 0.5, 0.1]
     skeleton.CreateBindTransformsAttr([Gf.Matrix4d(m.T.tolist()) for m in bind_matrices])
     skeleton.CreateRestTransformsAttr([Gf.Matrix4d(m.T.tolist()) for m in bind_matrices])
-    animation = UsdSkel.Animation.Define(stage, "/world/puppet/bones/swing")
+    animation = UsdSkel.Animation.Define(stage, "/world/character/skeleton/swing")
     animation.CreateJointsAttr(["hip", "hip/knee"])
     animation.CreateBlendShapesAttr(["bulge"])
     numbers = {"bind": bind_matrices, "angles": [0.3, 0.9, 1.4], "amounts": [0.0, 0.5, 1.0]}
     for time in range(3):
         half = numbers["angles"][time] / 2
-        turn = Gf.Quatf(float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
+        rotation = Gf.Quatf(float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
         animation.CreateTranslationsAttr().Set([(0.1 * time, 0, 0), (0.2, 0.5, 0.1)], time)
-        animation.CreateRotationsAttr().Set([Gf.Quatf(1.0), turn], time)
+        animation.CreateRotationsAttr().Set([Gf.Quatf(1.0), rotation], time)
         animation.CreateScalesAttr().Set([(1, 1, 1), (1, 1, 1)], time)
         animation.CreateBlendShapeWeightsAttr().Set([numbers["amounts"][time]], time)
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
-    mesh = add_cube(stage, "/world/puppet/body")
-    mesh.AddTranslateOp().Set((50.0, 0.0, 0.0))  # what joints move stands where its skeleton does
+    mesh = add_cube(stage, "/world/character/mesh")
+    mesh.AddTranslateOp().Set((50.0, 0.0, 0.0))  # no effect: UsdSkel places a skinned mesh by its skeleton's transform
     numbers["weights"] = rng.random((8, 2)).astype(np.float32)
     numbers["weights"] /= numbers["weights"].sum(axis=1, keepdims=True)
     numbers["offsets"] = rng.normal(size=(3, 3)).astype(np.float32)
@@ -96,7 +96,7 @@ def add_puppet(stage: Usd.Stage) -> tuple[UsdGeom.Mesh, dict]:
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
     binding.CreateJointIndicesPrimvar(False, 2).Set([0, 1] * 8)
     binding.CreateJointWeightsPrimvar(False, 2).Set(numbers["weights"].ravel().tolist())
-    shape = UsdSkel.BlendShape.Define(stage, "/world/puppet/body/bulge")
+    shape = UsdSkel.BlendShape.Define(stage, "/world/character/mesh/bulge")
     shape.CreateOffsetsAttr(vectors(numbers["offsets"]))
     shape.CreatePointIndicesAttr([1, 4, 6])
     binding.CreateBlendShapesAttr(["bulge"])
@@ -104,8 +104,8 @@ def add_puppet(stage: Usd.Stage) -> tuple[UsdGeom.Mesh, dict]:
     return mesh, numbers
 
 
-def puppet_points(numbers: dict, time: int) -> np.ndarray:
-    """What the puppet looks like, joint by joint and vertex by vertex."""
+def skinned_points(numbers: dict, time: int) -> np.ndarray:
+    """Compute the world positions of the skinned cube at a time code, joint by joint and vertex by vertex."""
     points = zoo.cube().vertices.copy()
     points[[1, 4, 6]] += numbers["amounts"][time] * numbers["offsets"]
     hip, knee = np.eye(4), np.eye(4)
@@ -113,13 +113,13 @@ def puppet_points(numbers: dict, time: int) -> np.ndarray:
     cosine, sine = np.cos(numbers["angles"][time]), np.sin(numbers["angles"][time])
     knee[:3, :3] = [[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]]
     knee[:3, 3] = [0.2, 0.5, 0.1]
-    turns = [hip @ np.linalg.inv(numbers["bind"][0]), hip @ knee @ np.linalg.inv(numbers["bind"][1])]
+    joint_transforms = [hip @ np.linalg.inv(numbers["bind"][0]), hip @ knee @ np.linalg.inv(numbers["bind"][1])]
     cosine, sine = np.cos(np.radians(30)), np.sin(np.radians(30))
     T_world_skeleton = np.eye(4)
     T_world_skeleton[:3, :3] = 2 * np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
     T_world_skeleton[:3, 3] = [3, -1, 2]
     result = []
     for point, weights in zip(points, numbers["weights"], strict=True):
-        mixed = sum(weight * turn for weight, turn in zip(weights, turns, strict=True))
-        result.append((T_world_skeleton @ mixed @ [*point, 1.0])[:3])
+        blended = sum(weight * T for weight, T in zip(weights, joint_transforms, strict=True))
+        result.append((T_world_skeleton @ blended @ [*point, 1.0])[:3])
     return np.array(result)

@@ -1,7 +1,7 @@
-"""Reading and writing meshes and clips in any format; `formats` says which file does which.
+"""Read and write meshes and clips in any format; `formats` maps suffixes to the functions of each format.
 
-What is read is checked here. `save_mesh` gives the identity's own file back, points moved, whenever the suffix is the
-one it came with. Clips are read and written frame by frame, so that long ones need no memory.
+Everything that is read is validated here. `save_mesh` writes the identity's original file with other points whenever
+the output has its suffix. Clips are read and written frame by frame, so that memory does not grow with their length.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 
 
 def load_mesh(path: str | Path) -> Mesh:
-    """Read one mesh from a file and check it; of a motion (joints alone) the shipped body in its first frame.
+    """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
 
     Raises:
-        InputError: no such file, a format that is not read, a damaged file, or a mesh that cannot be worked with.
+        InputError: no such file, an unknown format, a damaged file, or an unusable mesh (see `mesh.check_mesh`).
     """
     path = Path(path)
     if path.is_dir():
         raise InputError(f"{path}: expected a mesh file, found a folder; name one file in it (a folder is a clip)")
     _must_exist(path)
     if path.suffix.lower() in CLIP_READERS.keys() - MESH_READERS.keys():
-        return _only_frame(load_clip(path), path)
+        return _single_frame(load_clip(path), path)
     if path.suffix.lower() not in MESH_READERS:
         raise InputError(
             f"{path}: expected one of {' '.join(sorted(MESH_READERS.keys() | CLIP_READERS))}, {_found(path)}; "
@@ -56,36 +56,27 @@ def load_mesh(path: str | Path) -> Mesh:
 def load_clip(
     path: str | Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
 ) -> Clip:
-    """Read a clip from a file or a folder of numbered meshes, and check it; a file of one mesh is a clip of one frame.
+    """Read a clip from a file or a folder of numbered meshes, and validate it; a file of one mesh gives one frame.
 
-    A motion file, which has joints and no mesh, is played by the shipped body (`motions.on_body`).
+    A motion file, which has joints and no mesh, moves the default body (`motions.on_body`).
 
     Args:
-        fps: overrides the file's own frame rate; without either it is 30 per second. Files that know the time of their
-            frames (glTF, USD, Alembic, MDD, motions) are sampled at it, so that they last as long as before; others
-            (folders, archives of arrays, PC2) are played at it.
-        animation: which one of a glTF file, by name or number; None: the first, with those that move other nodes.
+        fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
+            Alembic, MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
+            played at it.
+        animation: name or number of an animation of a glTF file; None: the first, with those that move other nodes.
         progress: called with (frames read, frames in all).
 
     Raises:
-        InputError: as `load_mesh`, frames that do not share one topology, or no such animation.
+        InputError: as `load_mesh`; frames of different topology; no such animation.
     """
     path = Path(path)
-    if animation is not None and path.suffix.lower() not in ANIMATED:
-        raise InputError(
-            f"{path}: expected {' or '.join(ANIMATED)} with --animation, found '{path.suffix}'; leave it out"
-        )
-    if fps is not None and not fps > 0:
-        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
-    if fps is not None and fps > HIGHEST_FPS:
-        raise InputError(
-            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
-        )
+    _check_clip_options(path, fps, animation)
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
             clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS, _load_frame, progress)
-        # The clip is called as its folder is, not as its first frame.
+        # The clip takes the name of the folder, not that of its first frame.
         return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
     if path.suffix.lower() in CLIP_READERS:
         with _reading(path):
@@ -100,14 +91,14 @@ def load_clip(
 
 
 def save_mesh(mesh: Mesh, path: str | Path) -> None:
-    """Write a mesh, whole or not at all; in the format of its own file that file comes back with the points moved.
+    """Write a mesh atomically; with the suffix of the file it was read from, as that file with other points.
 
-    Then polygons, texture coordinates, materials, groups, comments and order are as they were, and the material
-    libraries and images it names are copied beside it unless files of these names exist. In another format it becomes a
-    new file: of polygons where the format has them (OBJ, PLY, OFF), else of triangles.
+    Polygons, texture coordinates, materials, groups, comments and order are then unchanged, and the material libraries
+    and images that it refers to are copied beside it unless files of these names exist. With another suffix a new file
+    is written, of polygons where the format has them, else of triangles.
 
     Raises:
-        InputError: a format that is not written, or a place that cannot be written to.
+        InputError: a format that cannot be written, or a path that cannot be written to.
     """
     path = Path(path)
     if mesh.source is not None and mesh.source.suffix == path.suffix.lower():
@@ -135,34 +126,40 @@ def save_clip(
     """Write a clip as one file or, for a path without a suffix, as a folder of numbered meshes.
 
     Args:
-        suffix: the frames' format in a folder: .obj or .ply; by default that of the mesh's own file, else .obj.
+        suffix: format of the frames in a folder, .obj or .ply; by default that of the mesh's source, else .obj.
         progress: called with (frames written, frames in all).
-        blendshapes: so many morph targets in all, instead of one a frame (.glb, .gltf); see `gltf.write_gltf_clip`.
+        blendshapes: number of morph targets (.glb, .gltf), instead of one per frame; see `gltf.write_gltf_clip`.
 
     Returns:
-        With `blendshapes`, how far a vertex is from its frame at most, in the mesh's unit.
+        With `blendshapes`, the largest distance of a vertex from its position in the clip, in the mesh's unit.
 
     Raises:
-        InputError: a format that holds no clip, or a place that cannot be written to.
+        InputError: a format that cannot contain a clip, or a path that cannot be written to.
     """
     path = Path(path)
     is_folder = path.is_dir() or not path.suffix
     if blendshapes is not None:
-        return _save_blended(clip, path, progress, blendshapes)
-    if not is_folder and path.suffix.lower() in CLIP_WRITERS:
-        beside = _mesh_to_write_beside(clip, path) if path.suffix.lower() in CACHES else None
-        with writing(path):
-            CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
-        if beside is not None:
-            save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), beside)
+        return _save_blend_shapes(clip, path, progress, blendshapes)
+    if is_folder:
+        _save_folder(clip, path, suffix, progress)
         return None
-    if not is_folder:
+    if path.suffix.lower() not in CLIP_WRITERS:
         raise InputError(
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem}/ for one mesh per frame"
         )
-    own = clip.mesh.source.suffix if clip.mesh.source else ""
-    suffix = suffix or (own if own in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() in CACHES else None
+    with writing(path):
+        CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
+    if mesh_path is not None:
+        save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
+    return None
+
+
+def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:
+    """Write a clip as a folder of numbered meshes, with the files that the mesh's source refers to."""
+    source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
+    suffix = suffix or (source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
     if suffix not in FRAME_SUFFIXES:
         raise InputError(
             f"{path}: expected frames of {' or '.join(FRAME_SUFFIXES)}, found '{suffix}'; choose one of them"
@@ -171,12 +168,12 @@ def save_clip(
         raise InputError(f"{path}: expected a folder to write frames to, found a file; choose another name")
     with writing(path):
         write_sequence(clip, path, suffix, MESH_WRITERS[suffix], load_mesh, progress)
-        if own == suffix:
+        if source_suffix == suffix:
             _copy_companions(clip.mesh, path)
-    return None
 
 
-def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
+def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blendshapes: int) -> float | None:
+    """Write a clip as glTF with a given number of morph targets; return the largest error, in the mesh's unit."""
     from .gltf import write_gltf_clip
 
     if path.suffix.lower() not in (".glb", ".gltf"):
@@ -186,10 +183,10 @@ def _save_blended(clip: Clip, path: Path, progress: Progress | None, blendshapes
 
 
 def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a mesh with joints and their animation as .glb or .gltf (see `gltf_skinned`).
+    """Write a skinned mesh with its skeleton's animation as .glb or .gltf (see `gltf.skinned`).
 
     Raises:
-        InputError: another format, or a place that cannot be written to.
+        InputError: another format, or a path that cannot be written to.
     """
     from .gltf.skinned import write_gltf_skinned
 
@@ -201,23 +198,39 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
 
 
 def mesh_suffixes() -> tuple[str, ...]:
-    """Suffixes that `load_mesh` reads, with their dot."""
+    """Return the suffixes that `load_mesh` reads, with their dot."""
     return tuple(MESH_READERS)
 
 
 def clip_suffixes() -> tuple[str, ...]:
-    """Suffixes that `save_clip` writes as one file, with their dot."""
+    """Return the suffixes that `save_clip` writes as one file, with their dot."""
     return tuple(CLIP_WRITERS)
 
 
+def _check_clip_options(path: Path, fps: float | None, animation: str | None) -> None:
+    """Raise InputError for an animation of a format without animations, or an impossible frame rate."""
+    if animation is not None and path.suffix.lower() not in ANIMATED:
+        raise InputError(
+            f"{path}: expected {' or '.join(ANIMATED)} with --animation, found '{path.suffix}'; leave it out"
+        )
+    if fps is not None and not fps > 0:
+        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")
+    if fps is not None and fps > HIGHEST_FPS:
+        raise InputError(
+            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with --fps"
+        )
+
+
 def _load_frame(path: Path) -> Mesh:
+    """Read one mesh of a folder of frames; raises InputError for a glTF file of joints without a mesh."""
     mesh = load_mesh(path)
     if path.suffix.lower() in ANIMATED and mesh.source is None:
         raise InputError(f"{path}: expected a mesh as a frame of a clip, found joints that move; give that file alone")
     return mesh
 
 
-def _only_frame(clip: Clip, path: Path) -> Mesh:
+def _single_frame(clip: Clip, path: Path) -> Mesh:
+    """Return the mesh of a clip of one frame; raises InputError for several frames."""
     if len(clip) > 1:
         raise InputError(
             f"{path}: expected one mesh, found a clip of {len(clip)} frames; "
@@ -226,16 +239,20 @@ def _only_frame(clip: Clip, path: Path) -> Mesh:
     return clip.mesh
 
 
-def _mesh_to_write_beside(clip: Clip, path: Path) -> Path | None:
-    """Where the mesh of a cache goes; None where one with its vertices and faces lies there already."""
-    own = clip.mesh.source.suffix if clip.mesh.source else ""
-    beside = path.with_suffix(own if own in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
-    if not beside.exists():
-        return beside
-    there = load_mesh(beside)
-    if len(there.vertices) != len(clip.mesh.vertices) or not np.array_equal(there.faces, clip.mesh.faces):
+def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
+    """Return where to write the mesh of a point cache; None where a mesh of its topology exists there already.
+
+    Raises:
+        InputError: another mesh has that name.
+    """
+    source_suffix = clip.mesh.source.suffix if clip.mesh.source else ""
+    mesh_path = path.with_suffix(source_suffix if source_suffix in FRAME_SUFFIXES else FRAME_SUFFIXES[0])
+    if not mesh_path.exists():
+        return mesh_path
+    existing = load_mesh(mesh_path)
+    if len(existing.vertices) != len(clip.mesh.vertices) or not np.array_equal(existing.faces, clip.mesh.faces):
         raise InputError(
-            f"{path}: expected {beside.name} to be the mesh it belongs to, found another there; choose another name"
+            f"{path}: expected {mesh_path.name} to be the mesh it belongs to, found another there; choose another name"
         )
     return None
 
@@ -256,7 +273,7 @@ def _copy_companions(mesh: Mesh, folder: Path) -> None:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Say in one line why a file cannot be opened, and that it is empty if it is."""
+    """Turn a failed read into an InputError of one line that names the cause; an empty file is refused at once."""
     try:
         if path.is_file() and path.stat().st_size == 0:
             raise InputError(f"{path}: expected a mesh, found an empty file of 0 bytes; export it again")

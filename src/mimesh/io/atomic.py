@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: write to a temporary name beside the target, then rename."""
+"""Write files and folders atomically: to a temporary name beside the target, which is then renamed."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from pathlib import Path
 
 from ..core.errors import InputError
 
-SHOWN = 40
-"""Letters of a name that its temporary one begins with: file systems limit names to 255 bytes."""
+PREFIX_LENGTH = 40
+"""Characters of the target's name that a temporary name begins with; file systems limit names to 255 bytes."""
 
 
 @contextlib.contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path` (same suffix); it takes the name `path` only if the block succeeds."""
+    """Yield a temporary path beside `path` with the same suffix, which is renamed to `path` if the block succeeds."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(prefix=f".{path.stem[:SHOWN]}-", suffix=path.suffix, dir=path.parent)
+    descriptor, name = tempfile.mkstemp(prefix=f".{path.stem[:PREFIX_LENGTH]}-", suffix=path.suffix, dir=path.parent)
     os.close(descriptor)
     temporary = Path(name)
     try:
         yield temporary
-        temporary.chmod(0o666 & ~_umask())
+        temporary.chmod(0o666 & ~_umask())  # mkstemp makes files that only their owner can read
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -33,13 +33,14 @@ def whole_file(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def whole_folder(path: str | Path) -> Iterator[Path]:
-    """Yield a temporary folder; its files move into `path` only if the block succeeds.
+    """Yield a temporary folder whose files are moved into `path` if the block succeeds.
 
-    It lies in `path` where that is there, since what is above may be another disk, else beside it.
+    It is made inside `path` where that exists, since the parent may be on another disk, else beside it.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:SHOWN]}-", dir=path if path.is_dir() else path.parent))
+    parent = path if path.is_dir() else path.parent
+    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:PREFIX_LENGTH]}-", dir=parent))
     try:
         yield temporary
         path.mkdir(exist_ok=True)
@@ -51,7 +52,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Say in one line why a file cannot be written."""
+    """Turn a failed write into an InputError of one line that names the cause."""
     try:
         yield
     except OSError as error:
@@ -61,6 +62,7 @@ def writing(path: Path) -> Iterator[None]:
 
 
 def _umask() -> int:
+    """Return the process's file mode mask; the system can only report it by setting it."""
     mask = os.umask(0)
     os.umask(mask)
     return mask

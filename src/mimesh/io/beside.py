@@ -1,7 +1,7 @@
-"""Files that a mesh's file names: its buffers, images, libraries and layers.
+"""Control access to files that a mesh file refers to: buffers, images, material libraries and layers.
 
-Who reads a file of their own may have them anywhere. Who reads a stranger's confines it to the folder it came in, so
-that its word opens nothing else of this machine.
+They may be anywhere when a user reads their own file. The studio reads uploaded files, whose references must not open
+other files of the machine: it confines them to the folder of the upload.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _FOLDER: ContextVar[Path | None] = ContextVar("folder", default=None)
 
 @contextlib.contextmanager
 def confined(folder: Path) -> Iterator[None]:
-    """Within this context and this thread, named files outside of `folder` count as not there; links are followed."""
+    """Treat referenced files outside of `folder` as missing, within this context and thread; links are resolved."""
     token = _FOLDER.set(folder.resolve())
     try:
         yield
@@ -26,14 +26,15 @@ def confined(folder: Path) -> Iterator[None]:
 
 
 def is_confined() -> bool:
-    """Whether some files may not be read."""
+    """Return whether referenced files are confined to a folder."""
     return _FOLDER.get() is not None
 
 
 def may_be_read(path: str | Path) -> bool:
-    """Whether a file that another names is within the folder, by name and by where that leads; always if unconfined.
+    """Return whether a referenced file is inside the confining folder; always true where nothing is confined.
 
-    The name is looked at first: nothing outside is touched, not even to see whether it is there.
+    Both the name and the target of links must be inside. The name is tested first, so that no file outside of the
+    folder is accessed, not even to test whether it exists.
     """
     folder = _FOLDER.get()
     if folder is None:
@@ -43,5 +44,5 @@ def may_be_read(path: str | Path) -> bool:
 
 
 def is_there(path: str | Path) -> bool:
-    """Whether a file that another names is there and may be read."""
+    """Return whether a referenced file exists and may be read."""
     return may_be_read(path) and os.path.isfile(path)

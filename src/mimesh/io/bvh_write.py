@@ -1,4 +1,4 @@
-"""Motions as BVH files, which motion capture tools, engines and Blender read."""
+"""Write motions as BVH files (Biovision hierarchy)."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from ..motions.motion import Motion
 from .atomic import whole_file, writing
 
 ORDER = "ZXY"
-"""Rotation channels of every joint; the last applies first."""
+"""Order of the rotation channels of every joint: R = R_z R_x R_y, so the last one applies first."""
 CENTIMETRES = 100.0
-"""Units a metre: what most BVH files are in."""
+"""File units per metre; most BVH files are in centimetres."""
 
 
 def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
-    """Write a motion of a body of mean shape: its joints, its T-pose as the rest pose, y up, centimetres, degrees.
+    """Write a motion on the joints of a body of mean shape, and return the path; y up, centimetres, degrees.
 
-    The floor of the file is that of the body's feet at rest. Only the root has positions.
+    The rest pose of the file is the body's T-pose. The floor is at the soles of the resting body. Only the root has
+    position channels.
 
     Raises:
-        InputError: the motion is for another skeleton, or a place that cannot be written to.
+        InputError: the motion is for another skeleton, or the path cannot be written to.
     """
     from scipy.spatial.transform import Rotation
 
@@ -43,23 +44,27 @@ def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
 
 
 def _write_joint(body: RiggedBody, j: int, lines: list[str], order: list[int], indent: str = "") -> None:
-    """Add a joint and all below it to the hierarchy; `order` becomes that of the motion's columns."""
+    """Append a joint and its descendants to the lines of the hierarchy, and their indices to `order`.
+
+    `order` is depth first, the order in which BVH lists the channels of each frame.
+    """
     order.append(j)
-    parent, below = body.parents[j], [k for k, holder in enumerate(body.parents) if holder == j]
+    parent, children = body.parents[j], [k for k, other in enumerate(body.parents) if other == j]
     offset = CENTIMETRES * (body.joints[j] - (body.joints[parent] if parent >= 0 else 0.0))
-    turns = " ".join(f"{axis}rotation" for axis in ORDER)
+    rotations = " ".join(f"{axis}rotation" for axis in ORDER)
     lines += [
         f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {body.joint_names[j]}",
         f"{indent}{{",
         f"{indent}\t{_offset(offset)}",
-        f"{indent}\tCHANNELS " + (f"3 {turns}" if parent >= 0 else f"6 Xposition Yposition Zposition {turns}"),
+        f"{indent}\tCHANNELS " + (f"3 {rotations}" if parent >= 0 else f"6 Xposition Yposition Zposition {rotations}"),
     ]
-    for child in below:
+    for child in children:
         _write_joint(body, child, lines, order, indent + "\t")
-    if not below:
+    if not children:
+        # A leaf needs an end site, which gives its bone a length: half of the parent bone's.
         lines += [f"{indent}\tEnd Site", f"{indent}\t{{", f"{indent}\t\t{_offset(offset / 2)}", f"{indent}\t}}"]
     lines.append(f"{indent}}}")
 
 
-def _offset(bone: np.ndarray) -> str:
-    return "OFFSET " + " ".join(f"{value:.5f}" for value in bone)
+def _offset(offset: np.ndarray) -> str:
+    return "OFFSET " + " ".join(f"{value:.5f}" for value in offset)

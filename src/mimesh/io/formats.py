@@ -1,7 +1,7 @@
-"""Suffix -> the function that reads or writes it, one literal table for each of mesh and clip.
+"""Map file suffixes to the functions that read and write them: one table each for meshes and clips.
 
-A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Clip and a Path; the file appears whole or
-not at all (`atomic.whole_file`). What takes long to import is imported when it is needed.
+A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Clip and a Path, and writes atomically
+(`atomic.whole_file`). Modules with slow imports are imported when one of their files is read or written.
 """
 
 from __future__ import annotations
@@ -67,6 +67,7 @@ def _write_alembic_clip(clip: Clip, path: Path, progress: Progress | None) -> No
 
 
 def _read_motion(path: Path) -> Mesh:
+    """Read a motion file as the default body in its first frame."""
     from ..motions.on_body import motion_file_mesh
 
     return motion_file_mesh(path)
@@ -79,6 +80,7 @@ def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) 
 
 
 def _read_npz(path: Path) -> Mesh:
+    """Read an archive as a mesh, or as a motion where its arrays are those of one, such as AMASS."""
     from ..motions.on_body import is_motion_file
 
     return _read_motion(path) if is_motion_file(path) else read_npz(path)
@@ -91,11 +93,13 @@ def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> 
 
 
 def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    """Read a point cache with a mesh of the same name beside it, in any mesh format; .obj and .ply are tried first."""
+
     def read(mesh: Path) -> Mesh:
         return MESH_READERS[mesh.suffix.lower()](mesh)
 
-    meshes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *FRAMES_ONLY)]
-    return read_cache(path, fps, sorted(meshes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
+    suffixes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *FRAMES_ONLY)]
+    return read_cache(path, fps, sorted(suffixes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
 
 
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
@@ -140,7 +144,7 @@ CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] =
     ".usdc": read_usd_clip,
     ".usdz": read_usd_clip,
 }
-"""Of a path, the frame rate that is wanted (None: the file's own), and what is told of the progress; not ANIMATED."""
+"""Readers of clips except those of ANIMATED; arguments: path, frame rate (None: the file's), progress callback."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".abc": _write_alembic_clip,
     ".glb": _write_gltf_clip,
@@ -155,12 +159,12 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".usdz": write_usd_clip,
 }
 ANIMATED = (".glb", ".gltf", ".vrm")
-"""Files that may hold several animations; see `gltf.read_gltf_clip`."""
+"""Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 CACHES = (".mdd", ".npy", ".pc2")
-"""Points alone, which belong to a mesh beside them."""
+"""Point caches: positions only, for a mesh file beside them."""
 MOTIONS = {".bvh"}
-"""Files that never are a frame of a clip."""
+"""Files of joints without a mesh, which cannot be a frame of a clip."""
 FRAMES_ONLY = (*CACHES, ".npz")
-"""Files of frames, none of which is the mesh at rest."""
+"""Files of frames without a rest shape."""
 FRAME_SUFFIXES = (".obj", ".ply")
-"""What a clip is written as when it goes into a folder."""
+"""Formats of the frames of a clip written to a folder; the first is the default."""

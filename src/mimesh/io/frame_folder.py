@@ -1,4 +1,4 @@
-"""A folder of numbered meshes is a clip: walk_0001.obj, walk_0002.obj, ..."""
+"""Read and write a clip as a folder of numbered mesh files: walk_0001.obj, walk_0002.obj, ..."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from .ply import PlySource, read_ply_points
 from .stl import StlSource, read_stl_points
 
 OTHER_FRAMES = {".glb", ".obj", ".off", ".ply", ".stl"}
-"""Numbered meshes of these would be a second series beside the one that is written."""
+"""Formats whose numbered meshes would be mistaken for a second series beside the frames that are written."""
 _NUMBER = re.compile(r"\d+")
 
 
@@ -33,14 +33,18 @@ def read_sequence(
     read: Callable[[Path], Mesh],
     progress: Progress | None = None,
 ) -> Clip:
-    """Read the numbered meshes of a folder, in the order of their numbers, as one clip.
+    """Read the numbered meshes of a folder as one clip, in the order of their numbers.
 
     Files of other kinds, hidden files and files without a number are ignored. Of several series (another suffix or
-    another name around the number) the longest is read. `read` reads a mesh; later OBJ and PLY frames that differ in
-    nothing but their points are read faster. STL frames are welded as the first one is (see `read_stl_points`).
+    another name around the number) the longest is read. Later OBJ and PLY frames that differ only in their points are
+    read by a fast path. STL frames are welded as the first frame (see `stl.read_stl_points`).
+
+    Args:
+        suffixes: mesh formats that `read` reads.
+        read: reads one mesh file.
 
     Raises:
-        InputError: no numbered meshes, two series of equal length, or a frame of another topology, which is named.
+        InputError: no numbered meshes, two series of equal length, or a frame of another topology.
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
@@ -50,10 +54,10 @@ def read_sequence(
 
 
 def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """The numbered meshes of a folder in natural order (2 before 10): the longest series of one name and suffix.
+    """Find the longest series of numbered meshes with one name and suffix, in natural order (2 before 10).
 
     Raises:
-        InputError: there are none, or two series are equally long.
+        InputError: there are no numbered meshes, or two series are equally long.
     """
     files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
     visible = [path for path in files if not path.name.startswith(".")]
@@ -70,6 +74,7 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
             f"{folder}: expected one series of numbered meshes, found {both} with {ranked[0][1]} each; "
             "move one of them to another folder"
         )
+    # All numbers in the name are compared, so that shot2_0001 comes after shot1_0002.
     chosen = [path for path in visible if _NUMBER.search(path.stem) and _series(path) == ranked[0][0]]
     return sorted(chosen, key=lambda path: ([int(digits) for digits in _NUMBER.findall(path.stem)], path.name))
 
@@ -82,15 +87,30 @@ def write_sequence(
     read: Callable[[Path], Mesh],
     progress: Progress | None = None,
 ) -> None:
-    """Write each frame as a mesh 0000, 0001, ... of the given suffix: the mesh's own file where it has one.
+    """Write each frame as a mesh file 0000, 0001, ... of the given suffix.
 
-    Otherwise `write` makes a new file of the first frame, `read` reads it, and the others are that file with its points
-    moved, so that all share its materials. Frames of these names are overwritten, other files are left alone.
+    A mesh that was read from a file of that format is written as that file with other points. Otherwise `write` writes
+    a new file of the first frame, `read` reads it, and the other frames are that file with other points, so that all
+    share its materials. Frames of these names are overwritten, other files stay.
 
     Raises:
-        InputError: the folder holds numbered meshes that would be mistaken for further frames.
+        InputError: the folder has numbered meshes that would be mistaken for further frames.
     """
     names = [f"{t:0{max(4, len(str(len(clip) - 1)))}d}{suffix}" for t in range(len(clip))]
+    _check_other_frames(folder, names, suffix)
+    with whole_folder(folder) as temporary:
+        mesh = clip.mesh
+        if mesh.source is None or mesh.source.suffix != suffix:
+            # Reading the first frame gives a source that writes the other frames without formatting faces again.
+            write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
+            mesh = read(temporary / names[0])
+        assert mesh.source is not None
+        for name, vertices in zip(names, each_frame(clip.vertices, progress), strict=True):
+            mesh.source.write(mesh.with_vertices(vertices), temporary / name)
+
+
+def _check_other_frames(folder: Path, names: list[str], suffix: str) -> None:
+    """Raise InputError where a folder has numbered meshes that `read_sequence` would mix up with frames `names`."""
     numbered = [path.name for path in folder.glob(f"*{suffix}") if _NUMBER.search(path.stem)] if folder.is_dir() else []
     stale = set(numbered) - set(names)
     if stale:
@@ -105,21 +125,19 @@ def write_sequence(
             f"{folder}: expected a folder without frames in another format, found {min(twins)}; "
             "choose a new folder or delete the old frames"
         )
-    with whole_folder(folder) as temporary:
-        mesh = clip.mesh
-        if mesh.source is None or mesh.source.suffix != suffix:
-            write(mesh.with_vertices(clip.vertices[0]), temporary / names[0])
-            mesh = read(temporary / names[0])
-        assert mesh.source is not None
-        for name, vertices in zip(names, each_frame(clip.vertices, progress), strict=True):
-            mesh.source.write(mesh.with_vertices(vertices), temporary / name)
 
 
 def _series(path: Path) -> str:
+    """Return the name of a file with its numbers replaced, equal for all files of one series."""
     return _NUMBER.sub("#", path.stem) + path.suffix.lower()
 
 
 def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+    """Read the vertices of a later frame, by the format's fast path where possible.
+
+    Raises:
+        InputError: the frame cannot be read, or its topology differs from that of the first frame.
+    """
     if isinstance(first.source, StlSource) and path.suffix.lower() == ".stl":
         points = read_stl_points(path, first.source)
         return check_mesh(dataclasses.replace(first, vertices=points), path).vertices

@@ -1,4 +1,4 @@
-"""Marker files: pairs of vertices that correspond, one pair a line, for methods that need such help."""
+"""Read marker files: pairs of corresponding vertices, one pair per line, for methods that need them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..core.errors import InputError
 
 
 def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:
-    """Vertex of the identity and vertex of the driving mesh in each row, counted from 0; `#` starts a comment.
+    """Read a vertex index of the identity and one of the driving mesh from each line, from 0; `#` starts a comment.
 
     Raises:
         InputError: no such file, no pairs in it, or a line that is not two whole numbers.

@@ -1,4 +1,7 @@
-"""NumPy archives: a mesh (vertices, faces) or a clip (vertices of every frame, faces, fps). Never unpickles."""
+"""Read and write NumPy archives (.npz) of a mesh (vertices, faces) or a clip (vertices of all frames, faces, fps).
+
+Pickled objects are never loaded.
+"""
 
 from __future__ import annotations
 
@@ -20,27 +23,28 @@ from .polygons import fan_corners
 from .timing import DEFAULT_FPS
 
 _FACES = ("faces", "f", "triangles")
-_QUICK = 1
-"""Level of compression: higher ones take five times as long and save next to nothing on floating-point numbers."""
+"""Names of the array of faces, likeliest first."""
+_COMPRESSION_LEVEL = 1
+"""zlib level, 1 to 9: higher ones take five times as long and save next to nothing on floating-point numbers."""
 
 
 @dataclass(frozen=True, eq=False)
 class NpzSource:
-    """An archive kept whole, and which of its arrays holds the points. Satisfies `mesh.Source`."""
+    """The content of an archive and the array of its points. Satisfies `mesh.Source`."""
 
     data: bytes
     key: str
+    """Name of the array of points."""
     points: np.ndarray
-    """The points as stored: their shape is kept, and their type unless it is one of whole numbers."""
+    """The points as stored. A written file keeps their shape, and their type unless it is an integer type."""
     suffix = ".npz"
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the archive with the points replaced; every other entry is copied unopened."""
+        """Write the archive with the points replaced; the other arrays are copied without parsing them."""
         if len(mesh.vertices) != self.points.shape[-2]:
             raise ValueError(f"the file has {self.points.shape[-2]} vertices, the mesh {len(mesh.vertices)}")
-        dtype = (
-            self.points.dtype if self.points.dtype.kind == "f" else np.dtype(np.float64)
-        )  # moved points are not whole
+        # New positions are no whole numbers, so integer points become float64.
+        dtype = self.points.dtype if self.points.dtype.kind == "f" else np.dtype(np.float64)
         points = io.BytesIO()
         np.save(points, mesh.vertices.reshape(self.points.shape).astype(dtype), allow_pickle=False)
         with zipfile.ZipFile(io.BytesIO(self.data)) as old, zipfile.ZipFile(path, "w") as new:
@@ -55,11 +59,11 @@ def read_npz(path: Path) -> Mesh:
     The arrays may also be called v, verts or points, and f or triangles. One frame (1, V, 3) is a mesh too.
 
     Raises:
-        InputError: no such arrays, wrong shapes or types, several frames, or a damaged archive.
+        InputError: no such arrays, wrong shapes or types, several frames, or the archive is damaged.
     """
     data = path.read_bytes()
     with open_archive(io.BytesIO(data), path) as (archive, names):
-        if broken := archive.testzip():  # what is copied unopened must be whole too
+        if broken := archive.testzip():  # arrays that are copied without parsing them must be undamaged too
             raise zipfile.BadZipFile(f"bad checksum of {broken!r}")
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
         points = read_array(archive, key)
@@ -83,22 +87,23 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
     """
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
-        own_fps = float(read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
+        file_fps = float(read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
         with archive.open(f"{key}.npy") as member:
             shape, fortran, dtype = _read_header(member)
             _check_points(key, dtype, shape, path)
             count, vertices = int(np.prod(shape[:-2])), shape[-2]
+            # In Fortran order the numbers of one frame are spread over the whole array, so it is read at once.
             if fortran:
                 frames = each_frame(read_array(archive, key).reshape(count, vertices, 3))
             else:
                 frames = _read_frames(member.read, count, vertices, dtype)
-            kept = store_frames(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
-    first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
-    return Clip(Mesh(first, faces, name=path.stem), kept, float(fps if fps is not None else own_fps))
+            stored = store_frames(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
+    first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
+    return Clip(Mesh(first, faces, name=path.stem), stored, float(fps if fps is not None else file_fps))
 
 
 def write_npz(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as an archive of `vertices` and `faces`; looks are not written."""
+    """Write a mesh as an archive of `vertices` and `faces`; materials and texture coordinates are omitted."""
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, vertices=mesh.vertices, faces=mesh.faces)
 
@@ -107,9 +112,10 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
     """Write a clip as an archive of `vertices` (T, V, 3), `faces` and `fps`, frame by frame."""
     header = {"descr": clip.vertices.dtype.str, "fortran_order": False, "shape": clip.vertices.shape}
     with whole_file(path) as temporary:
+        # NumPy can only write whole arrays: the small ones first, then the frames are appended to the archive.
         np.savez_compressed(temporary, faces=clip.mesh.faces, fps=clip.fps)
         with (
-            zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED, compresslevel=_QUICK) as archive,
+            zipfile.ZipFile(temporary, "a", zipfile.ZIP_DEFLATED, compresslevel=_COMPRESSION_LEVEL) as archive,
             archive.open("vertices.npy", "w", force_zip64=True) as member,
         ):
             np.lib.format.write_array_header_1_0(member, header)
@@ -118,7 +124,7 @@ def write_npz_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
 
 
 def _read_header(member) -> tuple[tuple[int, ...], bool, np.dtype]:
-    """Shape, whether columns come first, and type; leaves the member at the first number."""
+    """Read shape, Fortran order and type of an array; the archive member is then positioned at its first number."""
     version = np.lib.format.read_magic(member)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     return read(member)
@@ -127,6 +133,7 @@ def _read_header(member) -> tuple[tuple[int, ...], bool, np.dtype]:
 def _read_frames(
     read: Callable[[int], bytes], count: int, vertices: int, dtype: np.dtype
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield frames from a stream of numbers in C order; ValueError where it ends too early."""
     size = vertices * 3 * dtype.itemsize
     for _ in range(count):
         data = read(size)
@@ -136,6 +143,7 @@ def _read_frames(
 
 
 def _read_faces(archive: zipfile.ZipFile, names: list[str], path: Path) -> Int[np.ndarray, "F 3"]:
+    """Read the faces as triangles; empty where the archive has no array of faces."""
     key = next((name for name in _FACES if name in names), None)
     return np.zeros((0, 3), np.int64) if key is None else _triangles(read_array(archive, key), path)
 
@@ -151,6 +159,7 @@ def _check_points(key: str, dtype: np.dtype, shape: tuple[int, ...], path: Path)
 
 
 def _find(names: tuple[str, ...], found: list[str], path: Path) -> str:
+    """Return the first of `names` that is among the arrays found; raises InputError where none is."""
     for name in names:
         if name in found:
             return name
@@ -161,6 +170,7 @@ def _find(names: tuple[str, ...], found: list[str], path: Path) -> str:
 
 
 def _triangles(faces: np.ndarray, path: Path) -> Int[np.ndarray, "F 3"]:
+    """Triangulate faces of equal corner count (F, 3) or (F, 4) as fans; raises InputError for other arrays."""
     if faces.size == 0:
         return np.zeros((0, 3), np.int64)
     if faces.ndim != 2 or faces.shape[1] < 3 or faces.dtype.kind not in "iu":

@@ -1,4 +1,4 @@
-"""OFF, with its COFF, NOFF and STOFF variants, in text: read a mesh, keep the file, and write new files."""
+"""Read OFF text files with their COFF, NOFF and STOFF variants, write them again, and write new ones."""
 
 from __future__ import annotations
 
@@ -17,26 +17,27 @@ from .atomic import whole_file
 from .polygons import fan_corners, polygons_of, scatter_corners
 from .text import line_number, read_numbers, replace_rows, without_comments
 
-# The counts may follow the keyword on its line, even without a space (ModelNet); the keyword may be missing.
 _HEADER = re.compile(rb"\s*(?P<kind>(ST)?[CN]*(?P<other>4?n?)OFF)?(?P<binary>\s+BINARY)?(?P<rest>.*)", re.DOTALL)
+"""First line: the keyword, which may be missing, and the counts, which may follow it without a space (ModelNet)."""
 
 
 @dataclass(frozen=True, eq=False)
 class OffSource:
-    """The lines of an OFF file and which of them hold vertices. Satisfies `mesh.Source`."""
+    """The lines of an OFF file and the values read from them. Satisfies `mesh.Source`."""
 
     lines: list[bytes]
     vertex_lines: Int[np.ndarray, " V"]
+    """Index in `lines` of each vertex."""
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon."""
+    """Corners of each polygon; the faces are triangle fans of them."""
     normals: Float[np.ndarray, "V 3"] | None
-    """Vertex normals at length one, in a NOFF file."""
+    """Normalised vertex normals of a NOFF file."""
     suffix = ".off"
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the file with the points (and, in a NOFF file, vertex normals) of `mesh`; all else as it was."""
+        """Write the file with the points (and, in a NOFF file, vertex normals) of `mesh`; all else stays."""
         if mesh.vertices.shape != self.vertices.shape:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
         lines = list(self.lines)
@@ -48,18 +49,18 @@ class OffSource:
 
 
 def read_off(path: Path) -> Mesh:
-    """Read an OFF file, one vertex or face per line; polygons become triangle fans, colours stay in `source`.
+    """Read an OFF file with one vertex or face per line; polygons become triangle fans, colours stay in `source`.
 
-    Binary, four-dimensional and n-dimensional OFF are not read.
+    Binary, four-dimensional and n-dimensional OFF are not supported.
 
     Raises:
-        InputError: another kind of file, or fewer lines or worse numbers than its counts promise.
+        InputError: another kind of file, fewer lines than its counts declare, or words that are no numbers.
     """
     lines = path.read_bytes().splitlines(keepends=True)
     plain = without_comments(lines)
-    full = [i for i, line in enumerate(plain) if line.strip()]
-    vertex_count, face_count, start, has_normals = _read_header(plain, full, path)
-    rows = full[start : start + vertex_count + face_count]
+    non_empty = [i for i, line in enumerate(plain) if line.strip()]
+    vertex_count, face_count, start, has_normals = _read_header(plain, non_empty, path)
+    rows = non_empty[start : start + vertex_count + face_count]
     if len(rows) < vertex_count + face_count:
         raise InputError(
             f"{path}: expected {vertex_count} vertex and {face_count} face lines, found {len(rows)} in all; "
@@ -75,7 +76,7 @@ def read_off(path: Path) -> Mesh:
 
 
 def write_off(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new OFF file of polygons; normals, texture coordinates and looks are not written."""
+    """Write any mesh as a new OFF file of polygons; normals, texture coordinates, colours and materials are omitted."""
     polygons = polygons_of(mesh, mesh.faces)
     lines = ["OFF", f"{len(mesh.vertices)} {len(polygons)} 0"]
     lines += [f"{x!r} {y!r} {z!r}" for x, y, z in mesh.vertices.astype(np.float64).tolist()]
@@ -84,13 +85,13 @@ def write_off(mesh: Mesh, path: Path) -> None:
         temporary.write_bytes("\n".join([*lines, ""]).encode())
 
 
-def _read_header(lines: list[bytes], full: list[int], path: Path) -> tuple[int, int, int, bool]:
-    """Vertex and face counts, how many full lines the header takes, and whether vertices carry normals."""
-    match = _HEADER.match(lines[full[0]]) if full else None
+def _read_header(lines: list[bytes], non_empty: list[int], path: Path) -> tuple[int, int, int, bool]:
+    """Read vertex count, face count, number of non-empty lines of the header, and whether vertices have normals."""
+    match = _HEADER.match(lines[non_empty[0]]) if non_empty else None
     counts = match["rest"].split() if match else []
-    used = 1
-    if match and match["kind"] and not counts and len(full) > 1:
-        counts, used = lines[full[1]].split(), 2
+    header_lines = 1
+    if match and match["kind"] and not counts and len(non_empty) > 1:
+        counts, header_lines = lines[non_empty[1]].split(), 2
     if (
         not match
         or match["binary"]
@@ -98,17 +99,17 @@ def _read_header(lines: list[bytes], full: list[int], path: Path) -> tuple[int, 
         or len(counts) < 2
         or not all(word.isdigit() for word in counts[:2])
     ):
-        found = lines[full[0]].strip().decode("utf-8", "replace")[:40] if full else ""
+        found = lines[non_empty[0]].strip().decode("utf-8", "replace")[:40] if non_empty else ""
         raise InputError(
             f"{path}: expected text that begins with OFF and its counts, found {found!r}; export it as OFF"
         )
-    return int(counts[0]), int(counts[1]), used, b"N" in (match["kind"] or b"")
+    return int(counts[0]), int(counts[1]), header_lines, b"N" in (match["kind"] or b"")
 
 
 def _read_faces(
     lines: list[bytes], index: list[int], vertex_count: int, path: Path
 ) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " P"]]:
-    """Triangles, and the corners of the polygons they are of."""
+    """Read the face lines; return triangles and the corner count of each polygon."""
     rows = [lines[i].split() for i in index]
     try:
         polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]

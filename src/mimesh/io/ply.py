@@ -1,4 +1,4 @@
-"""PLY in its three encodings: read a mesh or a point cloud, keep the file, and write new files."""
+"""Read PLY files in all three encodings (ASCII, little and big endian), write them again, and write new ones."""
 
 from __future__ import annotations
 
@@ -15,38 +15,40 @@ from ..core.mesh import Material, Mesh, Part
 from .atomic import whole_file
 from .colors import linear_rgba, srgb_rgba
 from .mtl import read_image
-from .ply_layout import Column, Header, gather, locate, read_header, read_units, scatter
+from .ply_layout import PlyColumn, PlyHeader, gather, locate_columns, read_header, read_units, scatter
 from .polygons import fan_corners, polygon_corners, polygon_sizes, scatter_corners
 
 _COLOR_NAMES = ("red", "green", "blue", "alpha")
 _UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"), ("texture_s", "texture_t"))
+"""Names of texture coordinates of vertices; PLY does not standardise them, and exporters differ."""
 
 
 @dataclass(frozen=True, eq=False)
 class PlySource:
-    """A PLY file kept whole, with the places of its points and normals. Satisfies `mesh.Source`."""
+    """The content of a PLY file, with the location of its properties. Satisfies `mesh.Source`."""
 
     path: Path
     data: bytes
-    header: Header
+    header: PlyHeader
     units: np.ndarray
-    """The body: bytes, or the numbers of an ASCII file."""
-    columns: dict[str, dict[str, Column]]
+    """The body: bytes, or the numbers of an ASCII file (see `ply_layout`)."""
+    columns: dict[str, dict[str, PlyColumn]]
+    """Location of each property by element and name."""
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon."""
+    """Corners of each polygon; the faces are triangle fans of them."""
     normals: Float[np.ndarray, "V 3"] | None
-    """Vertex normals at length one, where the file has nx, ny, nz."""
+    """Normalised vertex normals, where the file has nx, ny, nz."""
     companions: list[str]
-    """The texture the file names, if it is there, relative to its folder."""
+    """The texture file that the PLY file refers to, if it exists, relative to its folder."""
     suffix = ".ply"
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file with the points (and vertex normals, if it has any) of `mesh`, in its own encoding and types.
 
         Raises:
-            InputError: the file keeps its points as integers, which cannot hold moved ones.
+            InputError: the file stores its points as integers, and they have changed.
         """
         if mesh.vertices.shape != self.vertices.shape:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
@@ -64,16 +66,17 @@ class PlySource:
         return units.tobytes()
 
     def _ascii(self, changes) -> bytes:
+        """Replace the words of changed numbers; white space and all other words stay."""
         pieces = re.split(rb"(\s+)", self.data[self.header.size :])  # word, gap, word, gap, ...
-        first = 0 if pieces[0] else 2
+        first = 0 if pieces[0] else 2  # leading white space gives an empty first word
         for column, rows, values in self._moved(changes):
-            words = values.astype(column.dtype).astype(str).tolist()  # shortest text that reads back in that type
+            words = values.astype(column.dtype).astype(str).tolist()  # shortest text that reads back equal in that type
             for unit, word in zip(column.starts[rows].tolist(), words, strict=True):
                 pieces[first + 2 * unit] = word.encode()
         return b"".join(pieces)
 
     def _moved(self, changes):
-        """Each coordinate's column, the rows that differ from the file's, and their new values."""
+        """Yield for each coordinate its column, the rows that differ from the file, and their new values."""
         for names, new, old in changes:
             rows = np.flatnonzero((new != old).any(axis=1))
             for k, name in enumerate(("x", "y", "z") if names == "xyz" else ("nx", "ny", "nz")):
@@ -89,17 +92,17 @@ class PlySource:
 def read_ply(path: Path) -> Mesh:
     """Read a PLY file: vertices in the file's order, polygons as triangle fans; without faces it is a point cloud.
 
-    Takes normals (nx ny nz), texture coordinates per vertex (s t, u v, texture_u texture_v) or per face corner
+    Read are normals (nx ny nz), texture coordinates per vertex (s t, u v, texture_u texture_v) or per face corner
     (texcoord), colours per vertex (red green blue, alpha, taken as sRGB-encoded), and the image of a `comment
-    TextureFile`. All else (confidence, other elements) is kept in `source`. Triangle strips are not read.
+    TextureFile`. All else (confidence, other elements) is kept in `source`. Triangle strips are not supported.
 
     Raises:
-        InputError: a header or body that is damaged or cut short, or has no x, y, z.
+        InputError: the header or body is damaged or truncated, or there is no x, y, z.
     """
     data = path.read_bytes()
     header = read_header(data, path)
     units = read_units(data, header, path)
-    columns = locate(header, units, path)
+    columns = locate_columns(header, units, path)
     vertices = _read_points(columns, units, ("x", "y", "z"))
     if vertices is None:
         raise InputError(f"{path}: expected an element 'vertex' with x, y, z, found none; export it again")
@@ -130,15 +133,19 @@ def read_ply(path: Path) -> Mesh:
 
 
 def read_ply_points(path: Path, like: PlySource) -> Float[np.ndarray, "V 3"] | None:
-    """Only the vertices of a PLY file that differs from `like` in nothing but its vertex rows; None if it differs."""
+    """Read only the vertices of a PLY file that equals `like` apart from its vertex rows; None where it does not.
+
+    This is the fast path for the later frames of a clip: the columns of `like` are used without locating them again.
+    """
     data = path.read_bytes()
     header = read_header(data, path)
     first = header.elements[0]
-    simple = first.name == "vertex" and all(p.count is None for p in first.properties)
-    if not simple or (header.ascii, header.elements) != (like.header.ascii, like.header.elements):
+    has_fixed_rows = first.name == "vertex" and all(p.count is None for p in first.properties)
+    if not has_fixed_rows or (header.ascii, header.elements) != (like.header.ascii, like.header.elements):
         return None
     units = read_units(data, header, path)
     stop = first.length * sum(1 if header.ascii else p.dtype.itemsize for p in first.properties)
+    # Equal headers and equal units after the vertices: only vertex rows can differ.
     if len(units) != len(like.units) or not np.array_equal(units[stop:], like.units[stop:]):
         return None
     return _read_points(like.columns, units, ("x", "y", "z"))
@@ -150,7 +157,7 @@ def write_ply(mesh: Mesh, path: Path) -> None:
     Colours are sRGB-encoded bytes. Normals, parts, materials and images are not written.
     """
     sizes = polygon_sizes(mesh)
-    count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"
+    count = "uchar" if 2 * sizes.max(initial=0) < 256 else "int"  # type of list lengths; texcoord has two per corner
     vertex = [("xyz", "<f4", (3,))] + ([("rgba", "u1", (4,))] if mesh.vertex_colors is not None else [])
     rows = np.zeros(len(mesh.vertices), np.dtype(vertex))
     rows["xyz"] = mesh.vertices
@@ -168,36 +175,45 @@ def write_ply(mesh: Mesh, path: Path) -> None:
 
 
 def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> bytes:
-    """The face element: each polygon's vertices, and its texture coordinates if the mesh has any."""
-    corners, number = polygon_corners(sizes), "u1" if count == "uchar" else "<i4"
+    """Encode the face element: vertex indices of each polygon, and its texture coordinates if the mesh has any.
+
+    Rows differ in length with the number of corners. All polygons of one size are encoded together as a structured
+    array, and their rows are then placed at the offsets of the polygons.
+    """
+    corners, count_type = polygon_corners(sizes), "u1" if count == "uchar" else "<i4"
     first = np.cumsum(sizes) - sizes
-    pieces, widths = {}, np.zeros(len(sizes), np.int64)
+    rows_of_size, widths = {}, np.zeros(len(sizes), np.int64)
     for size in np.unique(sizes).tolist():
-        fields = [("count", number), ("corners", "<i4", (size,)), ("twice", number), ("uv", "<f4", (2 * size,))]
+        fields = [("count", count_type), ("corners", "<i4", (size,)), ("twice", count_type), ("uv", "<f4", (2 * size,))]
         rows = np.zeros((sizes == size).sum(), np.dtype(fields if mesh.corner_uv is not None else fields[:2]))
-        here = corners[first[sizes == size, None] + np.arange(size)]
-        rows["count"], rows["corners"] = size, mesh.faces.reshape(-1)[here]
+        index = corners[first[sizes == size, None] + np.arange(size)]
+        rows["count"], rows["corners"] = size, mesh.faces.reshape(-1)[index]
         if mesh.corner_uv is not None:
-            rows["twice"], rows["uv"] = 2 * size, mesh.corner_uv.reshape(-1, 2)[here].reshape(len(rows), -1)
-        pieces[size], widths[sizes == size] = rows, rows.dtype.itemsize
-    if len(pieces) == 1:
+            rows["twice"], rows["uv"] = 2 * size, mesh.corner_uv.reshape(-1, 2)[index].reshape(len(rows), -1)
+        rows_of_size[size], widths[sizes == size] = rows, rows.dtype.itemsize
+    if len(rows_of_size) == 1:
         return rows.tobytes()
-    places, body = np.cumsum(widths) - widths, np.zeros(widths.sum(), np.uint8)
-    for size, rows in pieces.items():
+    offsets, body = np.cumsum(widths) - widths, np.zeros(widths.sum(), np.uint8)
+    for size, rows in rows_of_size.items():
         width = rows.dtype.itemsize
-        body[places[sizes == size, None] + np.arange(width)] = rows.view(np.uint8).reshape(-1, width)
+        body[offsets[sizes == size, None] + np.arange(width)] = rows.view(np.uint8).reshape(-1, width)
     return body.tobytes()
 
 
 def _read_points(columns, units: np.ndarray, names: tuple[str, str, str]) -> Float[np.ndarray, "V 3"] | None:
+    """Read three properties of the vertex element as vectors; None where one of them is missing or a list."""
     vertex = columns.get("vertex", {})
     if not all(name in vertex and vertex[name].counts is None for name in names):
         return None
     return np.stack([gather(units, vertex[name]).astype(np.float64) for name in names], axis=1)
 
 
-def _polygon_column(columns, path: Path) -> Column | None:
-    """The list of vertex indices of the faces; None for a point cloud."""
+def _polygon_column(columns, path: Path) -> PlyColumn | None:
+    """Return the column with the vertex indices of the faces; None for a point cloud.
+
+    Raises:
+        InputError: faces are stored as triangle strips or without a list of vertex indices.
+    """
     if "tristrips" in columns:
         raise InputError(f"{path}: expected polygons, found triangle strips; export it again with plain faces")
     face = columns.get("face", {})
@@ -210,6 +226,7 @@ def _polygon_column(columns, path: Path) -> Column | None:
 
 
 def _read_uv(columns, units: np.ndarray, faces, triangles, sizes) -> Float[np.ndarray, "F 3 2"] | None:
+    """Read texture coordinates per face corner, else per vertex; None where the file has neither."""
     vertex, texcoord = columns["vertex"], columns.get("face", {}).get("texcoord")
     if texcoord is not None and texcoord.counts is not None and len(sizes) and (texcoord.counts == 2 * sizes).all():
         return gather(units, texcoord).astype(np.float64).reshape(-1, 2)[triangles]
@@ -219,20 +236,22 @@ def _read_uv(columns, units: np.ndarray, faces, triangles, sizes) -> Float[np.nd
     return None
 
 
-def _read_colors(vertex: dict[str, Column], units: np.ndarray) -> Float[np.ndarray, "V 4"] | None:
-    """Linear colours of the vertices; integers are 0..1 of their type's range, floats as they are."""
+def _read_colors(vertex: dict[str, PlyColumn], units: np.ndarray) -> Float[np.ndarray, "V 4"] | None:
+    """Read linear RGBA of the vertices; integers are scaled by the largest value of their type, floats are 0..1."""
     names = [name for name in _COLOR_NAMES if name in vertex and vertex[name].counts is None]
     if names[:3] != list(_COLOR_NAMES[:3]):
         return None
-    values = [gather(units, vertex[name]) / _full(vertex[name].dtype) for name in names]
+    values = [gather(units, vertex[name]) / _white_level(vertex[name].dtype) for name in names]
     return linear_rgba(np.stack(values, axis=1).astype(np.float64))
 
 
-def _full(dtype: np.dtype) -> float:
+def _white_level(dtype: np.dtype) -> float:
+    """Return the value of full intensity in a colour channel of this type."""
     return 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max)
 
 
-def _read_texture(header: Header, path: Path, faces: int) -> tuple[tuple[Part, ...], list[str]]:
+def _read_texture(header: PlyHeader, path: Path, faces: int) -> tuple[tuple[Part, ...], list[str]]:
+    """Read the image of `comment TextureFile` as one part with a material; return it and the image files found."""
     names = [comment.split(None, 1)[1] for comment in header.comments if comment.startswith("TextureFile ")]
     found = [name for name in names if (path.parent / name).is_file()]
     if not found or not faces:

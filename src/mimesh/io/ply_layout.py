@@ -1,7 +1,7 @@
-"""Where everything lies in a PLY file: its header, and the place of every value of every element.
+"""Parse the header of a PLY file and locate the values of every property of every element in its body.
 
-One scheme serves both encodings: a body is an array of *units*, bytes in a binary file and numbers in an ASCII one, and
-a `Column` says at which units the values of one property begin.
+One scheme serves both encodings: the body is an array of *units*, bytes in a binary file and numbers in an ASCII file,
+and a `PlyColumn` holds the unit index at which each value of one property begins.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from ..core.errors import InputError
 from .text import decoded
 
-_TYPES = {
+_TYPES = {  # type names of the original specification and of later writers -> NumPy types
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
     **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
@@ -25,48 +25,54 @@ _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": 
 
 
 @dataclass(frozen=True)
-class Property:
-    """One property of an element; `count` is the type of a list's length, None for a single value."""
+class PlyProperty:
+    """One property of an element: a single value or a list."""
 
     name: str
     dtype: np.dtype
+    """Type of the value, or of the items of a list."""
     count: np.dtype | None
+    """Type of the length of a list; None for a single value."""
 
 
 @dataclass(frozen=True)
-class Element:
-    """A table of the file: its name, its number of rows and its properties in order."""
+class PlyElement:
+    """One table of the file, such as `vertex` or `face`."""
 
     name: str
     length: int
-    properties: tuple[Property, ...]
+    """Number of rows."""
+    properties: tuple[PlyProperty, ...]
+    """Columns in file order."""
 
 
 @dataclass(frozen=True)
-class Header:
-    """What a PLY file says of itself before its body."""
+class PlyHeader:
+    """The parsed header of a PLY file."""
 
     ascii: bool
-    elements: tuple[Element, ...]
+    elements: tuple[PlyElement, ...]
     comments: tuple[str, ...]
     size: int
-    """Bytes up to the body."""
+    """Bytes from the start of the file to the body."""
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
-    """Where the values of one property begin, in units; for a list, its first value and how many there are."""
+class PlyColumn:
+    """The location of the values of one property in the body."""
 
     starts: Int[np.ndarray, " N"]
+    """Unit index of the value of each row; of a list, of its first item."""
     dtype: np.dtype
     counts: Int[np.ndarray, " N"] | None = None
+    """Items of the list of each row; None for single values."""
 
 
-def read_header(data: bytes, path: Path) -> Header:
+def read_header(data: bytes, path: Path) -> PlyHeader:
     """Parse the header of a PLY file.
 
     Raises:
-        InputError: not a PLY file, or a header that is cut short or says what PLY does not know.
+        InputError: the file is no PLY file, or its header is truncated or has an unknown format or type.
     """
     end = re.search(rb"([\r\n])end_header[ \t]*", data)
     if not data.startswith(b"ply") or end is None:
@@ -85,13 +91,14 @@ def read_header(data: bytes, path: Path) -> Header:
             f"found {str(error) or 'no format'}; export it again as binary PLY"
         ) from error
     comments = tuple(text.strip().removeprefix("comment").strip() for text in texts if text.split()[:1] == ["comment"])
-    # Where lines end in a bare CR, an LF behind the last one is the first byte of the body.
+    # The header ends with one line end, which is CR LF only where the other lines end so too: after a bare CR, an LF is
+    # the first byte of the body.
     is_pair = end[1] == b"\n" and data[end.end() :][:2] == b"\r\n"
-    return Header(order == "=", elements, comments, end.end() + (2 if is_pair else 1))
+    return PlyHeader(order == "=", elements, comments, end.end() + (2 if is_pair else 1))
 
 
-def read_units(data: bytes, header: Header, path: Path) -> np.ndarray:
-    """The body as units: bytes, or the numbers of an ASCII file."""
+def read_units(data: bytes, header: PlyHeader, path: Path) -> np.ndarray:
+    """Return the body as units: bytes, or the numbers of an ASCII file; raises InputError for other words in it."""
     if not header.ascii:
         return np.frombuffer(data, np.uint8, offset=min(header.size, len(data)))
     words = data[header.size :].split()
@@ -101,18 +108,19 @@ def read_units(data: bytes, header: Header, path: Path) -> np.ndarray:
         raise InputError(f"{path}: expected numbers after the header, found {error!r:.80}; export it again") from error
 
 
-def locate(header: Header, units: np.ndarray, path: Path) -> dict[str, dict[str, Column]]:
-    """Find every property of every element: `columns[element][property]`.
+def locate_columns(header: PlyHeader, units: np.ndarray, path: Path) -> dict[str, dict[str, PlyColumn]]:
+    """Locate every property of every element: `columns[element][property]`.
 
     Raises:
-        InputError: the body is shorter than the header says.
+        InputError: the body is shorter than the header declares.
     """
-    columns: dict[str, dict[str, Column]] = {}
+    columns: dict[str, dict[str, PlyColumn]] = {}
     start = 0
     for element in header.elements:
-        least = start + element.length * sum(_least_size(p, header.ascii) for p in element.properties)
+        # Tested before anything is allocated: the header of a damaged file may declare any number of rows.
+        min_end = start + element.length * sum(_min_size(p, header.ascii) for p in element.properties)
         located = None
-        if least <= len(units):
+        if min_end <= len(units):
             located = _locate_uniform(element, units, start) or _locate_rows(element, units, start)
         if located is None:
             raise InputError(
@@ -123,10 +131,11 @@ def locate(header: Header, units: np.ndarray, path: Path) -> dict[str, dict[str,
     return columns
 
 
-def gather(units: np.ndarray, column: Column) -> np.ndarray:
-    """The values of a column, lists one after another."""
+def gather(units: np.ndarray, column: PlyColumn) -> np.ndarray:
+    """Return the values of a column; those of lists are concatenated."""
     starts = column.starts
     if column.counts is not None:
+        # Unit index of each list item: start of its list plus its position in the list times the item's size.
         within = np.arange(column.counts.sum()) - np.repeat(np.cumsum(column.counts) - column.counts, column.counts)
         starts = np.repeat(starts, column.counts) + within * _size(column.dtype, units)
     if units.dtype != np.uint8:
@@ -134,37 +143,44 @@ def gather(units: np.ndarray, column: Column) -> np.ndarray:
     return units[_bytes_of(starts, column.dtype)].view(column.dtype)[:, 0]
 
 
-def scatter(units: np.ndarray, column: Column, rows: Int[np.ndarray, " M"], values: Float[np.ndarray, " M"]) -> None:
-    """Write values of a binary body, in place, in the column's own type."""
-    chosen = _bytes_of(column.starts[rows], column.dtype)
-    units[chosen] = values.astype(column.dtype)[:, None].view(np.uint8)
+def scatter(units: np.ndarray, column: PlyColumn, rows: Int[np.ndarray, " M"], values: Float[np.ndarray, " M"]) -> None:
+    """Write values into rows of a column of a binary body, in place, converted to the column's type."""
+    byte_index = _bytes_of(column.starts[rows], column.dtype)
+    units[byte_index] = values.astype(column.dtype)[:, None].view(np.uint8)
 
 
-def _read_elements(lines: list[list[str]], order: str) -> tuple[Element, ...]:
-    elements: list[Element] = []
+def _read_elements(lines: list[list[str]], order: str) -> tuple[PlyElement, ...]:
+    """Parse the `element` and `property` lines of a header; `order` is the byte order as NumPy writes it."""
+    elements: list[PlyElement] = []
     for words in lines:
         if words[:1] == ["element"]:
             if int(words[2]) < 0:
                 raise ValueError(f"an element of {words[2]} rows")
-            elements.append(Element(words[1], int(words[2]), ()))
+            elements.append(PlyElement(words[1], int(words[2]), ()))
         elif words[:1] == ["property"]:
             last = elements.pop()
-            elements.append(Element(last.name, last.length, (*last.properties, _read_property(words, order))))
+            elements.append(PlyElement(last.name, last.length, (*last.properties, _read_property(words, order))))
     return tuple(elements)
 
 
-def _read_property(words: list[str], order: str) -> Property:
+def _read_property(words: list[str], order: str) -> PlyProperty:
     if words[1] == "list":
-        return Property(words[4], np.dtype(order + _TYPES[words[3]]), np.dtype(order + _TYPES[words[2]]))
-    return Property(words[2], np.dtype(order + _TYPES[words[1]]), None)
+        return PlyProperty(words[4], np.dtype(order + _TYPES[words[3]]), np.dtype(order + _TYPES[words[2]]))
+    return PlyProperty(words[2], np.dtype(order + _TYPES[words[1]]), None)
 
 
-def _locate_uniform(element: Element, units: np.ndarray, start: int) -> tuple[dict[str, Column], int] | None:
-    """Columns of an element whose lists are as long in every row as in the first; None if they are not."""
+def _locate_uniform(element: PlyElement, units: np.ndarray, start: int) -> tuple[dict[str, PlyColumn], int] | None:
+    """Locate the columns of an element whose lists have the same length in every row; None where they do not.
+
+    Rows then have one stride, so all columns follow from the first row without a Python loop. Returns the columns and
+    the unit index after the element.
+    """
     if element.length == 0 or not element.properties:
-        none = np.zeros(0, int)
-        return {p.name: Column(none, p.dtype, None if p.count is None else none) for p in element.properties}, start
-    first = _locate_rows(Element(element.name, 1, element.properties), units, start)
+        empty = np.zeros(0, int)
+        return {
+            p.name: PlyColumn(empty, p.dtype, None if p.count is None else empty) for p in element.properties
+        }, start
+    first = _locate_rows(PlyElement(element.name, 1, element.properties), units, start)
     if first is None:
         return None
     columns, end = first
@@ -172,21 +188,24 @@ def _locate_uniform(element: Element, units: np.ndarray, start: int) -> tuple[di
     if start + stride * element.length > len(units):
         return None
     steps = stride * np.arange(element.length)
-    moved: dict[str, Column] = {}
+    strided: dict[str, PlyColumn] = {}
     for p in element.properties:
-        one = columns[p.name]
+        column = columns[p.name]
         counts = None
-        if p.count is not None and one.counts is not None:
-            counts = np.full(element.length, one.counts[0])
-            at = one.starts[0] - _size(p.count, units) + steps
-            if (gather(units, Column(at, p.count)) != counts).any():
+        if p.count is not None and column.counts is not None:
+            counts = np.full(element.length, column.counts[0])
+            count_starts = column.starts[0] - _size(p.count, units) + steps
+            if (gather(units, PlyColumn(count_starts, p.count)) != counts).any():
                 return None
-        moved[p.name] = Column(one.starts[0] + steps, p.dtype, counts)
-    return moved, start + stride * element.length
+        strided[p.name] = PlyColumn(column.starts[0] + steps, p.dtype, counts)
+    return strided, start + stride * element.length
 
 
-def _locate_rows(element: Element, units: np.ndarray, start: int) -> tuple[dict[str, Column], int] | None:
-    """Columns of an element, walking row by row over its lists; None if the body ends before."""
+def _locate_rows(element: PlyElement, units: np.ndarray, start: int) -> tuple[dict[str, PlyColumn], int] | None:
+    """Locate the columns of an element row by row, for lists of any length; None where the body ends too early.
+
+    Returns the columns and the unit index after the element.
+    """
     numbers = units.tolist() if units.dtype != np.uint8 else None
     raw = units.tobytes() if numbers is None else b""
     starts = np.zeros((len(element.properties), element.length), np.int64)
@@ -199,6 +218,7 @@ def _locate_rows(element: Element, units: np.ndarray, start: int) -> tuple[dict[
                 width = _size(p.count, units)
                 if position + width > len(units):
                     return None
+                # The length is read from bytes or from a number; a negative or absurd one means damage.
                 if numbers is None:
                     order = "big" if p.count.str[0] == ">" else "little"
                     count = int.from_bytes(raw[position : position + width], order)
@@ -213,19 +233,22 @@ def _locate_rows(element: Element, units: np.ndarray, start: int) -> tuple[dict[
     if position > len(units):
         return None
     columns = {
-        p.name: Column(starts[k], p.dtype, counts[k] if p.count is not None else None)
+        p.name: PlyColumn(starts[k], p.dtype, counts[k] if p.count is not None else None)
         for k, p in enumerate(element.properties)
     }
     return columns, position
 
 
-def _least_size(p: Property, is_ascii: bool) -> int:
+def _min_size(p: PlyProperty, is_ascii: bool) -> int:
+    """Return the fewest units that a property takes in a row: those of its value, or of an empty list."""
     return 1 if is_ascii else (p.dtype if p.count is None else p.count).itemsize
 
 
 def _size(dtype: np.dtype, units: np.ndarray) -> int:
+    """Return the units of one value: its bytes in a binary body, 1 in an ASCII body."""
     return dtype.itemsize if units.dtype == np.uint8 else 1
 
 
 def _bytes_of(starts: Int[np.ndarray, " N"], dtype: np.dtype) -> Int[np.ndarray, "N S"]:
+    """Return the index of every byte of values that begin at `starts`."""
     return starts[:, None] + np.arange(dtype.itemsize)

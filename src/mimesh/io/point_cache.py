@@ -1,8 +1,8 @@
-"""Point caches: the positions of every frame and nothing else, as PC2, MDD or a NumPy array.
+"""Read and write point caches, files of the vertex positions of every frame: PC2, MDD and NumPy arrays (.npy).
 
-Faces come from a mesh of the same name beside the cache, walk.obj for walk.pc2; without one it is a moving point cloud.
-PC2: 32 bytes of header, then little-endian float32. MDD: counts, a time in seconds for each frame, float32, all
-big-endian. NPY: one array (T, V, 3), or (V, 3) for a mesh. PC2 and NPY know no frame rate.
+Faces come from a mesh file of the same name beside the cache, walk.obj for walk.pc2; without one the clip is a moving
+point cloud. PC2: a header of 32 bytes, then little-endian float32. MDD: two counts, a time in seconds per frame, then
+the positions, all big-endian, float32. NPY: one array (T, V, 3), or (V, 3) for a mesh. PC2 and NPY have no frame rate.
 """
 
 from __future__ import annotations
@@ -20,19 +20,20 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from .atomic import whole_file
-from .timing import DEFAULT_FPS, between, frame_count, sample_rate
+from .timing import DEFAULT_FPS, frame_count, sample_rate, surrounding_samples
 
-_PC2 = struct.Struct("<12siiffi")  # signature, version, points, first frame, frames a sample, samples
+_PC2 = struct.Struct("<12siiffi")
+"""PC2 header: signature, version, point count, start frame, frames per sample, sample count."""
 _PC2_SIGNATURE = b"POINTCACHE2\0"
 
 
 @dataclass(frozen=True, eq=False)
-class Cache:
-    """What the header of a cache says, and its frames, still in the file."""
+class PointCache:
+    """The frames of a point cache, mapped from the file, and their times."""
 
     frames: Float[np.ndarray, "T V 3"]
     times: Float[np.ndarray, " T"] | None
-    """Seconds of each frame; None where the format has none."""
+    """Seconds of each frame; None where the format stores no times."""
 
 
 def read_cache(
@@ -42,36 +43,38 @@ def read_cache(
     read: Callable[[Path], Mesh],
     progress: Progress | None = None,
 ) -> Clip:
-    """Read a .pc2, .mdd or .npy file as a clip of the mesh beside it, or of points.
+    """Read a .pc2, .mdd or .npy file as a clip of the mesh beside it, or as a moving point cloud.
 
     Args:
-        fps: frames a second. An MDD file has times: it is sampled at this rate, linearly between its frames. The others
-            are played at it; None is 30 for them.
+        fps: frames per second. An MDD file has times: it is resampled at this rate, linearly between its frames. The
+            others are played at it, and at 30 without it.
         suffixes: formats of meshes that `read` reads, likeliest first.
+        read: reads the mesh file beside the cache.
 
     Raises:
-        InputError: the file is damaged or cut short, or the mesh beside it has another number of vertices.
+        InputError: the file is damaged or truncated, or the mesh beside it has another number of vertices.
     """
     cache = {".pc2": _open_pc2, ".mdd": _open_mdd, ".npy": _open_npy}[path.suffix.lower()](path)
     count, vertices = cache.frames.shape[:2]
     mesh = _mesh_beside(path, vertices, suffixes, read)
     dtype = cache.frames.dtype.newbyteorder("=")
+    # Without times, or without a wanted rate, the stored frames are the clip's frames.
     if cache.times is None or not count:
         frames, fps = each_frame(cache.frames), fps or DEFAULT_FPS
     elif fps is None:
         frames, fps = each_frame(cache.frames), sample_rate(cache.times) or DEFAULT_FPS
     else:
         count = frame_count(float(cache.times[-1] - cache.times[0]), fps)
-        frames = _sampled(cache, cache.times[0] + np.arange(count) / fps)
-    kept = store_frames(frames, count, vertices, dtype, progress)
-    first = kept[0].astype(np.float64) if count else np.zeros((vertices, 3))
+        frames = _resample(cache, cache.times[0] + np.arange(count) / fps)
+    stored = store_frames(frames, count, vertices, dtype, progress)
+    first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
     if mesh is None:
-        return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), kept, fps)
-    return Clip(mesh.with_vertices(first), kept, fps)
+        return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), stored, fps)
+    return Clip(mesh.with_vertices(first), stored, fps)
 
 
 def write_pc2(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write the points of a clip as PC2, one sample for each frame from frame 0 on; the frame rate is not in it."""
+    """Write the points of a clip as PC2, one sample per frame from frame 0 on; the format has no frame rate."""
     count, vertices = clip.vertices.shape[:2]
     with whole_file(path) as temporary, temporary.open("wb") as file:
         file.write(_PC2.pack(_PC2_SIGNATURE, 1, vertices, 0.0, 1.0, count))
@@ -88,7 +91,7 @@ def write_mdd(clip: Clip, path: Path, progress: Progress | None = None) -> None:
 
 
 def write_npy(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write the points of a clip as one NumPy array (T, V, 3) of its own type."""
+    """Write the points of a clip as one NumPy array (T, V, 3) in the clip's own number type."""
     dtype = clip.vertices.dtype.newbyteorder("<")
     header = {"descr": np.lib.format.dtype_to_descr(dtype), "fortran_order": False, "shape": clip.vertices.shape}
     with whole_file(path) as temporary, temporary.open("wb") as file:
@@ -101,16 +104,17 @@ def _write_points(file: BinaryIO, frames: Iterable[Float[np.ndarray, "V 3"]], dt
         file.write(points.astype(dtype).tobytes())
 
 
-def _sampled(cache: Cache, wanted: Float[np.ndarray, " K"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+def _resample(cache: PointCache, times: Float[np.ndarray, " K"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the points at each of the times, interpolated linearly."""
     assert cache.times is not None
-    for before, after, share in zip(*between(cache.times, wanted), strict=True):
+    for before, after, weight in zip(*surrounding_samples(cache.times, times), strict=True):
         a, b = (cache.frames[t].astype(np.float64) for t in (before, after))
-        yield a + share * (b - a)
+        yield a + weight * (b - a)
 
 
-def _open_pc2(path: Path) -> Cache:
-    head = _head(path, _PC2.size)
-    signature, version, points, _, step, count = _PC2.unpack(head.ljust(_PC2.size, b"\0"))
+def _open_pc2(path: Path) -> PointCache:
+    start = _read_start(path, _PC2.size)
+    signature, version, points, _, step, count = _PC2.unpack(start.ljust(_PC2.size, b"\0"))
     if signature != _PC2_SIGNATURE or version != 1:
         raise InputError(
             f"{path}: expected a PC2 file ('POINTCACHE2', version 1), found {signature[:11]!r} {version}; "
@@ -118,21 +122,21 @@ def _open_pc2(path: Path) -> Cache:
         )
     if not step > 0:
         raise InputError(f"{path}: expected a positive sample rate, found {step:g}; export it again")
-    return Cache(_mapped(path, "<f4", _PC2.size, count, points), None)
+    return PointCache(_map_frames(path, "<f4", _PC2.size, count, points), None)
 
 
-def _open_mdd(path: Path) -> Cache:
-    count, points = struct.unpack(">ii", _head(path, 8).ljust(8, b"\0"))
-    frames = _mapped(path, ">f4", 8 + 4 * max(count, 0), count, points)
+def _open_mdd(path: Path) -> PointCache:
+    count, points = struct.unpack(">ii", _read_start(path, 8).ljust(8, b"\0"))
+    frames = _map_frames(path, ">f4", 8 + 4 * max(count, 0), count, points)
     times = np.fromfile(path, ">f4", max(count, 0), offset=8).astype(np.float64)
     if not np.isfinite(times).all() or (np.diff(times) <= 0).any():
         raise InputError(
             f"{path}: expected times that rise, found others; the file is damaged or no MDD, export it again"
         )
-    return Cache(frames, times)
+    return PointCache(frames, times)
 
 
-def _open_npy(path: Path) -> Cache:
+def _open_npy(path: Path) -> PointCache:
     try:
         array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError) as error:
@@ -142,19 +146,20 @@ def _open_npy(path: Path) -> Cache:
         raise InputError(f"{path}: expected an array (T, V, 3) or (V, 3), found {found}; save it in that shape")
     if array.dtype.kind != "f":
         raise InputError(f"{path}: expected floating-point numbers, found {array.dtype}; save it as float32")
-    return Cache(array.reshape(-1, *array.shape[-2:]), None)
+    return PointCache(array.reshape(-1, *array.shape[-2:]), None)
 
 
-def _head(path: Path, size: int) -> bytes:
+def _read_start(path: Path, size: int) -> bytes:
     with path.open("rb") as file:
         return file.read(size)
 
 
-def _mapped(path: Path, dtype: str, offset: int, count: int, points: int) -> Float[np.ndarray, "T V 3"]:
-    size, wanted = path.stat().st_size, offset + 12 * count * points
-    if count < 0 or points < 0 or size < wanted:
+def _map_frames(path: Path, dtype: str, offset: int, count: int, points: int) -> Float[np.ndarray, "T V 3"]:
+    """Map the frames of a file into memory; raises InputError where it is too short for the counts of its header."""
+    size, needed = path.stat().st_size, offset + 12 * count * points
+    if count < 0 or points < 0 or size < needed:
         raise InputError(
-            f"{path}: expected {wanted} bytes for {count} frames of {points} points, found {size}; "
+            f"{path}: expected {needed} bytes for {count} frames of {points} points, found {size}; "
             "the file is cut short or of another format, export it again"
         )
     if not count or not points:
@@ -163,21 +168,21 @@ def _mapped(path: Path, dtype: str, offset: int, count: int, points: int) -> Flo
 
 
 def _mesh_beside(path: Path, vertices: int, suffixes: Sequence[str], read: Callable[[Path], Mesh]) -> Mesh | None:
-    """The first mesh of the same name in the same folder that fits; None where there is none of that name.
+    """Find and read the mesh of the same name and vertex count in the folder of a cache; None without such a name.
 
     Raises:
-        InputError: none of those there has so many vertices.
+        InputError: there are meshes of that name, but all have another number of vertices.
     """
-    strangers = []
+    mismatches = []
     for suffix in suffixes:
         for file in sorted(path.parent.glob("*")):
             if file.stem == path.stem and file.suffix.lower() == suffix:
                 mesh = read(file)
                 if len(mesh.vertices) == vertices:
                     return mesh
-                strangers.append((file.name, len(mesh.vertices)))
-    if strangers:
-        name, count = strangers[0]
+                mismatches.append((file.name, len(mesh.vertices)))
+    if mismatches:
+        name, count = mismatches[0]
         raise InputError(
             f"{path}: expected as many points as {name} has vertices, {count}, found {vertices}; "
             "put the mesh it was made from beside it, or rename one of them"

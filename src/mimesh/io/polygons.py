@@ -1,4 +1,7 @@
-"""From the polygons of a file to the triangles of a Mesh, and from its corner normals back to the file's."""
+"""Convert polygons to triangles and back, and move values between polygon corners and triangle corners.
+
+Polygons are given by `sizes`, their corner counts, with the corners of all polygons one after another in a flat list.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,10 @@ from ..core.mesh import Mesh
 def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
     """Triangulate polygons, each as a fan around its first corner.
 
-    `sizes` are the corner counts of polygons whose corners lie one after another in a flat list. Returns the place
-    in that list of each triangle's corners, and the polygon each triangle came from. Polygons of one or two corners
-    give no triangle; concave polygons are not treated apart.
+    Returns the index in the flat list of each triangle's corners, and the polygon of each triangle. Polygons of one or
+    two corners give no triangle. Concave polygons get the same fan, whose triangles may lie outside of them.
     """
+    # Polygon p becomes triangles (0, 1, 2), (0, 2, 3), ...; `step` counts them from 0 within each polygon.
     triangles = np.maximum(sizes - 2, 0)
     polygon = np.repeat(np.arange(len(sizes)), triangles)
     first = (np.cumsum(sizes) - sizes)[polygon]
@@ -26,8 +29,8 @@ def fan_corners(sizes: Int[np.ndarray, " P"]) -> tuple[Int[np.ndarray, "F 3"], I
 
 
 def polygon_sizes(mesh: Mesh) -> Int[np.ndarray, " P"]:
-    """Corners of each polygon that the faces of a mesh are fans of, in order; triangles unless its file says more."""
-    sizes = getattr(mesh.source, "sizes", None)  # of sources whose format has polygons
+    """Return the corner count of each polygon of a mesh, in face order; triangles where its source has no polygons."""
+    sizes = getattr(mesh.source, "sizes", None)  # only sources of formats with polygons have it
     if sizes is None:
         return np.full(len(mesh.faces), 3)
     sizes = sizes[sizes > 2]
@@ -36,25 +39,26 @@ def polygon_sizes(mesh: Mesh) -> Int[np.ndarray, " P"]:
 
 
 def polygon_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
-    """Where each polygon's corners are among the triangle corners that `fan_corners` made of them, (F, 3) flattened.
+    """Return the index of each polygon corner among the flattened triangle corners (F, 3) of `fan_corners`.
 
-    `mesh.faces.reshape(-1)[polygon_corners(sizes)]` are the vertices of the polygons, one after another; the same takes
-    texture coordinates and normals back. Polygons have three corners or more.
+    `mesh.faces.reshape(-1)[polygon_corners(sizes)]` are the vertices of the polygons; the same index takes texture
+    coordinates and normals back. Polygons must have three corners or more.
     """
     first = np.repeat(3 * (np.cumsum(sizes - 2) - (sizes - 2)), sizes)
     step = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    # Corners 0, 1, 2 are those of the first triangle, corner k the last of triangle k - 2.
+    # Corners 0, 1, 2 are those of the first triangle; corner k > 2 is the last of triangle k - 2: 3 (k - 2) + 2.
     return first + np.where(step < 2, step, 3 * step - 4)
 
 
-def backwards(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
-    """Places of all corners in their flat list, those of each polygon from its last to its first."""
+def reversed_corners(sizes: Int[np.ndarray, " P"]) -> Int[np.ndarray, " C"]:
+    """Return the index in the flat list that reverses the corners of each polygon, which flips its winding."""
+    # A polygon of n corners from index a has a, ..., a + n - 1; index k is replaced by a + (a + n - 1 - k).
     first = np.repeat(np.cumsum(sizes) - sizes, sizes)
     return 2 * first + np.repeat(sizes, sizes) - 1 - np.arange(len(first))
 
 
 def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
-    """Of values at the triangle corners (F, 3), those at the corners of each polygon, as lists."""
+    """Collect values at the triangle corners (F, 3) as one list per polygon."""
     sizes = polygon_sizes(mesh)
     if (sizes == 3).all():
         return values.reshape(-1, 3).tolist()
@@ -63,29 +67,29 @@ def polygons_of(mesh: Mesh, values: np.ndarray) -> list[list]:
     return [flat[stop - size : stop] for size, stop in zip(sizes.tolist(), stops, strict=True)]
 
 
-def joined_corners(given: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
-    """Values at the corners of several meshes as those of one mesh: zeros where a mesh has none, None where all lack.
+def joined_corners(values_of_mesh: Sequence[np.ndarray | None], counts: Sequence[int]) -> np.ndarray | None:
+    """Concatenate corner values of several meshes: zeros for a mesh without values, None where no mesh has any.
 
     `counts` are the rows of each mesh.
     """
-    width = next((values.shape[1:] for values in given if values is not None), None)
-    if width is None:
+    shape = next((values.shape[1:] for values in values_of_mesh if values is not None), None)
+    if shape is None:
         return None
-    filled = [np.zeros((n, *width)) if values is None else values for values, n in zip(given, counts, strict=True)]
-    return np.concatenate(filled)
+    pairs = zip(values_of_mesh, counts, strict=True)
+    return np.concatenate([np.zeros((count, *shape)) if values is None else values for values, count in pairs])
 
 
 def with_face_normals(
     normals: Float[np.ndarray, "F 3 3"], vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "F 3 3"]:
-    """Corner normals, and those of the faces where they are zero."""
+    """Replace zero corner normals by the normals of their faces."""
     return np.where(normals.any(axis=2, keepdims=True), normals, face_normals(vertices, faces)[:, None])
 
 
 def scatter_corners(
     corner_values: Float[np.ndarray, "F 3 C"], index: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "N C"]
 ) -> Float[np.ndarray, "N C"]:
-    """Bring values at triangle corners back to the `index` they were taken from; rows no corner uses keep `before`."""
+    """Write values at triangle corners to the rows `index` that they were taken from; unused rows keep `before`."""
     after = before.copy()
     after[index.ravel()] = corner_values.reshape(-1, corner_values.shape[-1])
     return after

@@ -1,4 +1,8 @@
-"""STL, binary and text: triangle soup, welded on reading and given back triangle by triangle."""
+"""Read binary and text STL files, write them again, and write new ones.
+
+STL is a triangle soup without shared vertices: corners at one position are welded on reading, and writing a file again
+keeps its triangles and their order.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +19,16 @@ from .atomic import whole_file
 from .text import decoded, read_numbers, replace_numbers
 
 _RECORD = np.dtype([("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+"""One triangle of a binary file."""
 _ROUNDING = 1e-5
-"""Of the largest coordinate: corners this near to each other are one vertex, written twice."""
-_HEADER_SIZE = 84  # 80 bytes of anything and a triangle count
+"""Fraction of the largest coordinate: corners of one vertex may differ by this in later frames of a clip."""
+_HEADER_SIZE = 84
+"""Bytes of a binary file before the triangles: 80 of any content and the triangle count."""
 
 
 @dataclass(frozen=True, eq=False)
 class StlSource:
-    """An STL file kept whole, and the welded mesh that was read from it. Satisfies `mesh.Source`."""
+    """The content of an STL file and the welded mesh that was read from it. Satisfies `mesh.Source`."""
 
     data: bytes
     vertices: Float[np.ndarray, "V 3"]
@@ -31,7 +37,7 @@ class StlSource:
     suffix = ".stl"
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the same triangles in the same order, header and attributes kept, moved facets with new normals."""
+        """Write the triangles in the file's order; header and attributes stay, changed triangles get new normals."""
         if mesh.vertices.shape != self.vertices.shape:
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
         moved = np.flatnonzero((mesh.vertices != self.vertices).any(axis=1)[self.faces].any(axis=1))
@@ -40,6 +46,7 @@ class StlSource:
         path.write_bytes(self._text(moved, corners, normals) if self.is_text else self._binary(moved, corners, normals))
 
     def _binary(self, moved, corners, normals) -> bytes:
+        # Some files have content after the last triangle, which is kept too.
         body = self.data[_HEADER_SIZE : _HEADER_SIZE + len(self.faces) * _RECORD.itemsize]
         records = np.frombuffer(body, _RECORD).copy()
         records["normal"][moved], records["corners"][moved] = normals, corners
@@ -49,41 +56,42 @@ class StlSource:
         lines = self.data.splitlines(keepends=True)
         facet_lines, vertex_lines = _lines_with(lines, b"facet"), _lines_with(lines, b"vertex")
         for face, points, normal in zip(moved.tolist(), corners.tolist(), normals.tolist(), strict=True):
-            at = facet_lines[face]
-            lines[at] = replace_numbers(lines[at], [float(f"{x:.6g}") for x in normal], skip=2)
-            for at, point in zip(vertex_lines[3 * face : 3 * face + 3], points, strict=True):
-                lines[at] = replace_numbers(lines[at], point, skip=1)
+            i = facet_lines[face]
+            lines[i] = replace_numbers(lines[i], [float(f"{x:.6g}") for x in normal], skip=2)
+            for i, point in zip(vertex_lines[3 * face : 3 * face + 3], points, strict=True):
+                lines[i] = replace_numbers(lines[i], point, skip=1)
         return b"".join(lines)
 
 
 def read_stl(path: Path) -> Mesh:
-    """Read an STL file; corners at exactly one position become one vertex, in order of first appearance.
+    """Read an STL file; corners at exactly the same position become one vertex, in order of first appearance.
 
-    So the mesh has fewer vertices than the file has corners, and writing it back still gives every triangle, in order.
     Each `solid` of a text file is a part. Facet normals are not kept: they follow from the triangles.
 
     Raises:
-        InputError: a file that is cut short, or is no STL.
+        InputError: the file is truncated, or is no STL file.
     """
     data = path.read_bytes()
     is_text = _is_text(data)
     soup, parts = _read_soup(data, path)
     merged, index = weld(soup)
-    _, first, appearance = np.unique(index, return_index=True, return_inverse=True)
+    # `weld` sorts by position; renumber the vertices by the first corner that uses each.
+    _, first, unique_index = np.unique(index, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty(len(order), np.int64)
     rank[order] = np.arange(len(order))
-    vertices, faces = merged[order], rank[appearance].reshape(-1, 3)
+    vertices, faces = merged[order], rank[unique_index].reshape(-1, 3)
     return Mesh(vertices, faces, name=path.stem, parts=parts, source=StlSource(data, vertices, faces, is_text))
 
 
 def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
-    """Vertices of a later frame of a clip, welded as the first frame was: that two meet, or parted ones do, is motion.
+    """Read the vertices of a later frame of a clip, welded as in the first frame `like`.
 
-    A vertex is where the first of its corners is; the others must be there as well, to rounding.
+    Which corners are one vertex is decided by the first frame alone, so vertices may come to touch later. The position
+    of a vertex is that of its first corner; the other corners must agree within `_ROUNDING`.
 
     Raises:
-        InputError: another number of triangles, or a vertex of the first frame that comes apart in this one.
+        InputError: another number of triangles, or corners of one vertex of the first frame have separated.
     """
     soup, _ = _read_soup(path.read_bytes(), path)
     corners = like.faces.reshape(-1)
@@ -93,10 +101,10 @@ def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
             "export all frames from one mesh"
         )
     points = np.empty_like(like.vertices)
-    points[corners[::-1]] = soup[::-1]  # of several corners of one vertex, the first comes last
-    apart = np.abs(soup - points[corners]).max(axis=1) > _ROUNDING * np.abs(soup).max()
-    if apart.any():
-        number = int(np.argmax(apart))
+    points[corners[::-1]] = soup[::-1]  # of repeated indices NumPy keeps the last: reversed, that is the first corner
+    is_separated = np.abs(soup - points[corners]).max(axis=1) > _ROUNDING * np.abs(soup).max()
+    if is_separated.any():
+        number = int(np.argmax(is_separated))
         raise InputError(
             f"{path}: expected triangles that meet in the first frame to stay together, found vertex {corners[number]} "
             f"apart in triangle {number // 3}; begin with a frame in which nothing touches, or export .obj, "
@@ -106,7 +114,7 @@ def read_stl_points(path: Path, like: StlSource) -> Float[np.ndarray, "V 3"]:
 
 
 def write_stl(mesh: Mesh, path: Path) -> None:
-    """Write any mesh as a new binary STL file: triangles only, without vertex order, parts or looks."""
+    """Write any mesh as a new binary STL file: triangles only, without vertex order, parts or materials."""
     if not len(mesh.faces):
         raise InputError(f"{path}: expected a mesh with faces for STL, found a point cloud; write .ply or .obj")
     records = np.zeros(len(mesh.faces), _RECORD)
@@ -117,12 +125,15 @@ def write_stl(mesh: Mesh, path: Path) -> None:
 
 
 def _read_soup(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple[Part, ...]]:
-    """The corners of all triangles, and the solids of a text file."""
+    """Read the corners of all triangles, and the solids of a text file as parts."""
     return _read_text(data, path) if _is_text(data) else (_read_binary(data, path), ())
 
 
 def _is_text(data: bytes) -> bool:
-    """Text begins with `solid`, but so do some binary files: there the size fits the triangle count."""
+    """Return whether a file is text: it begins with `solid`, and its size is not that of a binary file.
+
+    Some exporters also begin the free header of binary files with `solid`.
+    """
     return data.lstrip()[:5].lower() == b"solid" and len(data) != _binary_size(data)
 
 
@@ -150,7 +161,7 @@ def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple
             f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
             f"found {len(corners)} and {closed}; the file is cut short, export it again"
         )
-    read_numbers(lines, facets, 2, 3, path)  # normals follow from the triangles, but are to be replaced in these lines
+    read_numbers(lines, facets, 2, 3, path)  # only checks the normals: they are replaced when the file is written again
     return read_numbers(lines, corners, 1, 3, path), _read_parts(lines, facets)
 
 
@@ -165,4 +176,5 @@ def _read_parts(lines: list[bytes], facets: list[int]) -> tuple[Part, ...]:
 
 
 def _lines_with(lines: list[bytes], word: bytes) -> list[int]:
+    """Return the indices of lines whose first word is `word`, in any case."""
     return [i for i, line in enumerate(lines) if line.split(None, 1)[:1] and line.split(None, 1)[0].lower() == word]

@@ -1,4 +1,4 @@
-"""Text formats: numbers read in bulk, and numbers replaced inside a line that is otherwise left as it was."""
+"""Read numbers of text formats in bulk, and replace numbers in lines whose other characters stay."""
 
 from __future__ import annotations
 
@@ -14,19 +14,20 @@ from ..core.errors import InputError
 
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
-_THREE = {  # by how many words are skipped before three numbers: what stays before, between and after them
+# By the number of words before three numbers: groups of what stays before the first number and between the numbers.
+_THREE = {
     skip: re.compile(rb"(\s*(?:%b%b){%d})%b(%b)%b(%b)%b" % (_WORD, _GAP, skip, _WORD, _GAP, _WORD, _GAP, _WORD))
     for skip in (0, 1, 2, 3)
 }
 
 
 def without_comments(lines: Iterable[bytes]) -> list[bytes]:
-    """Each line up to its `#`, with continuations (a backslash before the line end) made plain space."""
-    return [line if b"#" not in line and b"\\" not in line else _clean(line) for line in lines]
+    """Cut each line at its `#`, and replace continuations (a backslash before the line end) by a space."""
+    return [line if b"#" not in line and b"\\" not in line else _cut_comment(line) for line in lines]
 
 
 def decoded(name: bytes) -> str:
-    """Text of a file that does not say how it is encoded: UTF-8, else Latin-1."""
+    """Decode text of unknown encoding: UTF-8 where it is valid, else Latin-1, which never fails."""
     try:
         return name.decode("utf-8")
     except UnicodeDecodeError:
@@ -34,26 +35,27 @@ def decoded(name: bytes) -> str:
 
 
 def line_number(lines: Sequence[bytes], index: int) -> int:
-    """The number an editor shows for `lines[index]`, counted from 1; continued lines count as several."""
+    """Return the line number, from 1, that an editor shows for `lines[index]`; continued lines count as several."""
     return 1 + sum(len(line.splitlines()) for line in lines[:index])
 
 
 def read_numbers(
     lines: Sequence[bytes], index: Sequence[int], skip: int, count: int, path: Path
 ) -> Float[np.ndarray, "N C"]:
-    """The `count` numbers that follow the first `skip` words of each of `lines[index]`.
+    """Read the `count` numbers after the first `skip` words of each of `lines[index]`.
 
     Raises:
-        InputError: a line has fewer numbers, or a word that is none; the line is named.
+        InputError: a line has fewer numbers, or a word that is no number; the message has the line.
     """
     last = skip + count
     rows = [line.split(None, last)[skip:last] for line in without_comments([lines[i] for i in index])]
+    # All words are converted at once, which is much faster than line by line; only a failure looks for the line.
     try:
         values = np.array(list(map(float, chain.from_iterable(rows))), np.float64)
         if all(len(row) == count for row in rows):
             return values.reshape(-1, count)
     except ValueError:
-        pass  # found again below, to say where
+        pass
     wrong = next(i for i, row in zip(index, rows, strict=True) if len(row) != count or not _are_numbers(row))
     found = lines[wrong].strip().decode("utf-8", "replace")[:60]
     raise InputError(
@@ -63,7 +65,7 @@ def read_numbers(
 
 
 def replace_numbers(line: bytes, values: Sequence[float], skip: int) -> bytes:
-    """The line with the three numbers after its first `skip` words replaced; spacing, comments and the rest stay.
+    """Replace the three numbers after the first `skip` words of a line; spacing, comments and the rest stay.
 
     Numbers are written with the fewest digits that read back as the same float64.
     """
@@ -86,7 +88,7 @@ def replace_rows(
         lines[number] = replace_numbers(lines[number], row, skip)
 
 
-def _clean(line: bytes) -> bytes:
+def _cut_comment(line: bytes) -> bytes:
     return re.sub(rb"\\(\r\n|\n|\r)", b" ", line).partition(b"#")[0]
 
 

@@ -1,4 +1,4 @@
-"""Alembic archives: what is written reads back, and archives that others might have written read as they mean."""
+"""Alembic archives: written ones round trip, and archives as other programs write them are read correctly."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import zoo
 from alembic3d import Abc, AbcGeom
-from nasty import CUBE_SHARED_NORMALS, bent, rotation
+from nasty import CUBE_SHARED_NORMALS, bend, rotation
 
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import face_vectors, vertex_normals
@@ -26,12 +26,12 @@ CUBE_QUADS = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 
 
 
 def wave(vertices: np.ndarray, count: int) -> np.ndarray:
-    frames = np.stack([(1 - t) * vertices + t * bent(vertices) for t in np.linspace(0, 1, count)])
+    frames = np.stack([(1 - t) * vertices + t * bend(vertices) for t in np.linspace(0, 1, count)])
     return frames.astype(np.float32).astype(np.float64)
 
 
-def dressed() -> Clip:
-    """A cube with all a mesh may have, moving."""
+def full_clip() -> Clip:
+    """Build a moving cube with texture coordinates, normals, parts and materials."""
     cube = zoo.cube()
     uv = np.random.default_rng(0).random((12, 3, 2)).astype(np.float32).astype(np.float64)
     flat = face_vectors(cube.vertices, cube.faces)
@@ -41,7 +41,7 @@ def dressed() -> Clip:
     return Clip(mesh, wave(cube.vertices, 7), 24.0)
 
 
-# A small writer of its own, so that archives may be as odd as those of others.
+# Helpers that write archives with features that `write_alembic_clip` does not write.
 def times(seconds: list[float]) -> TimeSampling:
     stored = alembic3d.AbcCoreAbstract.TimeVector()
     for second in seconds:
@@ -95,38 +95,38 @@ def moved(vertices: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("make", [make for make in zoo.ZOO if make is not zoo.point_cloud])
-def test_a_mesh_reads_back(make, tmp_path):
+def test_mesh_round_trips(make, tmp_path):
     mesh = make()
     save_mesh(mesh, tmp_path / "a.abc")
-    back = load_mesh(tmp_path / "a.abc")
-    np.testing.assert_array_equal(back.vertices, mesh.vertices.astype(np.float32))
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    assert (back.corner_uv, back.corner_normals, back.parts) == (None, None, ())
+    reread = load_mesh(tmp_path / "a.abc")
+    np.testing.assert_array_equal(reread.vertices, mesh.vertices.astype(np.float32))
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
+    assert (reread.corner_uv, reread.corner_normals, reread.parts) == (None, None, ())
 
 
-def test_a_clip_reads_back_with_all_it_carries(tmp_path):
-    clip = dressed()
+def test_clip_round_trips_with_uv_normals_and_face_sets(tmp_path):
+    clip = full_clip()
     save_clip(clip, tmp_path / "kleid é.abc")
-    back = load_clip(tmp_path / "kleid é.abc")
-    assert (back.fps, len(back), back.mesh.name) == (24.0, 7, "kleid é")
-    np.testing.assert_array_equal(back.vertices, clip.vertices)
-    np.testing.assert_array_equal(back.mesh.faces, clip.mesh.faces)
-    np.testing.assert_array_equal(back.mesh.corner_uv, clip.mesh.corner_uv)
-    np.testing.assert_allclose(back.mesh.corner_normals, clip.mesh.corner_normals, atol=1e-6)
-    assert [(part.name, part.start, part.stop) for part in back.mesh.parts] == [("skin", 0, 4), ("Stoff é_2", 4, 12)]
-    assert [part.material for part in back.mesh.parts] == [part.material for part in clip.mesh.parts]
+    reread = load_clip(tmp_path / "kleid é.abc")
+    assert (reread.fps, len(reread), reread.mesh.name) == (24.0, 7, "kleid é")
+    np.testing.assert_array_equal(reread.vertices, clip.vertices)
+    np.testing.assert_array_equal(reread.mesh.faces, clip.mesh.faces)
+    np.testing.assert_array_equal(reread.mesh.corner_uv, clip.mesh.corner_uv)
+    np.testing.assert_allclose(reread.mesh.corner_normals, clip.mesh.corner_normals, atol=1e-6)
+    assert [(part.name, part.start, part.stop) for part in reread.mesh.parts] == [("skin", 0, 4), ("Stoff é_2", 4, 12)]
+    assert [part.material for part in reread.mesh.parts] == [part.material for part in clip.mesh.parts]
 
 
-def test_looks_of_one_name_stay_apart(tmp_path):
+def test_materials_of_equal_name_stay_separate(tmp_path):
     red, green = (Material("skin", color) for color in ((1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0)))
     parts = (Part("a", 0, 2, red), Part("b", 2, 6, green), Part("skin", 6, 10), Part("c", 10, 12, red))
     save_mesh(dataclasses.replace(zoo.cube(), parts=parts), tmp_path / "a.abc")
-    back = load_mesh(tmp_path / "a.abc")
-    assert [(part.name, part.stop - part.start) for part in back.parts] == [("skin", 4), ("skin_2", 4), ("skin_3", 4)]
+    reread = load_mesh(tmp_path / "a.abc")
+    assert [(part.name, part.stop - part.start) for part in reread.parts] == [("skin", 4), ("skin_2", 4), ("skin_3", 4)]
 
 
-def test_normals_turn_with_the_surface(tmp_path):
-    clip = dressed()
+def test_normals_rotate_with_the_surface(tmp_path):
+    clip = full_clip()
     turn = np.stack([clip.mesh.vertices, clip.mesh.vertices @ rotation().T])
     save_clip(dataclasses.replace(clip, vertices=turn), tmp_path / "a.abc")
     shape = AbcGeom.IPolyMesh(shape_of(tmp_path / "a.abc"), Abc.WrapExistingFlag.kWrapExisting).getSchema()
@@ -139,8 +139,8 @@ def shape_of(path):
     return Abc.IArchive(str(path)).getTop().children[0].children[0]
 
 
-def test_alembic_itself_says_what_was_written(tmp_path):
-    clip = dressed()
+def test_library_reads_what_was_written(tmp_path):
+    clip = full_clip()
     save_clip(clip, tmp_path / "a.abc")
     schema = AbcGeom.IPolyMesh(shape_of(tmp_path / "a.abc"), Abc.WrapExistingFlag.kWrapExisting).getSchema()
     assert str(schema.getTopologyVariance()) == "kHomogenousTopology"
@@ -151,21 +151,21 @@ def test_alembic_itself_says_what_was_written(tmp_path):
     np.testing.assert_array_equal(corners[:, ::-1], clip.mesh.faces)  # clockwise
 
 
-def test_still_clips_keep_their_frames(tmp_path):
+def test_static_clips_keep_their_frames(tmp_path):
     save_clip(Clip(zoo.cube(), np.repeat(zoo.cube().vertices[None], 5, axis=0), 12.0), tmp_path / "a.abc")
     assert (len(load_clip(tmp_path / "a.abc")), load_clip(tmp_path / "a.abc").fps) == (5, 12.0)
 
 
-def test_polygons_of_a_file_stay_whole(tmp_path):
+def test_polygons_of_a_file_are_kept(tmp_path):
     (tmp_path / "cube.obj").write_bytes(CUBE_SHARED_NORMALS)
     mesh = load_mesh(tmp_path / "cube.obj")
     assert (polygon_sizes(mesh) == 4).all()
     save_mesh(mesh, tmp_path / "a.abc")
-    back = load_mesh(tmp_path / "a.abc")
-    np.testing.assert_array_equal(polygon_sizes(back), polygon_sizes(mesh))
-    np.testing.assert_array_equal(back.faces, mesh.faces)
-    np.testing.assert_allclose(back.corner_normals, mesh.corner_normals, atol=1e-6)
-    save_mesh(back.with_vertices(bent(back.vertices)), tmp_path / "b.abc")
+    reread = load_mesh(tmp_path / "a.abc")
+    np.testing.assert_array_equal(polygon_sizes(reread), polygon_sizes(mesh))
+    np.testing.assert_array_equal(reread.faces, mesh.faces)
+    np.testing.assert_allclose(reread.corner_normals, mesh.corner_normals, atol=1e-6)
+    save_mesh(reread.with_vertices(bend(reread.vertices)), tmp_path / "b.abc")
     np.testing.assert_array_equal(polygon_sizes(load_mesh(tmp_path / "b.abc")), polygon_sizes(mesh))
 
 
@@ -180,7 +180,7 @@ def test_polygons_of_any_size_become_fans(tmp_path):
     assert (polygon_sizes(mesh).tolist(), len(mesh.faces)) == ([5, 3, 3], 5)
 
 
-def test_transforms_nest_and_move(tmp_path):
+def test_nested_and_animated_transforms_are_applied(tmp_path):
     turns = [matrix(rotation(), (t, 0, 0)) for t in range(3)]
     scale = matrix(np.diag([2.0, 3.0, 0.5]), (0, 1, 0))
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
@@ -209,7 +209,7 @@ def test_faces_point_outward_under_mirrors(side, tmp_path):
 
 
 def test_normals_follow_transforms(tmp_path):
-    clip = dressed()
+    clip = full_clip()
     save_mesh(clip.mesh, tmp_path / "plain.abc")
     stretch = matrix(rotation() @ np.diag([-1.0, 3.0, 0.5]))
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
@@ -225,7 +225,7 @@ def test_normals_follow_transforms(tmp_path):
     np.testing.assert_allclose(mesh.corner_normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_texture_coordinates_of_vertices_and_what_does_not_fit(tmp_path):
+def test_uv_per_vertex_are_read_and_unfit_values_dropped_with_a_note(tmp_path):
     for name, count in (("vertex", 8), ("odd", 5)):
         archive = Abc.OArchive(str(tmp_path / f"{name}.abc"))
         shape = AbcGeom.OPolyMesh(archive.getTop(), "cube")
@@ -240,7 +240,7 @@ def test_texture_coordinates_of_vertices_and_what_does_not_fit(tmp_path):
     assert load_mesh(tmp_path / "odd.abc").source.notes == ("dropped 'uv' of cube: not one for each corner or vertex",)
 
 
-def test_only_what_is_visible_is_read(tmp_path):
+def test_only_visible_meshes_are_read(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     hidden = add_transform(archive.getTop(), "hidden", [np.eye(4)])
     AbcGeom.CreateVisibilityProperty(hidden, 0).setValue(0)
@@ -258,7 +258,7 @@ def test_only_what_is_visible_is_read(tmp_path):
     np.testing.assert_array_equal(mesh.vertices, np.concatenate([zoo.cube().vertices, zoo.cube().vertices + 5]))
 
 
-def test_an_archive_without_meshes_says_what_it_has(tmp_path):
+def test_archive_without_meshes_lists_its_objects(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     AbcGeom.OCamera(archive.getTop(), "camera")
     del archive
@@ -266,7 +266,7 @@ def test_an_archive_without_meshes_says_what_it_has(tmp_path):
         load_mesh(tmp_path / "a.abc")
 
 
-def test_samplings_may_differ_and_begin_anywhere(tmp_path):
+def test_time_samplings_may_differ_and_start_anywhere(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     slide = [matrix(shift=(t, 0, 0)) for t in range(5)]
     add_mesh(add_transform(archive.getTop(), "a", slide, rate(24, 1 / 24)), "aShape", [zoo.cube().vertices], CUBE_QUADS)
@@ -279,7 +279,7 @@ def test_samplings_may_differ_and_begin_anywhere(tmp_path):
     np.testing.assert_allclose(clip.vertices[:, 8], [[0, t, 0] for t in range(5)], atol=1e-6)
 
 
-def test_uneven_samples_are_laid_on_frames(tmp_path):
+def test_uneven_samples_are_resampled(tmp_path):
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     keys = [0, 1, 4, 6, 7]
     frames = [zoo.cube().vertices + [k, 0, 0] for k in keys]
@@ -292,7 +292,7 @@ def test_uneven_samples_are_laid_on_frames(tmp_path):
     np.testing.assert_allclose(twice.vertices[:, 0, 0], np.arange(15) / 2, atol=1e-5)
 
 
-def test_between_samples_transforms_turn_evenly(tmp_path):
+def test_transforms_are_interpolated_by_rotation(tmp_path):
     quarter = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     archive = Abc.OArchive(str(tmp_path / "a.abc"))
     turn = [matrix(2 * np.eye(3)), matrix(2 * quarter)]
@@ -317,11 +317,11 @@ def test_changing_topology_names_the_frame(change, tmp_path):
         load_clip(tmp_path / "a.abc")
 
 
-def test_progress_is_told(tmp_path):
-    told = []
-    save_clip(dressed(), tmp_path / "a.abc", progress=lambda done, count: told.append((done, count)))
-    load_clip(tmp_path / "a.abc", progress=lambda done, count: told.append((done, count)))
-    assert told == 2 * [(k, 7) for k in range(1, 8)]
+def test_progress_is_reported(tmp_path):
+    calls = []
+    save_clip(full_clip(), tmp_path / "a.abc", progress=lambda done, count: calls.append((done, count)))
+    load_clip(tmp_path / "a.abc", progress=lambda done, count: calls.append((done, count)))
+    assert calls == 2 * [(k, 7) for k in range(1, 8)]
 
 
 READ = """
@@ -337,8 +337,8 @@ for path in sys.argv[1:]:
 """
 
 
-def test_archives_cut_short_say_so_and_never_crash(tmp_path):
-    save_clip(dressed(), tmp_path / "whole.abc")
+def test_truncated_archives_are_refused_without_a_crash(tmp_path):
+    save_clip(full_clip(), tmp_path / "whole.abc")
     data = (tmp_path / "whole.abc").read_bytes()
     lengths = [1, 5, 6, 12, 16, 40, *np.linspace(100, len(data) - 1, 30).astype(int).tolist()]
     for length in lengths:
@@ -347,7 +347,7 @@ def test_archives_cut_short_say_so_and_never_crash(tmp_path):
     zeroed = data[: len(data) // 2] + bytes(len(data) - len(data) // 2)
     (tmp_path / "zeroed.abc").write_bytes(zeroed)
     paths = [tmp_path / f"{name}.abc" for name in ("whole", *lengths, "begun", "zeroed")]
-    # In a process of its own: a crash of the library would take the tests along.
+    # In a separate process: a crash of the library would end the test run.
     done = subprocess.run([sys.executable, "-c", READ, *map(str, paths)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
@@ -357,13 +357,13 @@ def test_archives_cut_short_say_so_and_never_crash(tmp_path):
 
 
 @pytest.mark.parametrize(("head", "words"), [(b"\x89HDF\r\n\x1a\n", "older HDF5"), (b"solid cube", "begins b'solid'")])
-def test_other_files_are_named_for_what_they_are(head, words, tmp_path):
+def test_other_kinds_of_files_are_explained(head, words, tmp_path):
     (tmp_path / "a.abc").write_bytes(head + bytes(100))
     with pytest.raises(InputError, match=words):
         load_mesh(tmp_path / "a.abc")
 
 
-def test_without_the_library_the_way_to_it_is_said(tmp_path, monkeypatch):
+def test_missing_library_is_explained(tmp_path, monkeypatch):
     save_mesh(zoo.cube(), tmp_path / "a.abc")
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "alembic3d" else found(name))

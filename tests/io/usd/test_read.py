@@ -1,4 +1,4 @@
-"""USD in: what a stage shows, prim by prim and time by time, in world coordinates."""
+"""USD stages are read prim by prim and time code by time code, in world coordinates."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CUBE = zoo.cube().vertices
 
 
 def volume(mesh) -> float:
-    """Six times the enclosed volume; negative for faces that look inwards."""
+    """Return six times the enclosed volume; negative for faces that point inwards."""
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     return float((a * np.cross(b, c)).sum())
 
@@ -42,7 +42,7 @@ def test_polygons_become_fans_and_transforms_nest(tmp_path):
 
 @pytest.mark.parametrize("hand", ["rightHanded", "leftHanded"])
 @pytest.mark.parametrize("scale", [(1, 1, 1), (1, -1, 1), (-2, -2, -2), (-1, 1, -1)])
-def test_faces_look_outwards_whatever_mirrors_them(hand, scale, tmp_path):
+def test_faces_point_outwards_under_mirroring_and_left_hand_orientation(hand, scale, tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     polygons = stages.QUADS if hand == "rightHanded" else [polygon[::-1] for polygon in stages.QUADS]
     cube = stages.add_cube(stage, polygons=polygons)
@@ -57,7 +57,7 @@ def test_faces_look_outwards_whatever_mirrors_them(hand, scale, tmp_path):
     np.testing.assert_allclose(mesh.corner_normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-7)
 
 
-def test_only_what_is_shown_is_read(tmp_path):
+def test_only_visible_meshes_are_read(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     for name in ("hidden", "proxy", "guide", "inactive", "render"):
         UsdGeom.Xform.Define(stage, f"/world/{name}")
@@ -74,16 +74,16 @@ def test_only_what_is_shown_is_read(tmp_path):
     assert mesh.source.notes == ("kept 1 point instancer as they were: they do not follow the new shape",)
 
 
-def test_instances_are_read_where_they_stand(tmp_path):
+def test_instances_are_read_with_their_transforms(tmp_path):
     stage = stages.new_stage(tmp_path / "part.usda")
     stages.add_cube(stage)
     stage.Save()
     stage = stages.new_stage(tmp_path / "a.usda")
     for k in range(3):
-        one = UsdGeom.Xform.Define(stage, f"/world/copy{k}")
-        one.AddTranslateOp().Set((2 * k, 0, 0))
-        one.GetPrim().GetReferences().AddReference("./part.usda")
-        one.GetPrim().SetInstanceable(True)
+        instance = UsdGeom.Xform.Define(stage, f"/world/copy{k}")
+        instance.AddTranslateOp().Set((2 * k, 0, 0))
+        instance.GetPrim().GetReferences().AddReference("./part.usda")
+        instance.GetPrim().SetInstanceable(True)
     stage.Save()
     mesh = load_mesh(tmp_path / "a.usda")
     np.testing.assert_allclose(mesh.vertices, np.concatenate([CUBE + [2 * k, 0, 0] for k in range(3)]))
@@ -91,7 +91,7 @@ def test_instances_are_read_where_they_stand(tmp_path):
     assert "3 instances" in mesh.source.notes[0]
 
 
-def test_z_up_and_centimetres_stay(tmp_path):
+def test_up_axis_and_unit_are_kept(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usdc", up="Z")
     UsdGeom.SetStageMetersPerUnit(stage, 0.01)
     stages.add_cube(stage).AddScaleOp().Set((1, 1, 180))
@@ -101,7 +101,7 @@ def test_z_up_and_centimetres_stay(tmp_path):
     assert (mesh.source.up_axis, mesh.source.meters_per_unit) == ("Z", 0.01)
 
 
-def test_subsets_are_parts_in_runs_with_their_materials(tmp_path):
+def test_geom_subsets_become_parts_with_materials(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     cube = stages.add_cube(stage)
     api = UsdShade.MaterialBindingAPI.Apply(cube.GetPrim())
@@ -120,7 +120,7 @@ def test_subsets_are_parts_in_runs_with_their_materials(tmp_path):
 
 
 @pytest.mark.parametrize("interpolation", ["vertex", "faceVarying"])
-def test_texture_coordinates_are_those_the_texture_reads(interpolation, tmp_path):
+def test_uv_primvar_is_the_one_the_texture_reads(interpolation, tmp_path):
     (tmp_path / "skin.png").write_bytes(b"\x89PNG and so on")
     stage = stages.new_stage(tmp_path / "a.usda")
     cube = stages.add_cube(stage)
@@ -135,21 +135,21 @@ def test_texture_coordinates_are_those_the_texture_reads(interpolation, tmp_path
     primvar.SetIndices(stages.Vt.IntArray.FromNumpy(index.astype(np.int32)))
     stage.Save()
     mesh = load_mesh(tmp_path / "a.usda")
-    wanted = values[index]
+    expected = values[index]
     if interpolation == "vertex":
-        np.testing.assert_array_equal(mesh.corner_uv, wanted[mesh.faces])
+        np.testing.assert_array_equal(mesh.corner_uv, expected[mesh.faces])
     else:
         fans = [(4 * k, 4 * k + j, 4 * k + j + 1) for k in range(6) for j in (1, 2)]
-        np.testing.assert_array_equal(mesh.corner_uv, wanted[np.array(fans)])
+        np.testing.assert_array_equal(mesh.corner_uv, expected[np.array(fans)])
     assert mesh.parts[0].material.texture == b"\x89PNG and so on"
     assert mesh.parts[0].material.base_color == (1, 1, 1, 1)
 
 
-def test_points_and_transforms_move_together(tmp_path):
+def test_time_samples_of_points_and_transforms_are_combined(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     stages.set_times(stage, 10, 14, 25)
-    cube, still = stages.add_cube(stage), stages.add_cube(stage, "/world/still")
-    still.AddTranslateOp().Set((0, 0, 9))
+    cube, static_cube = stages.add_cube(stage), stages.add_cube(stage, "/world/still")
+    static_cube.AddTranslateOp().Set((0, 0, 9))
     cube.GetPointsAttr().Clear()
     rise = UsdGeom.Xform(stage.GetPrimAtPath("/world")).AddTranslateOp()
     for time in (10, 12, 14):
@@ -158,19 +158,19 @@ def test_points_and_transforms_move_together(tmp_path):
     stage.Save()
     clip = load_clip(tmp_path / "a.usda")
     heights = [100, 122, 144, 170, 196]  # linear between samples
-    wanted = [
+    expected = [
         np.concatenate([CUBE * time, CUBE + [0, 0, 9]]) + [0, height, 0]
         for time, height in zip(range(10, 15), heights, strict=True)
     ]
-    np.testing.assert_allclose(clip.vertices, wanted)
+    np.testing.assert_allclose(clip.vertices, expected)
     assert clip.fps == 25
-    np.testing.assert_allclose(load_mesh(tmp_path / "a.usda").vertices, wanted[0])
+    np.testing.assert_allclose(load_mesh(tmp_path / "a.usda").vertices, expected[0])
     half = load_clip(tmp_path / "a.usda", fps=12.5)
-    np.testing.assert_allclose(half.vertices, wanted[::2])
+    np.testing.assert_allclose(half.vertices, expected[::2])
     assert len(load_clip(tmp_path / "a.usda", fps=50.0)) == 9
 
 
-def test_without_a_range_the_samples_are_the_range_and_what_stands_still_is_one_frame(tmp_path):
+def test_time_range_defaults_to_the_samples_and_a_static_stage_is_one_frame(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     cube = stages.add_cube(stage)
     turn = cube.AddRotateXOp()
@@ -182,22 +182,22 @@ def test_without_a_range_the_samples_are_the_range_and_what_stands_still_is_one_
     assert len(load_clip(tmp_path / "a.usda")) == 3
 
 
-def test_skins_and_blend_shapes_are_those_of_a_naive_twin(tmp_path):
+def test_skinning_and_blend_shapes_equal_a_naive_implementation(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usdc")
-    _, numbers = stages.add_puppet(stage)
+    _, numbers = stages.add_skinned_cube(stage)
     stages.set_times(stage, 0, 2, 30)
     stage.Save()
     clip = load_clip(tmp_path / "a.usdc")
     assert (len(clip), clip.fps) == (3, 30)
     for time in range(3):
-        np.testing.assert_allclose(clip.vertices[time], stages.puppet_points(numbers, time), atol=2e-6)
+        np.testing.assert_allclose(clip.vertices[time], stages.skinned_points(numbers, time), atol=2e-6)
     rest = load_mesh(tmp_path / "a.usdc")
     rested = {**numbers, "angles": [0.0], "amounts": [0.0]}
-    np.testing.assert_allclose(rest.vertices, stages.puppet_points(rested, 0), atol=2e-6)
+    np.testing.assert_allclose(rest.vertices, stages.skinned_points(rested, 0), atol=2e-6)
     assert len(rest.source.notes) == 2
 
 
-def test_other_faces_or_points_in_a_later_frame_are_named(tmp_path):
+def test_topology_change_in_a_later_frame_is_named(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     stages.set_times(stage, 1, 3)
     cube = stages.add_cube(stage)
@@ -215,7 +215,7 @@ def test_other_faces_or_points_in_a_later_frame_are_named(tmp_path):
         load_clip(tmp_path / "a.usda")
 
 
-def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
+def test_unreadable_stages_are_explained(tmp_path, monkeypatch):
     stage = stages.new_stage(tmp_path / "a.usda")
     UsdGeom.Camera.Define(stage, "/world/camera")
     stage.Save()
@@ -238,19 +238,19 @@ def test_what_cannot_be_read_is_said(tmp_path, monkeypatch):
         load_mesh(tmp_path / "a.usda")
 
 
-def test_a_file_that_was_written_again_is_read_again(tmp_path):
+def test_rewritten_file_is_read_again(tmp_path):
     path = tmp_path / "a.usdc"
-    held = []
+    open_stages = []
     for factor in (1, 2):
         save_mesh(Mesh(CUBE * factor, zoo.cube().faces), path)
-        held.append(Usd.Stage.Open(str(path)))
+        open_stages.append(Usd.Stage.Open(str(path)))
         np.testing.assert_allclose(load_mesh(path).vertices, CUBE * factor)
 
 
-def test_damaged_files_are_input_errors(tmp_path):
+def test_damaged_files_raise_input_errors(tmp_path):
     save_mesh(zoo.grid(9), tmp_path / "a.usdc")
     content = np.frombuffer((tmp_path / "a.usdc").read_bytes(), np.uint8)
-    for seed in range(100, 140):  # some others have the library fill gigabytes before it finds out
+    for seed in range(100, 140):  # some other seeds make the library allocate gigabytes before it finds the damage
         rng = np.random.default_rng(seed)
         damaged = content.copy()
         damaged[rng.integers(88, len(content), 6)] = rng.integers(256, size=6)
@@ -259,14 +259,14 @@ def test_damaged_files_are_input_errors(tmp_path):
             load_clip(tmp_path / f"{seed}.usdc")
 
 
-def test_holes_are_left_out(tmp_path):
+def test_hole_faces_are_left_out(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     stages.add_cube(stage).CreateHoleIndicesAttr([0, 5])
     stage.Save()
     assert len(load_mesh(tmp_path / "a.usda").faces) == 8
 
 
-def test_rotations_of_matrices_are_taken_the_right_way_round(tmp_path):
+def test_matrix_rotations_are_transposed_from_row_vectors(tmp_path):
     stage = stages.new_stage(tmp_path / "a.usda")
     matrix = np.random.default_rng(5).normal(size=(4, 4))
     matrix[3] = [0, 0, 0, 1]

@@ -1,4 +1,4 @@
-"""An Alembic archive, opened with care: the library that reads it, and a check of the file before the library's own."""
+"""Open an Alembic archive: import the library, and check the file's structure before the library reads it."""
 
 from __future__ import annotations
 
@@ -14,15 +14,17 @@ from jaxtyping import UInt8
 
 from ...core.errors import InputError
 
-_HEADER = struct.Struct("<5sBHQ")  # "Ogawa", 255 once the file is finished, version, place of the outermost group
-_DATA = 1 << 63  # a child whose place has this bit is data, else it is a group
+_HEADER = struct.Struct("<5sBHQ")
+"""Header of an Ogawa file: the word "Ogawa", 255 once writing has finished, version, offset of the root group."""
+_DATA = 1 << 63
+"""Bit of a child's offset: set for a data block, clear for a group (Alembic's `Ogawa/Foundation.h`)."""
 
 
 def library(path: Path, verb: str) -> tuple[Any, Any, Any, Any]:
-    """The modules Abc, AbcGeom, AbcCoreAbstract and imath of alembic3d; `verb` says what they are wanted for.
+    """Import alembic3d and return its modules Abc, AbcGeom, AbcCoreAbstract and imath; `verb` is "read" or "write".
 
     Raises:
-        InputError: it is not installed.
+        InputError: alembic3d is not installed.
     """
     if importlib.util.find_spec("alembic3d") is None:
         raise InputError(
@@ -35,21 +37,21 @@ def library(path: Path, verb: str) -> tuple[Any, Any, Any, Any]:
 
 
 def open_archive(path: Path) -> Any:
-    """Open an archive for reading. The library may crash on a damaged one, so its blocks are checked first.
+    """Open an archive for reading. The library may crash on a damaged file, so all offsets are checked first.
 
     Raises:
-        InputError: no library, another kind of file, an archive in HDF5, one cut short or never finished.
+        InputError: alembic3d is missing; the file is no Alembic archive, is stored as HDF5, truncated or unfinished.
     """
     abc = library(path, "read")[0]
     data = np.memmap(path, np.uint8, "r")
-    _check_blocks(data, _first_group(data[: _HEADER.size].tobytes(), path), path)
+    _check_blocks(data, _root_offset(data[: _HEADER.size].tobytes(), path), path)
     with reading(path):
         return abc.IArchive(str(path))
 
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """A block that reads with the library: what it complains of becomes an InputError."""
+    """Turn errors of the library into an InputError of one line, for a block that reads with it."""
     try:
         yield
     except RuntimeError as error:
@@ -59,7 +61,8 @@ def reading(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _first_group(head: bytes, path: Path) -> int:
+def _root_offset(head: bytes, path: Path) -> int:
+    """Read the offset of the root group from the first bytes of a file; raises InputError for other kinds of files."""
     if head.startswith(b"\x89HDF"):
         raise InputError(
             f"{path}: expected an Alembic archive of the kind Ogawa, found the older HDF5; "
@@ -72,32 +75,36 @@ def _first_group(head: bytes, path: Path) -> int:
     return _HEADER.unpack(head)[3]
 
 
-def _check_blocks(data: UInt8[np.ndarray, " N"], first: int, path: Path) -> None:
-    """Every group and every piece of data that can be reached must lie within the file.
+def _check_blocks(data: UInt8[np.ndarray, " N"], root: int, path: Path) -> None:
+    """Check that every group and data block reachable from the root group lies within the file.
 
-    Nor may a group that has begun to list data go on with an empty group, as one does whose list was overwritten by
-    zeros. What the pieces of data say is left to the library.
+    An Ogawa file is a graph: a group is a child count and the offsets of its children, a data block is a byte count
+    and its bytes. No writer lists an empty group after a data block in one group: where that is found, part of the list
+    was overwritten by zeros. The contents of data blocks are left to the library.
+
+    Raises:
+        InputError: an offset beyond the end of the file, or samples overwritten by zeros.
     """
-    waiting, seen = [first], set()
-    while waiting:
-        place = waiting.pop()
-        start = place & ~_DATA
-        if start == 0 or place in seen:  # empty, or used several times
+    pending, visited = [root], set()
+    while pending:
+        offset = pending.pop()
+        start = offset & ~_DATA
+        if start == 0 or offset in visited:  # offset 0 is an empty block; equal samples share one block
             continue
-        seen.add(place)
-        size = int.from_bytes(data[start : start + 8].tobytes(), "little")  # bytes, or children of 8 bytes
-        stop = start + 8 + (size if place & _DATA else 8 * size)
+        visited.add(offset)
+        size = int.from_bytes(data[start : start + 8].tobytes(), "little")  # bytes, or children of 8 bytes each
+        stop = start + 8 + (size if offset & _DATA else 8 * size)
         if stop > len(data) or start + 8 > len(data):
             raise InputError(
                 f"{path}: expected all of the archive in its {len(data)} bytes, found a reference to byte {stop}; "
                 "the file is cut short or damaged, export it again"
             )
-        if not place & _DATA:
+        if not offset & _DATA:
             children = np.frombuffer(data[start + 8 : stop].tobytes(), "<u8")
-            has_begun = np.logical_or.accumulate(children >= _DATA)
-            if (has_begun & (children == 0)).any():
+            follows_data = np.logical_or.accumulate(children >= _DATA)
+            if (follows_data & (children == 0)).any():
                 raise InputError(
                     f"{path}: expected samples in all places, found some overwritten by zeros at byte {start}; "
                     "the file is damaged, export it again"
                 )
-            waiting += children.tolist()
+            pending += children.tolist()

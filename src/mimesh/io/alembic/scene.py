@@ -1,4 +1,4 @@
-"""The meshes of an Alembic archive, where they stand and how they move: samples in time, and transforms above them."""
+"""Find the mesh objects of an Alembic archive, with the time samples of their points and of their transforms."""
 
 from __future__ import annotations
 
@@ -13,133 +13,151 @@ from jaxtyping import Float, Int
 
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
-from ..timing import LONGEST, between
+from ..timing import LONGEST, surrounding_samples
 from .archive import library
 
 _ON_SAMPLE = 1e-5
-"""Of the way between two samples: a time this near to one is at it."""
-Pair = tuple[np.ndarray, np.ndarray, float]
+"""Fraction of the interval between two samples: a time nearer than this to a sample takes that sample unchanged."""
 
 
 @dataclass(eq=False)
-class Track:
-    """A property with samples in time; the last two that were asked for stay in memory."""
+class SampledProperty:
+    """A property with samples in time, read on demand; the last two samples used stay in memory."""
 
     times: Float[np.ndarray, " K"]
+    """Seconds of the samples, increasing."""
     read: Callable[[float], np.ndarray]
-    kept: dict[int, np.ndarray] = field(default_factory=dict)
+    """Reads the sample nearest to a time in seconds."""
+    cache: dict[int, np.ndarray] = field(default_factory=dict)
+    """Samples in memory, by index."""
 
-    def around(self, time: float) -> Pair:
-        """The samples before and after a time and how far it is from one to the other, 0..1."""
-        before, after, part = (values.item() for values in between(self.times, np.array([time])))
-        before = after if part > 1 - _ON_SAMPLE else before
-        after = before if part < _ON_SAMPLE else after
-        self.kept = {
-            i: self.kept[i] if i in self.kept else self.read(float(self.times[i]))
+    def bracket(self, time: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return the samples before and after a time, and the time's position between them in 0..1."""
+        before, after, weight = (values.item() for values in surrounding_samples(self.times, np.array([time])))
+        before = after if weight > 1 - _ON_SAMPLE else before
+        after = before if weight < _ON_SAMPLE else after
+        self.cache = {
+            i: self.cache[i] if i in self.cache else self.read(float(self.times[i]))
             for i in dict.fromkeys((before, after))
         }
-        return self.kept[before], self.kept[after], 0.0 if before == after else part
+        return self.cache[before], self.cache[after], 0.0 if before == after else weight
 
 
 @dataclass(frozen=True, eq=False)
-class Shape:
-    """A visible mesh: its schema (PolyMesh or SubD), its points, and the transforms above it, outermost first."""
+class MeshObject:
+    """A visible mesh object of an archive."""
 
     name: str
     schema: Any
-    points: Track
-    transforms: tuple[Track, ...]
+    """Its schema object of the library: IPolyMesh or ISubD."""
+    points: SampledProperty
+    """Positions in the object's local frame."""
+    transforms: tuple[SampledProperty, ...]
+    """Matrices of the Xform objects above it, outermost first."""
+
+    @property
+    def properties(self) -> tuple[SampledProperty, ...]:
+        """All properties that can move the mesh."""
+        return self.points, *self.transforms
 
     def world(self, time: float) -> Float[np.ndarray, "4 4"]:
-        """T_world_local at a time: the mean between two samples turns and stretches evenly, as in Blender."""
+        """Compute T_world_local at a time in seconds; between samples, matrices are interpolated as Blender does."""
         T_world_local = np.eye(4)
-        for track in self.transforms:
-            before, after, part = track.around(time)
-            T_world_local = T_world_local @ (before if part == 0.0 else _between_matrices(before, after, part))
+        for transform in self.transforms:
+            before, after, weight = transform.bracket(time)
+            T_world_local = T_world_local @ (before if weight == 0.0 else _blend_matrices(before, after, weight))
         return T_world_local
 
 
-def find_shapes(archive: Any, path: Path) -> tuple[list[Shape], dict[str, int]]:
-    """The visible meshes of an archive in the order of its hierarchy, and how many objects of each other kind it has.
+def find_meshes(archive: Any, path: Path) -> tuple[list[MeshObject], dict[str, int]]:
+    """Find the visible meshes of an archive in hierarchy order, and count its objects of every other kind.
 
-    An object is hidden where it, or the nearest object above it that says so, is hidden in all samples. What does not
-    inherit the transforms above it (in its first sample) begins anew.
+    Visibility is inherited: an object without its own setting takes that of its parent. A mesh counts as hidden only
+    where it is hidden in all samples. An Xform that does not inherit (in its first sample) starts a new chain of
+    transforms.
     """
     geometry = library(path, "read")[1]
-    shapes: list[Shape] = []
+    meshes: list[MeshObject] = []
     others: Counter[str] = Counter()
-    waiting: list[tuple[Any, tuple[Track, ...], bool]] = [(archive.getTop(), (), True)]
-    while waiting:
-        item, above, is_shown = waiting.pop()
+    # Depth first; the children are reversed because the last one pushed is visited next.
+    pending: list[tuple[Any, tuple[SampledProperty, ...], bool]] = [(archive.getTop(), (), True)]
+    while pending:
+        item, transforms, is_shown = pending.pop()
         header = item.getHeader()
         is_shown = _is_visible(geometry, item, is_shown)
         if geometry.IXform.matches(header):
-            above = _transforms(item, above, path)
+            transforms = _add_transform(item, transforms, path)
         elif geometry.IPolyMesh.matches(header) or geometry.ISubD.matches(header):
-            shape = _shape(item, above, path)
-            shapes += [shape] if is_shown and len(shape.points.times) else []
+            mesh = _mesh_object(item, transforms, path)
+            meshes += [mesh] if is_shown and len(mesh.points.times) else []
             others["hidden mesh"] += 0 if is_shown else 1
         elif item.getParent().valid() and not geometry.IFaceSet.matches(header):
-            others[_kind(item)] += 1
-        waiting += [(child, above, is_shown) for child in item.children][::-1]
-    return shapes, dict(+others)
+            others[_schema_name(item)] += 1
+        pending += [(child, transforms, is_shown) for child in item.children][::-1]
+    return meshes, dict(+others)
 
 
-def _transforms(item: Any, above: tuple[Track, ...], path: Path) -> tuple[Track, ...]:
-    """Those of an Xform and of what it is below."""
+def _add_transform(item: Any, parents: tuple[SampledProperty, ...], path: Path) -> tuple[SampledProperty, ...]:
+    """Return the transforms that apply below an Xform: those of its parents, if it inherits them, and its own."""
     abc, geometry, _, _ = library(path, "read")
     schema = geometry.IXform(item, abc.WrapExistingFlag.kWrapExisting).getSchema()
-    times = _times(schema, path)
+    times = _sample_times(schema, path)
     if not len(times):
-        return above
-    track = Track(times, _matrix_reader(schema))
-    return (*above, track) if schema.getInheritsXforms() else (track,)
+        return parents
+    transform = SampledProperty(times, _matrix_reader(schema))
+    return (*parents, transform) if schema.getInheritsXforms() else (transform,)
 
 
-def _shape(item: Any, above: tuple[Track, ...], path: Path) -> Shape:
+def _mesh_object(item: Any, transforms: tuple[SampledProperty, ...], path: Path) -> MeshObject:
     abc, geometry, _, _ = library(path, "read")
-    kind = geometry.IPolyMesh if geometry.IPolyMesh.matches(item.getHeader()) else geometry.ISubD
-    schema = kind(item, abc.WrapExistingFlag.kWrapExisting).getSchema()
+    mesh_class = geometry.IPolyMesh if geometry.IPolyMesh.matches(item.getHeader()) else geometry.ISubD
+    schema = mesh_class(item, abc.WrapExistingFlag.kWrapExisting).getSchema()
     parent = item.getParent()
-    is_alone = geometry.IXform.matches(parent.getHeader()) and parent.getNumChildren() == 1
-    name = (parent if is_alone else item).getName()  # Body above BodyShape
-    times = _times(schema.getPositionsProperty(), path)
-    return Shape(name, schema, Track(times, _point_reader(schema)), above)
+    # Exporters write a mesh "BodyShape" below an Xform "Body", and the user's name for it is that of the Xform.
+    is_only_child = geometry.IXform.matches(parent.getHeader()) and parent.getNumChildren() == 1
+    name = (parent if is_only_child else item).getName()
+    times = _sample_times(schema.getPositionsProperty(), path)
+    return MeshObject(name, schema, SampledProperty(times, _point_reader(schema)), transforms)
 
 
 def at_time(time: float) -> Any:
-    """What chooses the sample nearest to a time. (Given a whole number, the library takes it for seconds as well.)"""
+    """Return the library's selector of the sample nearest to a time in seconds."""
     from alembic3d.Abc import ISampleSelector  # pyright: ignore
 
-    return ISampleSelector(float(time))
+    return ISampleSelector(float(time))  # the library takes an int for seconds as well, not for a sample index
 
 
 def points_of(values: Any) -> Float[np.ndarray, "V 3"]:
-    """An array of the library, in double precision."""
+    """Convert an array of 3-vectors of the library to double precision."""
     return np.asarray(values, np.float32).astype(np.float64).reshape(-1, 3)
 
 
-def whole_numbers(values: Any) -> Int[np.ndarray, " N"]:
-    """An array of whole numbers of the library, whose unsigned ones give no buffer."""
+def integers_of(values: Any) -> Int[np.ndarray, " N"]:
+    """Convert an integer array of the library; its unsigned arrays do not offer the buffer that NumPy reads."""
     return np.fromiter(values, np.int64, len(values))
 
 
-def _kind(item: Any) -> str:
-    """What an object is, in a word: "AbcGeom_Camera_v1" is a camera."""
+def _schema_name(item: Any) -> str:
+    """Return the kind of an object as a word: "camera" for the schema "AbcGeom_Camera_v1"."""
     return item.getMetaData().get("schema").removeprefix("AbcGeom_").rpartition("_v")[0].lower() or "object"
 
 
-def _is_visible(geometry: Any, item: Any, is_shown: bool) -> bool:
-    found = geometry.GetVisibilityProperty(item)
-    if not found.valid() or not found.getNumSamples():
-        return is_shown
-    states = [sample for sample in found.samples]
+def _is_visible(geometry: Any, item: Any, is_parent_shown: bool) -> bool:
+    """Return whether an object is visible in any sample; "deferred" and no setting mean as its parent."""
+    visibility = geometry.GetVisibilityProperty(item)
+    if not visibility.valid() or not visibility.getNumSamples():
+        return is_parent_shown
+    states = [sample for sample in visibility.samples]
     deferred = int(geometry.ObjectVisibility.kVisibilityDeferred)
-    return any(is_shown if state == deferred else bool(state) for state in states)
+    return any(is_parent_shown if state == deferred else bool(state) for state in states)
 
 
-def _times(sampled: Any, path: Path) -> Float[np.ndarray, " K"]:
-    """The seconds of a property's samples."""
+def _sample_times(sampled: Any, path: Path) -> Float[np.ndarray, " K"]:
+    """Read the times of a property's samples in seconds.
+
+    Raises:
+        InputError: times that are not finite, do not increase, or span more than `timing.LONGEST`.
+    """
     sampling = sampled.getTimeSampling()
     count = sampled.getNumSamples()
     times = np.array([sampling.getSampleTime(k) for k in range(count)], np.float64)
@@ -153,7 +171,7 @@ def _times(sampled: Any, path: Path) -> Float[np.ndarray, " K"]:
 
 def _matrix_reader(schema: Any) -> Callable[[float], np.ndarray]:
     def read(time: float) -> np.ndarray:
-        matrix = schema.getValue(at_time(time)).getMatrix()  # of rows: x' = x M
+        matrix = schema.getValue(at_time(time)).getMatrix()  # for row vectors (x' = x M), so it is transposed
         return np.array([[matrix[j][i] for j in range(4)] for i in range(4)], np.float64)
 
     return read
@@ -164,16 +182,20 @@ def _point_reader(schema: Any) -> Callable[[float], np.ndarray]:
     return lambda time: points_of(points.getValue(at_time(time)))
 
 
-def _between_matrices(
-    before: Float[np.ndarray, "4 4"], after: Float[np.ndarray, "4 4"], part: float
+def _blend_matrices(
+    before: Float[np.ndarray, "4 4"], after: Float[np.ndarray, "4 4"], weight: float
 ) -> Float[np.ndarray, "4 4"]:
-    """A matrix on the way from one to another: its rotation along the shorter arc, the rest in a straight line."""
+    """Interpolate two affine matrices: rotation along the shorter arc, stretch and translation linearly.
+
+    Polar decomposition splits each 3x3 matrix into a rotation and a stretch, A = R S. Linear interpolation of A itself
+    would shrink the mesh halfway through a rotation.
+    """
     from scipy.spatial.transform import Rotation
 
-    turns = nearest_rotation(np.stack([before[:3, :3], after[:3, :3]]))
-    step = Rotation.from_matrix(turns[0].T @ turns[1]).as_rotvec()
-    turn = turns[0] @ Rotation.from_rotvec(part * step).as_matrix()
-    stretch = (1 - part) * turns[0].T @ before[:3, :3] + part * turns[1].T @ after[:3, :3]
-    result = (1 - part) * before + part * after
-    result[:3, :3] = turn @ stretch
+    rotations = nearest_rotation(np.stack([before[:3, :3], after[:3, :3]]))
+    relative = Rotation.from_matrix(rotations[0].T @ rotations[1]).as_rotvec()
+    rotation = rotations[0] @ Rotation.from_rotvec(weight * relative).as_matrix()
+    stretch = (1 - weight) * rotations[0].T @ before[:3, :3] + weight * rotations[1].T @ after[:3, :3]
+    result = (1 - weight) * before + weight * after
+    result[:3, :3] = rotation @ stretch
     return result

@@ -1,4 +1,4 @@
-"""Alembic out: a new archive of one transform, one mesh and its samples, as every program reads it."""
+"""Write a new Alembic archive of one transform (Xform) and one mesh (PolyMesh) with its samples."""
 
 from __future__ import annotations
 
@@ -17,30 +17,31 @@ from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Material, Mesh
 from ..atomic import whole_file
-from ..polygons import backwards, polygon_corners, polygon_sizes
+from ..polygons import polygon_corners, polygon_sizes, reversed_corners
 from ..usd import stage_axes
 from .archive import library
 
-ROOM = 2**20
-"""Bytes that must be free on the disk before a sample, besides what the sample may take."""
+RESERVED_SPACE = 2**20
+"""Bytes that must stay free on the disk besides the size of a sample, so that the library can finish the file."""
 
 
 @dataclass(frozen=True, eq=False)
 class AlembicSource:
-    """What a new archive takes over from the one a mesh was read from, which itself cannot be copied.
+    """What a new archive takes over from the archive that a mesh was read from. Satisfies `mesh.Source`.
 
-    Satisfies `mesh.Source`: the suffix is its own, and `notes` say what is not taken over.
+    The library cannot copy an archive with other points, so `notes` list what a new one lacks.
     """
 
     sizes: Int[np.ndarray, " P"]
-    """Corners of each polygon."""
+    """Corners of each polygon; the faces are triangle fans of them."""
     notes: tuple[str, ...]
+    """One line for each thing that a new archive lacks or stores differently."""
     name: str
-    """Of the mesh within the archive."""
+    """Name of the mesh object."""
     suffix = ".abc"
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write a new archive of the mesh."""
+        """Write a mesh as a new archive with the object name of the old one."""
         write_alembic(mesh, path)
 
 
@@ -50,14 +51,15 @@ def write_alembic(mesh: Mesh, path: Path) -> None:
 
 
 def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write a clip as a new Alembic archive (Ogawa): a transform, below it a mesh with a sample at each k / fps.
+    """Write a clip as a new Alembic archive (Ogawa): an Xform, below it a PolyMesh with sample k at k / fps seconds.
 
-    Positions in single precision, polygons whole, texture coordinates and normals (where the mesh has them, turned with
-    the surface) for each corner, a face set for each material, or part without one. Bounds are written, colours and
-    images are not: Alembic has no common way to say them. Memory does not grow with the number of frames.
+    Written are positions in single precision, polygons, bounds, texture coordinates and normals per corner (normals
+    rotate with the surface), and a face set for each material, or for each part without one. Colours and images are
+    not written: Alembic has no common convention for them. Memory does not grow with the number of frames.
 
     Raises:
         InputError: alembic3d is not installed.
+        OSError: the disk is nearly full.
     """
     abc, geometry, core, imath = library(path, "write")
     mesh = clip.mesh
@@ -65,21 +67,22 @@ def write_alembic_clip(clip: Clip, path: Path, progress: Progress | None = None)
     with whole_file(path) as temporary:
         archive = abc.CreateArchiveWithInfo(str(temporary), clip.fps, "mimesh", "")
         sampling = abc.Argument(archive.addTimeSampling(core.TimeSampling(1.0 / clip.fps, 0.0)))
+        # One static transform; the mesh has a sample per frame at the archive's time sampling.
         transform = geometry.OXform(archive.getTop(), name)
-        transform.getSchema().set(_stands(mesh, geometry, imath))
+        transform.getSchema().set(_axis_transform(mesh, geometry, imath))
         shape = geometry.OPolyMesh(transform, f"{name}Shape", sampling)
         schema = shape.getSchema()
         sample_of = _sampler(mesh, path)
         for vertices in each_frame(clip.vertices, progress):
-            _need_room(path, ROOM + 8 * mesh.faces.nbytes)
+            _check_free_space(path, RESERVED_SPACE + 8 * mesh.faces.nbytes)
             schema.set(sample_of(vertices))
         _add_face_sets(schema, mesh, path)
-        # The library finishes the file when the last of these is gone.
+        # The library writes the end of the file when the last of these objects is destroyed.
         del schema, shape, transform, archive
 
 
-def _need_room(path: Path, size: int) -> None:
-    """Stop while the library can still finish its file: on a full disk it ends the process.
+def _check_free_space(path: Path, size: int) -> None:
+    """Check that the disk has room for `size` more bytes: on a full disk the library ends the process.
 
     Raises:
         OSError: fewer bytes are free.
@@ -88,8 +91,11 @@ def _need_room(path: Path, size: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-def _stands(mesh: Mesh, geometry, imath):
-    """What stands a mesh up as Alembic's clients want it, y up in metres; vertices stay as they are below it."""
+def _axis_transform(mesh: Mesh, geometry, imath):
+    """Build the Xform sample from the mesh's axes and unit to y up and metres, as programs that read Alembic expect.
+
+    The vertices below it keep their coordinates.
+    """
     z_up, unit = stage_axes(mesh)
     sample = geometry.XformSample()
     if z_up:
@@ -100,10 +106,13 @@ def _stands(mesh: Mesh, geometry, imath):
 
 
 def _sampler(mesh: Mesh, path: Path) -> Callable[[Float[np.ndarray, "V 3"]], Any]:
-    """A function from the vertices of a frame to its sample; what does not change is stored once by the library."""
+    """Return a function from the vertices of a frame to its PolyMesh sample.
+
+    Polygons and UVs are in every sample; the library stores equal arrays once.
+    """
     _, geometry, _, imath = library(path, "write")
     sizes = polygon_sizes(mesh)
-    corners = polygon_corners(sizes)[backwards(sizes)]
+    corners = polygon_corners(sizes)[reversed_corners(sizes)]
     counts = imath.IntArrayFromBuffer(sizes.astype(np.int32))
     indices = imath.IntArrayFromBuffer(mesh.faces.reshape(-1)[corners].astype(np.int32))
     scope = geometry.GeometryScope.kFacevaryingScope
@@ -112,54 +121,56 @@ def _sampler(mesh: Mesh, path: Path) -> Callable[[Float[np.ndarray, "V 3"]], Any
         values, index = np.unique(mesh.corner_uv.reshape(-1, 2)[corners], axis=0, return_inverse=True)
         buffer = imath.V2fArrayFromBuffer(values.astype(np.float32))
         uv = geometry.OV2fGeomParamSample(buffer, _unsigned(index.reshape(-1), imath), scope)
-    turned, chosen, index_of_corner = None, None, None
+    rotated_normals, unique_corners, normal_index = None, None, None
     if mesh.corner_normals is not None:
-        turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
-        # Corners of one vertex with one normal turn together: one value serves them all.
+        rotated_normals = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
+        # Corners of one vertex with one normal rotate together, so one value is stored for all of them.
         rows = np.column_stack([mesh.faces.reshape(-1), mesh.corner_normals.reshape(-1, 3)])[corners]
         _, first, index = np.unique(rows, axis=0, return_index=True, return_inverse=True)
-        chosen, index_of_corner = corners[first], _unsigned(index.reshape(-1), imath)
+        unique_corners, normal_index = corners[first], _unsigned(index.reshape(-1), imath)
 
     def sample_of(vertices: Float[np.ndarray, "V 3"]) -> Any:
         points = imath.V3fArrayFromBuffer(np.ascontiguousarray(vertices, np.float32))
-        if turned is None:
+        if rotated_normals is None:
             return geometry.OPolyMeshSchemaSample(points, indices, counts, uv)
-        values = imath.V3fArrayFromBuffer(turned(vertices).reshape(-1, 3)[chosen].astype(np.float32))
-        normals = geometry.ON3fGeomParamSample(values, index_of_corner, scope)
+        values = rotated_normals(vertices).reshape(-1, 3)[unique_corners].astype(np.float32)
+        normals = geometry.ON3fGeomParamSample(imath.V3fArrayFromBuffer(values), normal_index, scope)
         return geometry.OPolyMeshSchemaSample(points, indices, counts, uv, normals)
 
     return sample_of
 
 
 def _unsigned(index: Int[np.ndarray, " N"], imath: Any) -> Any:
-    return imath.UnsignedIntArray(imath.DoubleArrayFromBuffer(index.astype(np.float64)))  # it takes no other buffer
+    """Convert indices to the library's unsigned array, which has no constructor from an integer buffer."""
+    return imath.UnsignedIntArray(imath.DoubleArrayFromBuffer(index.astype(np.float64)))
 
 
 def _add_face_sets(schema: Any, mesh: Mesh, path: Path) -> None:
+    """Write a face set of polygons for each material, and for each named part without one."""
     _, geometry, _, imath = library(path, "write")
     triangles = polygon_sizes(mesh) - 2
-    first = np.cumsum(triangles) - triangles
+    first = np.cumsum(triangles) - triangles  # each polygon's first triangle
     members: dict[Material | str, list[Int[np.ndarray, " N"]]] = {}
     for part in mesh.parts:
         start, stop = np.searchsorted(first, [part.start, part.stop]).tolist()
         if (part.material.name if part.material else part.name) and start < stop:
             members.setdefault(part.material or part.name, []).append(np.arange(start, stop))
-    taken: set[str] = set()
-    for look, polygons in members.items():
-        name = _free_name(_object_name(look.name if isinstance(look, Material) else look), taken)
-        taken.add(name)
+    used_names: set[str] = set()
+    for label, polygons in members.items():
+        name = _unique_name(_object_name(label.name if isinstance(label, Material) else label), used_names)
+        used_names.add(name)
         faces = imath.IntArrayFromBuffer(np.concatenate(polygons).astype(np.int32))
         schema.createFaceSet(name).getSchema().set(geometry.OFaceSetSchemaSample(faces))
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    """The name, or with the next free number."""
-    wanted, number = name, 2
-    while name in taken:
-        name, number = f"{wanted}_{number}", number + 1
+def _unique_name(name: str, used_names: set[str]) -> str:
+    """Return the name, with the next free number added where it is in use."""
+    stem, number = name, 2
+    while name in used_names:
+        name, number = f"{stem}_{number}", number + 1
     return name
 
 
 def _object_name(name: str) -> str:
-    """A name an object may have: not empty, and without the stroke that separates the names of a path."""
+    """Return a legal object name: not empty, and without the slash that separates the names of a path."""
     return name.replace("/", "_") or "mesh"

@@ -1,8 +1,10 @@
-"""USD in and out (.usd, .usda, .usdc, .usdz), by the library usd-core (the extra `usd`).
+"""Read and write USD (.usd, .usda, .usdc, .usdz) with the library usd-core (the extra `usd`).
 
-usd_stage -> usd_skin, usd_looks -> usd_read      a stage becomes a Mesh or a Clip
-             usd_source                           its file, written back with the points moved
-             usd_write, usd_material              a file for a Mesh or Clip from elsewhere
+stage -> skinning, appearance -> read    read a stage as a Mesh or a Clip
+         source, package                 write the file that was read again, with other points
+         write, write_material           write a new file for any Mesh or Clip
+
+The library is imported only when a USD file is read or written.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from ..atomic import whole_file
 
 
 def read_usd(path: Path) -> Mesh:
-    """All meshes that a stage shows, joined, in world coordinates, at the default time (see `usd_read.read_mesh`).
+    """Read all visible meshes of a stage as one mesh in world coordinates, at the default time (see `read.read_mesh`).
 
     Raises:
         InputError: usd-core is not installed, the file is damaged, or it shows no meshes.
@@ -33,7 +35,7 @@ def read_usd(path: Path) -> Mesh:
 
 
 def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """The same in motion: one frame a time code, or sampled at `fps` (see `usd_read.read_clip`).
+    """Read all visible meshes of a stage as one clip: a frame per time code, or `fps` a second (see `read.read_clip`).
 
     Raises:
         InputError: as `read_usd`, or faces that change over time.
@@ -46,7 +48,7 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as USD: the file it came from, points moved, if that was USD; else a new one (see `usd_write`)."""
+    """Write a mesh as USD: its own file with other points if that was USD, else a new file (see `write.write_new`)."""
     _need_library(path, "write")
     from .source import UsdSource
     from .write import write_new
@@ -59,7 +61,7 @@ def write_usd(mesh: Mesh, path: Path) -> None:
 
 
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
-    """Write a clip as a new USD file, time code k is frame k (see `usd_write`)."""
+    """Write a clip as a new USD file in which time code k is frame k (see `write.write_new`)."""
     _need_library(path, "write")
     from .write import write_new
 
@@ -68,12 +70,16 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
 
 
 def stage_axes(mesh: Mesh) -> tuple[bool, float]:
-    """Whether z is up where a mesh comes from, and its unit in metres, if that was a stage; else y is, and a metre."""
+    """Return whether z is up in the file of a mesh, and the file's unit in metres.
+
+    Only USD sources know both; for all others the answer is y up and one metre.
+    """
     return getattr(mesh.source, "up_axis", "Y") == "Z", getattr(mesh.source, "meters_per_unit", 1.0)
 
 
 def _need_library(path: Path, verb: str) -> None:
-    # Else the library maps files, and what has been read of a long clip stays in memory.
+    """Raise InputError where usd-core is not installed; `verb` is "read" or "write"."""
+    # By default the library memory-maps binary files, and pages that were read of a long clip stay in memory.
     os.environ.setdefault("USDC_USE_PREAD", "1")
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
@@ -81,7 +87,10 @@ def _need_library(path: Path, verb: str) -> None:
 
 @contextlib.contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Say in one line what the library cannot read: values are read when they are wanted, so it may say so late."""
+    """Turn errors of the library into an InputError of one line.
+
+    USD reads values lazily, so an error may come long after the stage was opened: the whole read runs in this block.
+    """
     from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
 
     try:
@@ -96,7 +105,7 @@ def _reading(path: Path) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Say in one line that the library could not save; it does not say why."""
+    """Turn a failed save into an InputError of one line; the library does not report the cause."""
     from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
 
     try:

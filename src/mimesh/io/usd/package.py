@@ -1,4 +1,8 @@
-"""Packages (.usdz): a zip archive of uncompressed files that begin at multiples of 64 bytes, the root layer first."""
+"""Read and write USD packages (.usdz).
+
+A package is a zip archive of uncompressed files whose contents begin at multiples of 64 bytes, so that a reader can map
+them into memory. Its first file is the root layer.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +14,16 @@ from pathlib import Path
 from ...core.errors import InputError
 
 ALIGNMENT = 64
+"""Bytes; the content of every file begins at a multiple of it (USDZ file format specification, "Layout")."""
 LARGEST = 2**31 - 1
-"""Bytes; larger files would need the extension that packages must not use."""
+"""Bytes in one package; larger archives need the zip64 extension, which the USDZ specification excludes."""
 
 
 def unpack(path: Path, folder: Path) -> list[str]:
-    """Extract a package; returns the names of its files in order, the root layer first.
+    """Extract a package into a folder and return the names of its files in order, the root layer first.
 
     Raises:
-        InputError: it is not a package.
+        InputError: the file is no zip archive, or its files are compressed.
     """
     try:
         with zipfile.ZipFile(path) as package:
@@ -31,10 +36,10 @@ def unpack(path: Path, folder: Path) -> list[str]:
 
 
 def pack(folder: Path, names: list[str], path: Path) -> None:
-    """Write files of a folder as a package.
+    """Write the named files of a folder as a package; the first name must be the root layer.
 
     Raises:
-        InputError: they are too large for one.
+        InputError: the files have more than `LARGEST` bytes together.
     """
     size = sum((folder / name).stat().st_size for name in names)
     if size > LARGEST:
@@ -42,7 +47,10 @@ def pack(folder: Path, names: list[str], path: Path) -> None:
     with path.open("wb") as raw, zipfile.ZipFile(raw, "w") as package:
         for name in names:
             entry = zipfile.ZipInfo(name)
-            padding = -(raw.tell() + 30 + len(name.encode()) + 4) % ALIGNMENT  # header, name, head of the padding
+            # A zip entry is a header of 30 bytes, the name, extra fields, the content. One extra field (4 bytes of
+            # identifier and length, then zeros) fills the gap up to the next aligned byte. Readers skip identifiers
+            # that they do not support; 0x1986 is the one that Pixar's own writer uses.
+            padding = -(raw.tell() + 30 + len(name.encode()) + 4) % ALIGNMENT
             entry.extra = struct.pack("<HH", 0x1986, padding) + bytes(padding)
             with package.open(entry, "w") as target, (folder / name).open("rb") as content:
                 shutil.copyfileobj(content, target)

@@ -1,4 +1,4 @@
-"""A USD stage as one Mesh or Clip in world coordinates, and the account of which vertex came from which prim."""
+"""Read a USD stage as one Mesh or Clip in world coordinates, recording which vertices came from which prim."""
 
 from __future__ import annotations
 
@@ -18,68 +18,69 @@ from ...core.geometry import turn_normals, unit_vectors
 from ...core.mesh import Clip, Material, Mesh, Part
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
-from .looks import (
-    at_corners,
+from .appearance import (
     authored_normals,
     bound_material,
-    name_of,
+    corner_values,
+    display_name,
+    material_subsets,
     primvar_values,
     read_material,
-    subset_labels,
-    uv_name,
+    uv_primvar_name,
 )
-from .skin import Body, moved_by, with_skins
-from .source import FaceRun, UsdSource, notes_of
-from .stage import REST, open_stage, shown_meshes, stage_span, stands_by_default
+from .skinning import MeshPrim, find_skinning, transform_points
+from .source import PrimRange, UsdSource, writing_notes
+from .stage import DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
 
-# usd-core tells type checkers nothing of what is in it.
+# usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
-Known = dict[Sdf.Path, Material]
-"""Materials that were read, so that each is read once."""
+MaterialCache = dict[Sdf.Path, Material]
+"""Materials of the stage by prim path, so that each is read once."""
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
-    """One prim of the stage as a mesh of its own, in world coordinates."""
+class WorldMesh:
+    """One mesh prim as a Mesh in world coordinates."""
 
     mesh: Mesh
     sizes: Int[np.ndarray, " P"]
-    """Corners of the polygons that its faces are fans of."""
+    """Corners of each polygon; the faces are triangle fans of them."""
     corner_of: Int[np.ndarray, "F 3"]
-    """Which of the prim's corners each corner of its faces is."""
-    mirrored: bool
-    """Whether its transform is one that turns the winding of faces around."""
+    """Index of each face corner in the prim's `faceVertexIndices`."""
+    is_mirrored: bool
+    """Whether the prim's world transform has a negative determinant, which reverses the winding of faces."""
 
 
 def read_mesh(path: Path) -> Mesh:
-    """Read what a stage shows: all its visible, renderable Mesh prims in stage order, joined in world coordinates.
+    """Read all visible, renderable Mesh prims of a stage as one mesh: joined in stage order, in world coordinates.
 
-    Instances are read where they stand; those of point instancers, curves, points and subdivision are not. Axes and
-    unit are the file's (z up stays z up). Skins and blend shapes are applied. The time is the default time where the
-    meshes have values then, else the first time code. Polygons become fans, parts are material subsets or prims.
+    Instances are read with their transforms. Point instancers, curves and points are not read; of a subdivision surface
+    the control mesh is read. Axes and unit are the file's (z up stays z up). Skinning and blend shapes are applied. The
+    time is the default time where all meshes have values then, else the first time code. Polygons become triangle fans,
+    material subsets or prims become parts.
 
     Raises:
-        InputError: the file is damaged, or shows no meshes.
+        InputError: the file is damaged, or has no visible meshes.
     """
     stage = open_stage(path)
-    bodies = with_skins(stage, shown_meshes(stage, path))
-    return _joined(stage, bodies, path)
+    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
+    return _join_prims(stage, mesh_prims, path)
 
 
 def read_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """Read what a stage shows from its first time code to its last, one frame a time code; else as `read_mesh`.
+    """Read the meshes of a stage as a clip from the first time code to the last, one frame per time code.
 
-    Where nothing moves, that is one frame. With `fps`, frame k is at k / fps seconds after the first time code; between
-    samples USD interpolates.
+    With `fps`, frame k is k / fps seconds after the first time code instead; USD interpolates between samples. A stage
+    in which nothing moves is one frame. Prims and coordinates as in `read_mesh`.
 
     Raises:
-        InputError: as `read_mesh`, the faces or the number of points change, or it lasts longer than an hour.
+        InputError: as `read_mesh`; faces or number of points change over time; longer than `timing.LONGEST`.
     """
     stage = open_stage(path)
-    bodies = with_skins(stage, shown_meshes(stage, path))
-    mesh = _joined(stage, bodies, path)
-    start, stop = stage_span(stage, _samples(bodies), path)
+    mesh_prims = find_skinning(stage, shown_meshes(stage, path))
+    mesh = _join_prims(stage, mesh_prims, path)
+    start, stop = time_code_range(stage, _samples(mesh_prims), path)
     codes = stage.GetTimeCodesPerSecond()
     if not codes > 0 or (stop - start) / codes > LONGEST:
         raise InputError(
@@ -87,35 +88,39 @@ def read_clip(path: Path, fps: float | None = None, progress: Progress | None = 
             "export a shorter range"
         )
     count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
-    times = [start + k * step for k in range(count)]
-    vertices = store_frames(_frames(bodies, times, path), count, len(mesh.vertices), progress=progress)
+    time_codes = [start + k * step for k in range(count)]
+    vertices = store_frames(_frames(mesh_prims, time_codes, path), count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(np.array(vertices[0])), vertices, fps or codes)
 
 
-def _samples(bodies: list[Body]) -> list[float]:
-    return [time for body in bodies for time in body.samples()]
+def _samples(mesh_prims: list[MeshPrim]) -> list[float]:
+    return [time for mesh_prim in mesh_prims for time in mesh_prim.sample_times()]
 
 
-def _frames(bodies: list[Body], times: list[float], path: Path) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The points of all bodies, time by time; what does not move is computed once."""
-    frames = UsdGeom.XformCache(Usd.TimeCode(times[0]))
-    moves = [bool(body.samples()) for body in bodies]
-    still = [body.points(frames) for body in bodies]
-    topologies = [_topology(body.prim, Usd.TimeCode(times[0])) for body in bodies]
-    changing = [k for k, body in enumerate(bodies) if _topology_may_change(body.prim)]
-    for number, time in enumerate(times):
-        frames.SetTime(Usd.TimeCode(time))
-        points = [body.points(frames) if moves[k] else still[k] for k, body in enumerate(bodies)]
-        for k in changing:
-            if _topology(bodies[k].prim, frames.GetTime()) != topologies[k]:
-                raise _changed(path, bodies[k].prim, number, "other faces")
-        for body, before, now in zip(bodies, still, points, strict=True):
+def _frames(mesh_prims: list[MeshPrim], time_codes: list[float], path: Path) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the joined world positions of all prims at each time code; prims that do not move are evaluated once.
+
+    Raises:
+        InputError: the topology of a prim differs from that of the first frame.
+    """
+    xforms = UsdGeom.XformCache(Usd.TimeCode(time_codes[0]))
+    moves = [bool(mesh_prim.sample_times()) for mesh_prim in mesh_prims]
+    first_points = [mesh_prim.points(xforms) for mesh_prim in mesh_prims]
+    topologies = [_topology(mesh_prim.prim, Usd.TimeCode(time_codes[0])) for mesh_prim in mesh_prims]
+    varying = [k for k, mesh_prim in enumerate(mesh_prims) if _topology_may_change(mesh_prim.prim)]
+    for frame, time_code in enumerate(time_codes):
+        xforms.SetTime(Usd.TimeCode(time_code))
+        points = [mesh_prim.points(xforms) if moves[k] else first_points[k] for k, mesh_prim in enumerate(mesh_prims)]
+        for k in varying:
+            if _topology(mesh_prims[k].prim, xforms.GetTime()) != topologies[k]:
+                raise _topology_error(path, mesh_prims[k].prim, frame, "other faces")
+        for mesh_prim, before, now in zip(mesh_prims, first_points, points, strict=True):
             if len(before) != len(now):
-                raise _changed(path, body.prim, number, f"{len(now)} points after {len(before)}")
+                raise _topology_error(path, mesh_prim.prim, frame, f"{len(now)} points after {len(before)}")
         yield np.concatenate(points)
 
 
-def _changed(path: Path, prim: Usd.Prim, frame: int, found: str) -> InputError:
+def _topology_error(path: Path, prim: Usd.Prim, frame: int, found: str) -> InputError:
     return InputError(
         f"{path}: expected one topology for the whole clip, found {found} in frame {frame} of {prim.GetPath()}; "
         "export without changing topology"
@@ -132,86 +137,102 @@ def _topology(prim: Usd.Prim, time: Usd.TimeCode):
     return mesh.GetFaceVertexCountsAttr().Get(time), mesh.GetFaceVertexIndicesAttr().Get(time)
 
 
-def _joined(stage: Usd.Stage, bodies: list[Body], path: Path) -> Mesh:
-    """All bodies at rest as one Mesh with its source."""
-    by_default = all(stands_by_default(body.prim) for body in bodies)
-    first = stage_span(stage, _samples(bodies), path)[0]
-    frames = UsdGeom.XformCache(REST if by_default else Usd.TimeCode(first))
-    known: Known = {}
-    pieces = [_piece(body, frames, known, path) for body in bodies]
-    vertices = np.concatenate([piece.mesh.vertices for piece in pieces])
-    ends = np.cumsum([0] + [len(piece.mesh.vertices) for piece in pieces]).tolist()
-    face_ends = np.cumsum([0] + [len(piece.mesh.faces) for piece in pieces]).tolist()
-    faces = np.concatenate([piece.mesh.faces + start for piece, start in zip(pieces, ends, strict=False)])
-    runs = tuple(
-        FaceRun(str(body.prim.GetPath()), ends[k], ends[k + 1], face_ends[k], piece.corner_of, piece.mirrored)
-        for k, (body, piece) in enumerate(zip(bodies, pieces, strict=True))
-    )
-    counts = [len(piece.mesh.faces) for piece in pieces]
-    normals = joined_corners([piece.mesh.corner_normals for piece in pieces], counts)
+def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mesh:
+    """Join all prims at the time of the rest shape to one Mesh with its source."""
+    at_default_time = all(has_default_values(mesh_prim.prim) for mesh_prim in mesh_prims)
+    first = time_code_range(stage, _samples(mesh_prims), path)[0]
+    xforms = UsdGeom.XformCache(DEFAULT_TIME if at_default_time else Usd.TimeCode(first))
+    materials: MaterialCache = {}
+    world_meshes = [_read_prim(mesh_prim, xforms, materials, path) for mesh_prim in mesh_prims]
+    mesh = _concatenate([world_mesh.mesh for world_mesh in world_meshes], path.stem)
     source = UsdSource(
         path=path.resolve(),
         suffix=path.suffix.lower(),
-        vertices=vertices,
-        sizes=np.concatenate([piece.sizes for piece in pieces]),
-        runs=runs,
-        by_default=by_default,
+        vertices=mesh.vertices,
+        sizes=np.concatenate([world_mesh.sizes for world_mesh in world_meshes]),
+        ranges=_prim_ranges(mesh_prims, world_meshes),
+        at_default_time=at_default_time,
         first=first,
         up_axis=str(UsdGeom.GetStageUpAxis(stage)),
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
-        notes=notes_of(stage, bodies),
-    )
-    mesh = Mesh(
-        vertices,
-        faces,
-        name=path.stem,
-        corner_uv=joined_corners([piece.mesh.corner_uv for piece in pieces], counts),
-        corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
-        parts=tuple(
-            dataclasses.replace(part, start=part.start + start, stop=part.stop + start)
-            for piece, start in zip(pieces, face_ends, strict=False)
-            for part in piece.mesh.parts
-        ),
+        notes=writing_notes(stage, mesh_prims),
     )
     return dataclasses.replace(mesh, source=source)
 
 
-def _piece(body: Body, frames: UsdGeom.XformCache, known: Known, path: Path) -> Piece:
-    """One prim at the time of `frames`, faces sorted so that each part is one run.
+def _concatenate(meshes: list[Mesh], name: str) -> Mesh:
+    """Concatenate meshes to one of the given name, with shifted vertex indices and face ranges of parts."""
+    starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes]).tolist()
+    face_starts = np.cumsum([0] + [len(mesh.faces) for mesh in meshes]).tolist()
+    counts = [len(mesh.faces) for mesh in meshes]
+    vertices = np.concatenate([mesh.vertices for mesh in meshes])
+    faces = np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)])
+    normals = joined_corners([mesh.corner_normals for mesh in meshes], counts)
+    return Mesh(
+        vertices,
+        faces,
+        name=name,
+        corner_uv=joined_corners([mesh.corner_uv for mesh in meshes], counts),
+        # Prims without authored normals among prims with them get those of their faces.
+        corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
+        parts=tuple(
+            dataclasses.replace(part, start=part.start + start, stop=part.stop + start)
+            for mesh, start in zip(meshes, face_starts, strict=False)
+            for part in mesh.parts
+        ),
+    )
+
+
+def _prim_ranges(mesh_prims: list[MeshPrim], world_meshes: list[WorldMesh]) -> tuple[PrimRange, ...]:
+    """Return which vertices and faces of the joined mesh came from each prim."""
+    ranges = []
+    start = first_face = 0
+    for mesh_prim, world_mesh in zip(mesh_prims, world_meshes, strict=True):
+        stop = start + len(world_mesh.mesh.vertices)
+        prim_path = str(mesh_prim.prim.GetPath())
+        ranges.append(PrimRange(prim_path, start, stop, first_face, world_mesh.corner_of, world_mesh.is_mirrored))
+        start, first_face = stop, first_face + len(world_mesh.mesh.faces)
+    return tuple(ranges)
+
+
+def _read_prim(mesh_prim: MeshPrim, xforms: UsdGeom.XformCache, materials: MaterialCache, path: Path) -> WorldMesh:
+    """Read one prim at the time of `xforms`, with its faces sorted so that each part is one consecutive run.
 
     Raises:
-        InputError: its faces name points that are not there, or do not add up.
+        InputError: face indices are out of range, or the face counts do not sum to their number.
     """
-    prim, time = body.prim, frames.GetTime()
+    prim, time = mesh_prim.prim, xforms.GetTime()
     counts, corners = _polygons(prim, time, path)
-    vertices = body.points(frames)
+    vertices = mesh_prim.points(xforms)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(vertices)):
         worst = int(corners.max() if corners.max() >= len(vertices) else corners.min())
         raise InputError(
             f"{path}: expected points 0..{len(vertices) - 1} in the faces of {prim.GetPath()}, found {worst}; "
             "the file is damaged, export it again"
         )
-    owners, labels = subset_labels(prim, len(counts), path)
+    binding_prims, labels = material_subsets(prim, len(counts), path)
     order = _shown_polygons(prim, counts, labels)
-    mirrored = bool(np.linalg.det(body.T_world_bind(frames)[:3, :3]) < 0)
+    # Faces come out counter-clockwise seen from outside: left-handed orientation and a mirroring transform each
+    # reverse the winding, and both together leave it.
+    is_mirrored = bool(np.linalg.det(mesh_prim.T_world_bind(xforms)[:3, :3]) < 0)
     left_handed = UsdGeom.Mesh(prim).GetOrientationAttr().Get() == UsdGeom.Tokens.leftHanded
-    corner_of, polygon = _fans(counts, order, mirrored != left_handed)
+    corner_of, polygon = _fans(counts, order, is_mirrored != left_handed)
     faces = corners[corner_of]
-    polygon_of = np.repeat(np.arange(len(counts)), counts)
-    uv = primvar_values(prim, uv_name(owners), 2)
+    polygon_of = np.repeat(np.arange(len(counts)), counts)  # polygon of each corner in `faceVertexIndices`
+    uv = primvar_values(prim, uv_primvar_name(binding_prims), 2)
     what = f"{path}: texture coordinates of {prim.GetPath()}"
     mesh = Mesh(
         vertices,
         faces,
-        corner_uv=None if uv is None else at_corners(*uv, corners, polygon_of, what)[corner_of],
-        corner_normals=_normals(body, frames, vertices, faces, corners, polygon_of, corner_of, path),
-        parts=_parts(owners, labels[polygon], known),
+        corner_uv=None if uv is None else corner_values(*uv, corners, polygon_of, what)[corner_of],
+        corner_normals=_normals(mesh_prim, xforms, vertices, faces, corners, polygon_of, corner_of, path),
+        parts=_parts(binding_prims, labels[polygon], materials),
     )
-    return Piece(mesh, counts[order], corner_of, mirrored)
+    return WorldMesh(mesh, counts[order], corner_of, is_mirrored)
 
 
 def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.ndarray, " P"], Int[np.ndarray, " C"]]:
-    """Corner counts and the flat list of corners."""
+    """Read the corner count of each polygon and the vertex index of each corner."""
     counts, corners = (np.array(value or [], np.int64) for value in _topology(prim, time))
     if (counts < 0).any() or counts.sum() != len(corners):
         raise InputError(
@@ -222,54 +243,66 @@ def _polygons(prim: Usd.Prim, time: Usd.TimeCode, path: Path) -> tuple[Int[np.nd
 
 
 def _shown_polygons(prim: Usd.Prim, counts, labels) -> Int[np.ndarray, " P"]:
-    """Polygons with three corners or more that are no holes, part by part as the parts first appear."""
-    keep = counts > 2
+    """Return the polygons to read: three corners or more and not a hole, sorted by part, parts by first appearance."""
+    is_shown = counts > 2
     holes = np.array(UsdGeom.Mesh(prim).GetHoleIndicesAttr().Get() or [], np.int64)
-    keep[holes[(holes >= 0) & (holes < len(counts))]] = False
-    kept = np.flatnonzero(keep)
-    used, first, place = np.unique(labels[kept], return_index=True, return_inverse=True)
-    return kept[np.argsort(first[place.reshape(-1)], kind="stable")] if len(used) else kept
+    is_shown[holes[(holes >= 0) & (holes < len(counts))]] = False
+    polygons = np.flatnonzero(is_shown)
+    # Sorting by the first polygon of each part keeps the order in which the parts appear; stable within a part.
+    used, first, part = np.unique(labels[polygons], return_index=True, return_inverse=True)
+    return polygons[np.argsort(first[part.reshape(-1)], kind="stable")] if len(used) else polygons
 
 
 def _fans(counts, order, flip: bool) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " F"]]:
-    """The flat corners of the triangles of some polygons, turned around if asked, and the polygon of each."""
+    """Triangulate the polygons `order` as fans, with reversed winding if `flip`.
+
+    Returns the index in `faceVertexIndices` of each triangle corner, and the polygon of each triangle.
+    """
     sizes = counts[order]
-    step = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+    step = np.arange(sizes.sum()) - np.repeat(np.cumsum(sizes) - sizes, sizes)  # 0, 1, 2, ... within each polygon
     if flip:
-        step = -step % np.repeat(sizes, sizes)
+        step = -step % np.repeat(sizes, sizes)  # 0, n - 1, n - 2, ...: the first corner stays first
     triangles, polygon = fan_corners(sizes)
     flat = np.repeat((np.cumsum(counts) - counts)[order], sizes) + step
     return flat[triangles], order[polygon]
 
 
-def _normals(body: Body, frames, vertices, faces, corners, polygon_of, corner_of, path):
-    """Authored normals at the corners of the faces, in the world, turned along by joints and blend shapes."""
-    prim = body.prim
-    given = authored_normals(prim, frames.GetTime())
-    if given is None:
+def _normals(mesh_prim: MeshPrim, xforms, vertices, faces, corners, polygon_of, corner_of, path):
+    """Read the authored normals at the face corners, in world coordinates; None where the prim has none.
+
+    Normals are authored for the bind pose: skinning and blend shapes then rotate them with the surface.
+    """
+    prim = mesh_prim.prim
+    authored = authored_normals(prim, xforms.GetTime())
+    if authored is None:
         return None
-    local = at_corners(*given, corners, polygon_of, f"{path}: normals of {prim.GetPath()}")[corner_of]
-    T_world_bind = body.T_world_bind(frames)
+    local = corner_values(*authored, corners, polygon_of, f"{path}: normals of {prim.GetPath()}")[corner_of]
+    T_world_bind = mesh_prim.T_world_bind(xforms)
+    # Normals transform by the inverse transpose; the pseudo-inverse also serves transforms that flatten the mesh.
     normals = unit_vectors(local @ np.linalg.pinv(T_world_bind[:3, :3]))
-    if body.skin is None:
+    if mesh_prim.skinning is None:
         return normals
-    bind = moved_by(T_world_bind, np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(frames.GetTime()), np.float64))
+    bind = transform_points(
+        T_world_bind, np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(xforms.GetTime()), np.float64)
+    )
     return turn_normals(normals, faces, bind, vertices)
 
 
-def _parts(owners: list[Usd.Prim], labels: Int[np.ndarray, " F"], known: Known) -> tuple[Part, ...]:
-    """The runs of equal labels."""
+def _parts(binding_prims: list[Usd.Prim], labels: Int[np.ndarray, " F"], materials: MaterialCache) -> tuple[Part, ...]:
+    """Return a part for each run of consecutive faces with equal labels."""
     ends = [*np.flatnonzero(np.diff(labels, prepend=-1)).tolist(), len(labels)]
     return tuple(
-        Part(name_of(owners[labels[start]]), start, stop, _material(owners[labels[start]], known))
+        Part(
+            display_name(binding_prims[labels[start]]), start, stop, _material(binding_prims[labels[start]], materials)
+        )
         for start, stop in itertools.pairwise(ends)
     )
 
 
-def _material(prim: Usd.Prim, known: Known) -> Material | None:
+def _material(prim: Usd.Prim, materials: MaterialCache) -> Material | None:
     bound = bound_material(prim)
     if bound is None:
         return None
-    if bound.GetPath() not in known:
-        known[bound.GetPath()] = read_material(bound)
-    return known[bound.GetPath()]
+    if bound.GetPath() not in materials:
+        materials[bound.GetPath()] = read_material(bound)
+    return materials[bound.GetPath()]

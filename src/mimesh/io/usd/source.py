@@ -1,9 +1,9 @@
-"""The USD file an identity came from, given back with its points elsewhere and nothing else changed.
+"""Write the USD file that a mesh was read from again, with other points and all else as it was.
 
-Kept: all prims, materials, subsets, primvars, metadata and custom attributes of the root layer, and what it refers to.
-Changed: points, authored normals and extent of the meshes that were read, in their own coordinates, at all times.
-Dropped: their skins, blend shapes and animation, that of what they hang from included: it would move the wanted points
-away.
+Kept: all prims, materials, subsets, primvars, metadata and custom attributes of the root layer, and its references.
+Changed: points, authored normals and extent of the meshes that were read, in each prim's local frame, at all times.
+Removed: their skinning, blend shapes and animation, and the animation of their ancestors, any of which would move the
+new points.
 """
 
 from __future__ import annotations
@@ -19,19 +19,19 @@ from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
 from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Mesh
-from .looks import at_corners, authored_normals
+from .appearance import authored_normals, corner_values
 from .package import pack, unpack
-from .skin import Body
-from .stage import EVERYTHING, REST, matrix, turned_about
+from .skinning import MeshPrim
+from .stage import ALL_PRIMS, DEFAULT_TIME, column_matrix, transform_chain
 
-# usd-core tells type checkers nothing of what is in it.
+# usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
 
 LOCAL_TOLERANCE = 1e-6
-"""How far from its place, relative to the size of the mesh, float32 numbers in a prim's frame may put a point."""
-FLAT = 1e12
-"""Condition number from which on a transform flattens what it moves."""
-_OF_SKINS = (
+"""Largest error of a point stored as float32 in a prim's local frame, as a fraction of the mesh's longest extent."""
+MAX_CONDITION = 1e12
+"""Condition number of a 3x3 transform from which on it counts as singular (it flattens the mesh)."""
+_SKINNING_ATTRIBUTES = (
     "primvars:skel:jointIndices",
     "primvars:skel:jointWeights",
     "primvars:skel:geomBindTransform",
@@ -40,51 +40,54 @@ _OF_SKINS = (
 
 
 @dataclass(frozen=True)
-class FaceRun:
-    """Vertices `start:stop` of the Mesh and its faces from `first_face` on: those of one prim."""
+class PrimRange:
+    """The part of a joined Mesh that came from one prim: `vertices[start:stop]` and the faces from `first_face` on."""
 
     prim: str
+    """Prim path."""
     start: int
     stop: int
     first_face: int
     corner_of: Int[np.ndarray, "F 3"] = field(repr=False)
-    """Which of the prim's corners each corner of its faces is."""
-    mirrored: bool
-    """Whether the prim's transform turned the winding of its faces around."""
+    """Index of each face corner in the prim's `faceVertexIndices`; its length is the number of faces."""
+    is_mirrored: bool
+    """Whether the prim's world transform had a negative determinant, which reverses the winding of faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class UsdSource:
-    """The file behind a Mesh (see `Mesh.source`); it is opened again when it is written."""
+    """The USD file that a Mesh was read from. Satisfies `mesh.Source`; the file is opened again for writing."""
 
     path: Path
     suffix: str
     vertices: Float[np.ndarray, "V 3"] = field(repr=False)
-    """The Mesh's vertices as they were read."""
+    """World positions as they were read."""
     sizes: Int[np.ndarray, " P"] = field(repr=False)
-    """Corners of the polygons that the Mesh's faces are fans of."""
-    runs: tuple[FaceRun, ...] = field(repr=False)
-    by_default: bool
-    """Whether it was read at the default time, else at `first`."""
+    """Corners of each polygon; the faces are triangle fans of them."""
+    ranges: tuple[PrimRange, ...] = field(repr=False)
+    """The prims that were read, in the order of their vertices."""
+    at_default_time: bool
+    """Whether the rest shape was read at the default time; else at `first`."""
     first: float
     """First time code."""
     up_axis: str
+    """The token Y or Z."""
     meters_per_unit: float
     notes: tuple[str, ...]
-    """One line for each thing of the file that is not in the written one, or in another way."""
+    """One line for each thing of the file that a written file lacks or stores differently."""
 
     @property
     def details(self) -> tuple[tuple[str, str], ...]:
-        """The stage's unit and axis, name and value."""
+        """Rows of name and value for `mimesh look`: the stage's unit and up axis."""
         return (("unit", f"{self.meters_per_unit:g} m, {self.up_axis.lower()} up"),)
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file with the points of `mesh`, in the format of `path`'s suffix.
 
-        In another folder, what the file refers to is named by absolute paths; a package holds all of it.
+        Written to another folder, the file refers to its layers and assets by absolute paths; a package contains them.
 
         Raises:
-            InputError: the file is gone, or no longer has the prims that were read.
+            InputError: the original file is missing, or no longer has the prims that were read.
         """
         if mesh.vertices.shape != self.vertices.shape or len(mesh.faces) != (self.sizes - 2).sum():
             raise ValueError(f"the file has vertices {self.vertices.shape}, the mesh {mesh.vertices.shape}")
@@ -92,21 +95,21 @@ class UsdSource:
             raise InputError(f"{self.path}: expected the file that was read, found none; put it back to write its copy")
         if path.suffix.lower() != ".usdz":
             self._export(path)
-            self._move(mesh, path)
+            self._write_points(mesh, path)
             return
         with tempfile.TemporaryDirectory(prefix=".usdz-", dir=path.parent) as folder:
             if self.suffix == ".usdz":
                 files = unpack(self.path, Path(folder))
-                self._move(mesh, Path(folder) / files[0])
+                self._write_points(mesh, Path(folder) / files[0])
                 pack(Path(folder), files, path)
             else:
                 root = Path(folder) / f"{self.path.stem}.usdc"
                 self._export(root)
-                self._move(mesh, root)
+                self._write_points(mesh, root)
                 UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(root)), str(path))
 
     def _export(self, path: Path) -> None:
-        """Copy the root layer; its relative paths stay where they lead to the same files."""
+        """Copy the root layer; asset paths become absolute where relative ones would no longer resolve."""
         layer = Sdf.Layer.FindOrOpen(str(self.path))
         layer.Export(str(path))
         if self.suffix == ".usdz" or path.parent.resolve() != self.path.parent:
@@ -114,35 +117,41 @@ class UsdSource:
             UsdUtils.ModifyAssetPaths(copy, lambda name: layer.ComputeAbsolutePath(name) if name else name)
             copy.Save()
 
-    def _move(self, mesh: Mesh, root: Path) -> None:
+    def _write_points(self, mesh: Mesh, root: Path) -> None:
+        """Write the vertices and normals of `mesh` into the prims of the copied root layer.
+
+        A prim keeps its transform where the new points can be stored in its local frame with enough precision and with
+        the winding of the faces as read; otherwise it gets a transform that places it at the world's origin.
+        """
         stage = Usd.Stage.Open(str(root))
-        frames = UsdGeom.XformCache(REST if self.by_default else Usd.TimeCode(self.first))
-        # All are placed as they were read, before the first of them changes what the others inherit.
-        prims = [_own_prim(stage, run.prim, self.path) for run in self.runs]
-        places = [matrix(frames.GetLocalToWorldTransform(prim)) for prim in prims]
-        for run, prim, T_world_prim in zip(self.runs, prims, places, strict=True):
-            points = mesh.vertices[run.start : run.stop]
-            unfit = _storage_error(T_world_prim, points) > LOCAL_TOLERANCE * np.ptp(mesh.vertices, axis=0).max()
-            mirrored = bool(np.linalg.det(T_world_prim[:3, :3]) < 0)
-            _freeze(prim, frames.GetTime())
-            if unfit or mirrored != run.mirrored:
-                T_world_prim = _place(prim, frames.GetTime(), run.mirrored)
+        xforms = UsdGeom.XformCache(DEFAULT_TIME if self.at_default_time else Usd.TimeCode(self.first))
+        # All transforms are taken before the first prim changes what others inherit.
+        prims = [_editable_prim(stage, prim_range.prim, self.path) for prim_range in self.ranges]
+        transforms = [column_matrix(xforms.GetLocalToWorldTransform(prim)) for prim in prims]
+        for prim_range, prim, T_world_prim in zip(self.ranges, prims, transforms, strict=True):
+            points = mesh.vertices[prim_range.start : prim_range.stop]
+            tolerance = LOCAL_TOLERANCE * np.ptp(mesh.vertices, axis=0).max()
+            is_imprecise = _storage_error(T_world_prim, points) > tolerance
+            is_mirrored = bool(np.linalg.det(T_world_prim[:3, :3]) < 0)
+            _freeze_transforms(prim, xforms.GetTime())
+            if is_imprecise or is_mirrored != prim_range.is_mirrored:
+                T_world_prim = _reset_transform(prim, xforms.GetTime(), prim_range.is_mirrored)
             linear, origin = T_world_prim[:3, :3], T_world_prim[:3, 3]
             if mesh.corner_normals is not None:
-                faces = slice(run.first_face, run.first_face + len(run.corner_of))
-                _set_normals(prim, frames.GetTime(), run, unit_vectors(mesh.corner_normals[faces] @ linear))
+                faces = slice(prim_range.first_face, prim_range.first_face + len(prim_range.corner_of))
+                _set_normals(prim, xforms.GetTime(), prim_range, unit_vectors(mesh.corner_normals[faces] @ linear))
             _set_points(prim, (points - origin) @ np.linalg.inv(linear).T)
-            _drop_skin(prim)
+            _remove_skinning(prim)
         stage.GetRootLayer().Save()
 
 
-def notes_of(stage: Usd.Stage, bodies: list[Body]) -> tuple[str, ...]:
-    """What a written file does not have, or has in another way, one line each."""
+def writing_notes(stage: Usd.Stage, mesh_prims: list[MeshPrim]) -> tuple[str, ...]:
+    """List what a written file will lack or store differently, one line each."""
     notes = []
-    skinned = sum(body.skin is not None for body in bodies)
-    moving = sum(bool(body.samples()) for body in bodies)
-    instances = {prim.GetPath() for body in bodies if (prim := _instance_root(body.prim))}
-    instancers = sum(prim.IsA(UsdGeom.PointInstancer) for prim in stage.Traverse(EVERYTHING))
+    skinned = sum(mesh_prim.skinning is not None for mesh_prim in mesh_prims)
+    moving = sum(bool(mesh_prim.sample_times()) for mesh_prim in mesh_prims)
+    instances = {prim.GetPath() for mesh_prim in mesh_prims if (prim := _instance_root(mesh_prim.prim))}
+    instancers = sum(prim.IsA(UsdGeom.PointInstancer) for prim in stage.Traverse(ALL_PRIMS))
     if skinned:
         notes.append(f"dropped the skins or blend shapes of {_count(skinned, 'mesh')}: the points now carry the pose")
     if moving:
@@ -160,14 +169,17 @@ def _count(number: int, name: str) -> str:
 
 
 def _instance_root(prim: Usd.Prim) -> Usd.Prim | None:
-    """The outermost instance that a prim is in."""
-    path = prim.GetPath()
-    found = [prim.GetStage().GetPrimAtPath(prefix) for prefix in path.GetPrefixes()]
-    return next((one for one in found if one.IsInstance()), None)
+    """Return the outermost instance that contains a prim, or None."""
+    ancestors = [prim.GetStage().GetPrimAtPath(prefix) for prefix in prim.GetPath().GetPrefixes()]
+    return next((ancestor for ancestor in ancestors if ancestor.IsInstance()), None)
 
 
-def _own_prim(stage: Usd.Stage, path: str, file: Path) -> Usd.Prim:
-    """A prim that can be edited: the instances around it become prims of their own."""
+def _editable_prim(stage: Usd.Stage, path: str, file: Path) -> Usd.Prim:
+    """Return a mesh prim after turning off instancing around it: prims inside an instance cannot be edited.
+
+    Raises:
+        InputError: there is no mesh at this path.
+    """
     prim = stage.GetPrimAtPath(path)
     while prim and prim.IsInstanceProxy():
         root = _instance_root(prim)
@@ -180,83 +192,98 @@ def _own_prim(stage: Usd.Stage, path: str, file: Path) -> Usd.Prim:
 
 
 def _storage_error(T_world_prim: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "V 3"]) -> float:
-    """How far float32 storage in a frame puts a point from its place, beyond what it does in the world's."""
+    """Return the error that float32 storage in a prim's frame adds to that of storage in the world frame, world units.
+
+    It is infinite for a transform that cannot be inverted. A far translation or a strong scale makes it large.
+    """
     linear, origin = T_world_prim[:3, :3], T_world_prim[:3, 3]
-    if not np.linalg.cond(linear) < FLAT:
+    if not np.linalg.cond(linear) < MAX_CONDITION:
         return np.inf
     local = ((points - origin) @ np.linalg.inv(linear).T).astype(np.float32).astype(np.float64)
-    at_best = np.abs(points.astype(np.float32) - points).max(initial=0.0)
-    return float(np.abs(local @ linear.T + origin - points).max(initial=0.0) - 2 * at_best)
+    world_error = np.abs(points.astype(np.float32) - points).max(initial=0.0)
+    return float(np.abs(local @ linear.T + origin - points).max(initial=0.0) - 2 * world_error)
 
 
-def _freeze(prim: Usd.Prim, time: Usd.TimeCode) -> None:
-    """Let all that places a prim stay as it is at a time."""
-    for one in turned_about(prim):
-        for op in one.GetOrderedXformOps():
+def _freeze_transforms(prim: Usd.Prim, time: Usd.TimeCode) -> None:
+    """Make the transforms of a prim and its ancestors constant, with their values at a time."""
+    for xformable in transform_chain(prim):
+        for op in xformable.GetOrderedXformOps():
             if op.MightBeTimeVarying():
-                _set_always(op.GetAttr(), op.GetAttr().Get(time))
+                _set_constant(op.GetAttr(), op.GetAttr().Get(time))
 
 
-def _place(prim: Usd.Prim, time: Usd.TimeCode, mirrored: bool) -> Float[np.ndarray, "4 4"]:
-    """Let a prim stand at the origin; mirrored, if its faces are wound for that. Returns how it stands.
+def _reset_transform(prim: Usd.Prim, time: Usd.TimeCode, is_mirrored: bool) -> Float[np.ndarray, "4 4"]:
+    """Replace the transform of a prim so that its world transform is the identity, and return that world transform.
 
-    Blender does not know that a prim may ignore its parents, so that is said only where they flatten all.
+    With `mirrored` it is a reflection in x instead, for faces whose winding was read through a mirroring transform.
+    The parent's transform is inverted in the prim's own. Only a parent that cannot be inverted is bypassed by
+    resetting the transform stack, since Blender ignores that flag.
     """
-    T_world_prim = np.diag([-1.0 if mirrored else 1.0, 1.0, 1.0, 1.0])
-    T_world_parent = matrix(UsdGeom.XformCache(time).GetParentToWorldTransform(prim))
+    T_world_prim = np.diag([-1.0 if is_mirrored else 1.0, 1.0, 1.0, 1.0])
+    T_world_parent = column_matrix(UsdGeom.XformCache(time).GetParentToWorldTransform(prim))
     mesh = UsdGeom.Xformable(prim)
     mesh.ClearXformOpOrder()
-    flat = not np.linalg.cond(T_world_parent[:3, :3]) < FLAT
-    mesh.SetResetXformStack(flat)
-    T_parent_prim = T_world_prim if flat else np.linalg.inv(T_world_parent) @ T_world_prim
+    is_singular = not np.linalg.cond(T_world_parent[:3, :3]) < MAX_CONDITION
+    mesh.SetResetXformStack(is_singular)
+    T_parent_prim = T_world_prim if is_singular else np.linalg.inv(T_world_parent) @ T_world_prim
     mesh.AddTransformOp(opSuffix="placed").Set(Gf.Matrix4d(T_parent_prim.T.tolist()))
     return T_world_prim
 
 
 def _set_points(prim: Usd.Prim, points: Float[np.ndarray, "V 3"]) -> None:
-    """Points at all times, and the extent if there was one; velocities would move them between samples."""
+    """Set points for all times and update an authored extent; velocities, which would move the points, are blocked."""
     mesh = UsdGeom.Mesh(prim)
     values = points.astype(np.float32)
     if mesh.GetExtentAttr().HasAuthoredValue():
-        _set_always(mesh.GetExtentAttr(), _vectors(np.stack([values.min(axis=0), values.max(axis=0)])))
-    _set_always(mesh.GetPointsAttr(), _vectors(values))
+        _set_constant(mesh.GetExtentAttr(), _vectors(np.stack([values.min(axis=0), values.max(axis=0)])))
+    _set_constant(mesh.GetPointsAttr(), _vectors(values))
     for attribute in (mesh.GetVelocitiesAttr(), mesh.GetAccelerationsAttr()):
         if attribute.HasAuthoredValue():
             attribute.Block()
 
 
-def _set_normals(prim: Usd.Prim, time: Usd.TimeCode, run: FaceRun, normals: Float[np.ndarray, "F 3 3"]) -> None:
-    """Normals at all times, where the file has any; those of corners without a face stay."""
-    given = authored_normals(prim, time)
-    if given is None:
+def _set_normals(
+    prim: Usd.Prim, time: Usd.TimeCode, prim_range: PrimRange, normals: Float[np.ndarray, "F 3 3"]
+) -> None:
+    """Set normals for all times where the prim has authored ones; corners outside of all faces keep theirs.
+
+    Per-vertex normals stay per vertex. All others become faceVarying, since corners that shared one value may have been
+    rotated differently. They are written to the attribute that they were read from.
+    """
+    authored = authored_normals(prim, time)
+    if authored is None:
         return
-    values, interpolation = given
+    values, interpolation = authored
     mesh = UsdGeom.Mesh(prim)
     primvar = UsdGeom.PrimvarsAPI(prim).GetPrimvar("normals")
     if interpolation in (UsdGeom.Tokens.vertex, UsdGeom.Tokens.varying):
         topology = mesh.GetFaceVertexIndicesAttr()
         corners = np.array(topology.Get(time) or topology.Get(Usd.TimeCode.EarliestTime()), np.int64)
-        index = corners[run.corner_of]
+        index = corners[prim_range.corner_of]
     else:
         counts, corners = (
             np.array(a.Get(time), np.int64) for a in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr())
         )
-        values = at_corners(values, interpolation, corners, np.repeat(np.arange(len(counts)), counts), prim.GetName())
-        index, interpolation = run.corner_of, UsdGeom.Tokens.faceVarying
+        values = corner_values(
+            values, interpolation, corners, np.repeat(np.arange(len(counts)), counts), prim.GetName()
+        )
+        index, interpolation = prim_range.corner_of, UsdGeom.Tokens.faceVarying
+    # Corners that were not read (holes, polygons of two corners) keep the values that were read.
     values = values.astype(np.float32)
     values[index.ravel()] = normals.reshape(-1, 3)
     if primvar and primvar.HasValue():
+        # The new values are one per vertex or corner, so indices into the old values no longer apply.
         if primvar.IsIndexed():
             primvar.BlockIndices()
         primvar.SetInterpolation(interpolation)
-        _set_always(primvar.GetAttr(), _vectors(values))
+        _set_constant(primvar.GetAttr(), _vectors(values))
     else:
         mesh.SetNormalsInterpolation(interpolation)
-        _set_always(mesh.GetNormalsAttr(), _vectors(values))
+        _set_constant(mesh.GetNormalsAttr(), _vectors(values))
 
 
-def _set_always(attribute: Usd.Attribute, value) -> None:
-    attribute.Clear()  # its time samples too
+def _set_constant(attribute: Usd.Attribute, value) -> None:
+    attribute.Clear()  # removes the time samples too
     attribute.Set(value)
 
 
@@ -264,8 +291,9 @@ def _vectors(values: Float[np.ndarray, "N 3"]) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(values)
 
 
-def _drop_skin(prim: Usd.Prim) -> None:
-    for name in _OF_SKINS:
+def _remove_skinning(prim: Usd.Prim) -> None:
+    """Remove the UsdSkel binding of a prim: skin weights, blend shapes, skeleton and animation."""
+    for name in _SKINNING_ATTRIBUTES:
         attribute = prim.GetAttribute(name)
         if attribute and attribute.HasAuthoredValue():
             attribute.Block()
