@@ -12,7 +12,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
-from mimesh.io.gltf.animation import Channel, frame_rate
+from mimesh.io.gltf.animation import AnimationChannel, frame_rate
 
 TURNS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
 """What the hero's hip does from 0 to 1 s."""
@@ -70,30 +70,30 @@ def test_weights_of_morph_targets(tmp_path):
 
 
 def channel(values, interpolation, path="translation"):
-    return Channel(0, path, np.array([1.0, 2.0, 4.0]), np.array(values, float), interpolation)
+    return AnimationChannel(0, path, np.array([1.0, 2.0, 4.0]), np.array(values, float), interpolation)
 
 
 def test_values_between_keys():
     steps = channel([[0], [10], [20]], "STEP")
-    assert steps.at(np.array([0, 1, 1.99, 2, 3.9, 4, 9]))[:, 0].tolist() == [0, 0, 0, 10, 10, 20, 20]
+    assert steps.sample(np.array([0, 1, 1.99, 2, 3.9, 4, 9]))[:, 0].tolist() == [0, 0, 0, 10, 10, 20, 20]
     lines = channel([[0], [10], [20]], "LINEAR")
-    assert lines.at(np.array([0, 1.5, 3, 9]))[:, 0].tolist() == [0, 5, 15, 20]
+    assert lines.sample(np.array([0, 1.5, 3, 9]))[:, 0].tolist() == [0, 5, 15, 20]
     # A cubic whose tangents are those of a parabola is that parabola.
     cubic = channel([[2 * t, t * t, 2 * t] for t in (1.0, 2.0, 4.0)], "CUBICSPLINE")
-    assert np.allclose(cubic.at(np.array([1.0, 1.3, 2.0, 3.1, 4.0, 7.0]))[:, 0], [1, 1.69, 4, 9.61, 16, 16])
+    assert np.allclose(cubic.sample(np.array([1.0, 1.3, 2.0, 3.1, 4.0, 7.0]))[:, 0], [1, 1.69, 4, 9.61, 16, 16])
 
 
 def test_rotations_take_the_shorter_arc_and_stay_of_unit_length():
     half = np.sqrt(0.5)
     turning = channel([[0, 0, 0, 1], [0, 0, -half, -half], [0, 0, 1, 0]], "LINEAR", "rotation")
     wanted = Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix()
-    assert np.allclose(Rotation.from_quat(turning.at(np.array([1.5]))[0]).as_matrix(), wanted)
-    assert np.allclose(np.linalg.norm(turning.at(np.linspace(0, 5, 21)), axis=1), 1)
+    assert np.allclose(Rotation.from_quat(turning.sample(np.array([1.5]))[0]).as_matrix(), wanted)
+    assert np.allclose(np.linalg.norm(turning.sample(np.linspace(0, 5, 21)), axis=1), 1)
 
 
 def test_the_rate_is_the_one_that_keys_lie_on():
     def keys(times):
-        return [Channel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
+        return [AnimationChannel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
 
     assert frame_rate(keys(np.arange(9) / 24)) == 24
     assert frame_rate(keys(np.arange(9) / 30)) == 30

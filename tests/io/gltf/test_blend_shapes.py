@@ -8,7 +8,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, save_clip
 from mimesh.io.gltf import blend_shapes
-from mimesh.io.gltf.blend_shapes import fit_blend
+from mimesh.io.gltf.blend_shapes import fit_blend_shapes
 
 
 def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
@@ -22,21 +22,21 @@ def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
 
 def shown(clip: Clip, count: int) -> np.ndarray:
     """What a client shows at every frame."""
-    blend = fit_blend(clip, count)
-    shapes = np.einsum("kt,tvc->kvc", blend.shares(), clip.vertices - blend.base)
+    blend = fit_blend_shapes(clip, count)
+    shapes = np.einsum("kt,tvc->kvc", blend.frame_coefficients(), clip.vertices - blend.base)
     return blend.base + np.einsum("tk,kvc->tvc", blend.weights, shapes)
 
 
 def test_as_many_shapes_as_ways_to_move_are_exact():
     clip = clip_of(3)
-    blend = fit_blend(clip, 8)
+    blend = fit_blend_shapes(clip, 8)
     assert blend.weights.shape == (12, 3)
     np.testing.assert_allclose(shown(clip, 8), clip.vertices, atol=1e-6)
     assert blend.error < 1e-5
 
 
 def test_the_first_frame_is_exact_and_weights_stay_within_one():
-    blend = fit_blend(clip_of(8), 3)
+    blend = fit_blend_shapes(clip_of(8), 3)
     np.testing.assert_allclose(shown(clip_of(8), 3)[0], clip_of(8).vertices[0], atol=1e-6)
     np.testing.assert_allclose([blend.weights.min(axis=0), blend.weights.max(axis=0)], [[0] * 3, [1] * 3])
 
@@ -45,17 +45,17 @@ def test_the_first_frame_is_exact_and_weights_stay_within_one():
 def test_the_error_is_the_farthest_vertex_and_squares_are_least(count):
     clip = clip_of(8)
     off = shown(clip, count) - clip.vertices
-    assert fit_blend(clip, count).error == pytest.approx(np.linalg.norm(off, axis=-1).max(), rel=1e-4)
+    assert fit_blend_shapes(clip, count).error == pytest.approx(np.linalg.norm(off, axis=-1).max(), rel=1e-4)
     differences = (clip.vertices - clip.vertices[0]).reshape(12, -1)
     least = (np.linalg.svd(differences, compute_uv=False)[count:] ** 2).sum()
     assert (off**2).sum() == pytest.approx(least, rel=1e-4)
 
 
 def test_blocks_of_vertices_change_nothing(monkeypatch):
-    whole = fit_blend(clip_of(8), 3)
+    whole = fit_blend_shapes(clip_of(8), 3)
     monkeypatch.setattr(blend_shapes, "BLOCK", 24 * 12 * 4)
     told = []
-    parts = fit_blend(clip_of(8), 3, lambda done, total: told.append((done, total)))
+    parts = fit_blend_shapes(clip_of(8), 3, lambda done, total: told.append((done, total)))
     np.testing.assert_allclose(np.abs(parts.weights - 0.5), np.abs(whole.weights - 0.5), atol=1e-5)
     assert parts.error == pytest.approx(whole.error, rel=1e-4)
     assert told == [(k, 14) for k in range(1, 15)]
@@ -74,8 +74,8 @@ def test_a_client_shows_the_frames_within_the_error(count, tmp_path):
 def test_what_cannot_be_blended(tmp_path):
     still = Clip.still(zoo.cube())
     with pytest.raises(InputError, match="expected 1 or more, found 0"):
-        fit_blend(clip_of(2), 0)
+        fit_blend_shapes(clip_of(2), 0)
     with pytest.raises(InputError, match="expected a clip that moves"):
-        fit_blend(Clip(still.mesh, np.repeat(still.vertices, 3, axis=0)), 2)
+        fit_blend_shapes(Clip(still.mesh, np.repeat(still.vertices, 3, axis=0)), 2)
     with pytest.raises(InputError, match=r"expected \.glb or \.gltf for --blendshapes, found '\.npz'"):
         save_clip(clip_of(2), tmp_path / "a.npz", blendshapes=2)

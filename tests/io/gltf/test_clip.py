@@ -49,14 +49,14 @@ def test_own_file_plays_the_clip(name, tmp_path):
     clip = clip_of(read_gltf(getattr(samples, name)().glb(tmp_path / "a.glb")))
     write_gltf_clip(clip, tmp_path / "b.glb")
     twin, scale = Twin(tmp_path / "b.glb"), np.ptp(clip.vertices)
-    for run in clip.mesh.source.rest.runs:
-        for primitive in run.primitives:
+    for span in clip.mesh.source.rest.vertex_ranges:
+        for primitive in span.primitives:
             for k, frame in enumerate(clip.vertices):
-                shown = twin.points(run.node, primitive, twin.weights_at(run.node, k / clip.fps))
-                np.testing.assert_allclose(shown, frame[run.start : run.stop], atol=1e-6 * scale)
-            between = twin.points(run.node, primitive, twin.weights_at(run.node, 2.25 / clip.fps))
+                shown = twin.points(span.node, primitive, twin.weights_at(span.node, k / clip.fps))
+                np.testing.assert_allclose(shown, frame[span.start : span.stop], atol=1e-6 * scale)
+            between = twin.points(span.node, primitive, twin.weights_at(span.node, 2.25 / clip.fps))
             expected = 0.75 * clip.vertices[2] + 0.25 * clip.vertices[3]
-            np.testing.assert_allclose(between, expected[run.start : run.stop], atol=1e-6 * scale)
+            np.testing.assert_allclose(between, expected[span.start : span.stop], atol=1e-6 * scale)
 
 
 def test_normals_play_too(tmp_path):
@@ -67,7 +67,7 @@ def test_normals_play_too(tmp_path):
         corner_normals = clip.mesh.with_vertices(frame).corner_normals
         for (node, primitive), (start, stop) in clip.mesh.source.rest.faces.items():
             shown = twin.normals(node, primitive, twin.weights_at(node, k / clip.fps))
-            first = next(run.start for run in clip.mesh.source.rest.runs if run.node == node)
+            first = next(span.start for span in clip.mesh.source.rest.vertex_ranges if span.node == node)
             corners = shown[clip.mesh.faces[start:stop] - first]
             np.testing.assert_allclose(corners, corner_normals[start:stop], atol=1e-5)
 

@@ -21,20 +21,20 @@ def sample(request: pytest.FixtureRequest) -> samples.Sample:
 def test_rest_is_what_a_naive_reader_finds(sample, tmp_path):
     path = sample.glb(tmp_path / "a.glb")
     mesh, twin = read_gltf(path), Twin(path)
-    for run in mesh.source.rest.runs:
-        for primitive in run.primitives:
-            found = mesh.vertices[run.start : run.stop]
-            np.testing.assert_allclose(found, twin.points(run.node, primitive), atol=1e-12)
+    for span in mesh.source.rest.vertex_ranges:
+        for primitive in span.primitives:
+            found = mesh.vertices[span.start : span.stop]
+            np.testing.assert_allclose(found, twin.points(span.node, primitive), atol=1e-12)
 
 
 def test_normals_are_what_a_naive_reader_finds(sample, tmp_path):
     path = sample.glb(tmp_path / "a.glb")
     mesh, twin = read_gltf(path), Twin(path)
-    for run in mesh.source.rest.runs:
-        for primitive in run.primitives:
-            start, stop = mesh.source.rest.faces.get((run.node, primitive), (0, 0))
-            if twin.attribute(run.node, primitive, "NORMAL") is not None and stop > start:
-                expected = twin.normals(run.node, primitive)[mesh.faces[start:stop] - run.start]
+    for span in mesh.source.rest.vertex_ranges:
+        for primitive in span.primitives:
+            start, stop = mesh.source.rest.faces.get((span.node, primitive), (0, 0))
+            if twin.attribute(span.node, primitive, "NORMAL") is not None and stop > start:
+                expected = twin.normals(span.node, primitive)[mesh.faces[start:stop] - span.start]
                 np.testing.assert_allclose(mesh.corner_normals[start:stop], expected, atol=1e-12)
 
 
@@ -82,7 +82,7 @@ def test_shared_vertices_come_once_and_instances_twice(tmp_path):
     hero, props = (read_gltf(sample.glb(tmp_path / "a.glb")) for sample in (samples.hero(), samples.props()))
     assert len(hero.vertices) == 12 + 24  # the loose points of the body are no part of the mesh
     assert len(props.vertices) == 24 + 24 + 6 + 4
-    assert [(run.node, run.start, run.stop) for run in props.source.rest.runs] == [
+    assert [(span.node, span.start, span.stop) for span in props.source.rest.vertex_ranges] == [
         (1, 0, 24),
         (2, 24, 48),
         (3, 48, 54),
@@ -203,7 +203,14 @@ def test_scene_of_points_is_a_point_cloud(tmp_path):
 def test_without_scenes_all_nodes_are_shown(tmp_path):
     sample = samples.props()
     del sample.gltf["scene"], sample.gltf["scenes"]
-    assert [run.node for run in read_gltf(sample.glb(tmp_path / "a.glb")).source.rest.runs] == [1, 2, 3, 3, 4, 4]
+    assert [span.node for span in read_gltf(sample.glb(tmp_path / "a.glb")).source.rest.vertex_ranges] == [
+        1,
+        2,
+        3,
+        3,
+        4,
+        4,
+    ]
 
 
 def test_notes_say_what_will_be_left_out(tmp_path):
@@ -248,12 +255,12 @@ def test_large_files_are_the_same_when_paged_in(suffix, tmp_path, monkeypatch):
     path = sample.glb(tmp_path / "a.glb")
     write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
     whole = read_gltf(tmp_path / f"b{suffix}")
-    monkeypatch.setattr("mimesh.io.gltf.pages.LARGE", 100)
-    monkeypatch.setattr("mimesh.io.gltf.pages._PIECE", 8)
+    monkeypatch.setattr("mimesh.io.gltf.mapped_files.LARGE", 100)
+    monkeypatch.setattr("mimesh.io.gltf.mapped_files.BASE64_BLOCK", 8)
     paged = read_gltf(tmp_path / f"b{suffix}")
-    assert paged.source.document.pages.maps
-    assert not whole.source.document.pages.maps
-    paged.source.document.let_go()
+    assert paged.source.document.mapped_files.maps
+    assert not whole.source.document.mapped_files.maps
+    paged.source.document.release_pages()
     np.testing.assert_array_equal(paged.vertices, whole.vertices)
     assert bytes(paged.source.document.binary) == bytes(whole.source.document.binary)
     write_gltf(paged, tmp_path / f"c{suffix}")

@@ -52,9 +52,9 @@ def test_points_are_where_they_were_asked_to_be(sample, suffix, tmp_path):
     np.testing.assert_allclose(again.vertices, wanted, atol=1e-6 * np.ptp(wanted))
     np.testing.assert_array_equal(again.faces, mesh.faces)
     twin = Twin(path)
-    for run in again.source.rest.runs:  # a second reader finds them there too, without any skin
-        for primitive in run.primitives:
-            np.testing.assert_allclose(twin.points(run.node, primitive), wanted[run.start : run.stop], atol=2e-6)
+    for span in again.source.rest.vertex_ranges:  # a second reader finds them there too, without any skin
+        for primitive in span.primitives:
+            np.testing.assert_allclose(twin.points(span.node, primitive), wanted[span.start : span.stop], atol=2e-6)
 
 
 def test_everything_else_is_as_it_was(sample, tmp_path):

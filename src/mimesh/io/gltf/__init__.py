@@ -17,16 +17,16 @@ import numpy as np
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, played_channels
-from .bake import baked_frames
-from .blend_shapes import fit_blend
+from .animation import frame_rate, select_channels
+from .bake import bake_frames
+from .blend_shapes import fit_blend_shapes
 from .build import build_document
 from .check import is_understood
-from .clip import add_frames
+from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import is_motion, read_motion_clip, read_motion_mesh
-from .read import Rest, read_rest
+from .read import RestScene, read_rest
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -48,7 +48,7 @@ def _read_mesh(document: Document) -> Mesh:
     path = document.path
     mesh, rest = read_rest(document)
     check_mesh(mesh, path)
-    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _notes(document, rest))
+    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _list_notes(document, rest))
     return dataclasses.replace(mesh, source=source)
 
 
@@ -74,9 +74,9 @@ def read_gltf_clip(
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
         return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
-    channels = played_channels(document, animation)
+    channels = select_channels(document, animation)
     fps = fps or frame_rate(channels) or DEFAULT_FPS
-    count, frames = baked_frames(document, mesh.source.rest, channels, fps)
+    count, frames = bake_frames(document, mesh.source.rest, channels, fps)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
 
@@ -109,28 +109,28 @@ def write_gltf_clip(
         How far a vertex is then from its frame at most, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
-    blend = None if blendshapes is None or len(clip) == 1 else fit_blend(clip, blendshapes, progress)
+    blend = None if blendshapes is None or len(clip) == 1 else fit_blend_shapes(clip, blendshapes, progress)
     first = np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base
     shown = mesh.with_vertices(first)
     if isinstance(mesh.source, GltfSource):
-        draft, placed = edit_document(mesh.source, shown, keep_targets=False)
+        draft, written = edit_document(mesh.source, shown, keep_targets=False)
     else:
-        draft, placed = build_document(mesh, shown)
+        draft, written = build_document(mesh, shown)
     if len(clip) > 1:
-        add_frames(draft, placed, mesh, clip, progress, blend)
+        add_morph_animation(draft, written, mesh, clip, progress, blend)
     draft.save(path)
     return None if blend is None else blend.error
 
 
-def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
+def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """What a written file does not have, or has in another way, one line each."""
     gltf = document.gltf
     notes = []
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
-        found = [_count(skins, "skin"), _count(animations, "animation")]
+        found = [_count_text(skins, "skin"), _count_text(animations, "animation")]
         notes.append(f"dropped {' and '.join(text for text in found if text)} that the file had")
-    nodes = list(dict.fromkeys(run.node for run in rest.runs))
+    nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
     if len(meshes) < len(nodes):
         notes.append(
@@ -145,5 +145,5 @@ def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _count(number: int, name: str) -> str:
+def _count_text(number: int, name: str) -> str:
     return "" if not number else f"the {name}" if number == 1 else f"{number} {name}s"

@@ -15,14 +15,14 @@ from jaxtyping import Float, Int
 from ...core.errors import InputError
 from ..timing import RATES, lie_on, sample_rate, usual_rate
 from .document import Document, read_floats
-from .scene import dots, quaternions_of_unit
+from .scene import inner_products, normalized_quaternions
 
-PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
+PATH_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """What moves, and how many numbers that is; as many as there are targets for weights."""
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
+class AnimationChannel:
     """What one node's translation, rotation, scale or weights do."""
 
     node: int
@@ -32,17 +32,17 @@ class Channel:
     """At the keys; three times as wide with in- and out-tangents around them if cubic."""
     interpolation: str
 
-    def at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
+    def sample(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
         """The values at times in seconds."""
         width = self.values.shape[1] // (3 if self.interpolation == "CUBICSPLINE" else 1)
         middle = slice(width, 2 * width) if self.interpolation == "CUBICSPLINE" else slice(0, width)
         after = np.searchsorted(self.times, times, side="right")
         values = self.values[np.minimum(after, len(self.times) - 1), middle]
         inside = (after > 0) & (after < len(self.times))
-        values[inside] = self._between(after[inside], times[inside], middle)
-        return quaternions_of_unit(values) if self.path == "rotation" else values
+        values[inside] = self._interpolate(after[inside], times[inside], middle)
+        return normalized_quaternions(values) if self.path == "rotation" else values
 
-    def _between(
+    def _interpolate(
         self, after: Int[np.ndarray, " T"], times: Float[np.ndarray, " T"], middle: slice
     ) -> Float[np.ndarray, "T C"]:
         a, b = self.values[after - 1], self.values[after]
@@ -101,7 +101,7 @@ def find_animation(document: Document, wanted: str) -> int:
     )
 
 
-def read_channels(document: Document, animation: int) -> list[Channel]:
+def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
     """What moves in an animation; channels of extensions and of nodes that are not named are left out.
 
     Raises:
@@ -112,8 +112,8 @@ def read_channels(document: Document, animation: int) -> list[Channel]:
         entry = document.gltf["animations"][animation]
         for channel in entry["channels"]:
             target = channel["target"]
-            if target["path"] in PATHS and target.get("node") is not None:
-                found.append(_channel(document, target, entry["samplers"][channel["sampler"]]))
+            if target["path"] in PATH_WIDTHS and target.get("node") is not None:
+                found.append(_read_channel(document, target, entry["samplers"][channel["sampler"]]))
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"{document.path}: expected channels with samplers in animation {animation}, found a gap ({error!r}); "
@@ -122,7 +122,7 @@ def read_channels(document: Document, animation: int) -> list[Channel]:
     return found
 
 
-def played_channels(document: Document, wanted: str | None) -> list[Channel]:
+def select_channels(document: Document, wanted: str | None) -> list[AnimationChannel]:
     """What moves in the animation of a name or number; if none is wanted, in the first and in all that go with it.
 
     With it go, in order, those that move nothing which is moved already: exporters that write an animation for each
@@ -133,7 +133,7 @@ def played_channels(document: Document, wanted: str | None) -> list[Channel]:
     """
     if wanted is not None:
         return read_channels(document, find_animation(document, wanted))
-    chosen: list[Channel] = []
+    chosen: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
         moved = {(channel.node, channel.path) for channel in chosen}
         channels = read_channels(document, number)
@@ -142,7 +142,7 @@ def played_channels(document: Document, wanted: str | None) -> list[Channel]:
     return chosen
 
 
-def frame_rate(channels: list[Channel]) -> float | None:
+def frame_rate(channels: list[AnimationChannel]) -> float | None:
     """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate.
 
     Keys as close and even as frames are the frames. Sparser ones are a curve, of which frames lie in between.
@@ -154,7 +154,7 @@ def frame_rate(channels: list[Channel]) -> float | None:
     return usual_rate(times)
 
 
-def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> Channel:
+def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> AnimationChannel:
     times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
@@ -165,21 +165,23 @@ def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]
     keys = len(times)
     per_key = values.size // keys if keys else 0
     cubic = 3 if interpolation == "CUBICSPLINE" else 1
-    fits = per_key == cubic * PATHS[target["path"]] or (target["path"] == "weights" and per_key and not per_key % cubic)
+    fits = per_key == cubic * PATH_WIDTHS[target["path"]] or (
+        target["path"] == "weights" and per_key and not per_key % cubic
+    )
     known = 0 <= target["node"] < len(document.gltf.get("nodes", []))
     if not (fits and known and values.size == keys * per_key and (np.diff(times) > 0).all()):
         raise InputError(
             f"{document.path}: expected rising times with a value each, found {keys} times and {values.size} numbers; "
             "the file is damaged, export it again"
         )
-    return Channel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
+    return AnimationChannel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
 
 
 def _slerp(
     a: Float[np.ndarray, "T 4"], b: Float[np.ndarray, "T 4"], s: Float[np.ndarray, "T 1"]
 ) -> Float[np.ndarray, "T 4"]:
     """Along the shorter arc between unit quaternions; between near ones along the chord."""
-    cosine = dots(a, b)
+    cosine = inner_products(a, b)
     b, cosine = np.where(cosine < 0, -b, b), np.abs(cosine)
     values = (1 - s) * a + s * b
     far = cosine[:, 0] <= 0.9995

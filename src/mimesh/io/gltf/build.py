@@ -10,15 +10,15 @@ from jaxtyping import Float, Int
 from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
 from .document import image_type
-from .draft import VERTEX_DATA, Draft
-from .primitives import Placed
-from .read import BARE, POINTS
+from .draft import ARRAY_BUFFER, Draft
+from .primitives import WrittenPrimitives
+from .read import DEFAULT_MATERIAL, POINTS
 
-WHITE = Material("default", (1.0, 1.0, 1.0, 1.0))
+WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))
 """BARE where vertices have colours, which it multiplies."""
 
 
-def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
+def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[WrittenPrimitives]]:
     """A document that shows `moved`, with its vertices split where the uv or the normal of `mesh` changes.
 
     `moved` is `mesh` with other vertices (or itself); both have corner normals. Within a part the vertices keep their
@@ -26,23 +26,25 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
     without faces becomes POINTS.
     """
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
-    primitives, placed = [], []
+    primitives, written = [], []
     materials: dict[Material, int] = {}
-    bare = BARE if mesh.vertex_colors is None else WHITE
+    bare = DEFAULT_MATERIAL if mesh.vertex_colors is None else WHITE_MATERIAL
     for part, vertex_of, corner_of, indices in _split_parts(mesh):
-        primitive = _primitive(draft, moved, vertex_of, corner_of)
+        primitive = _add_primitive(draft, moved, vertex_of, corner_of)
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
             primitive["material"] = materials.setdefault(part.material or bare, len(materials))
         primitives.append(primitive)
-        placed.append(Placed(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"]))
-    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **standing(mesh)}]
+        written.append(
+            WrittenPrimitives(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
+        )
+    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **stage_transform(mesh)}]
     draft.gltf["meshes"] = [{"name": mesh.name, "primitives": primitives}]
     _add_materials(draft, list(materials), textured=mesh.corner_uv is not None)
-    return draft, placed
+    return draft, written
 
 
-def standing(mesh: Mesh) -> dict[str, list[float]]:
+def stage_transform(mesh: Mesh) -> dict[str, list[float]]:
     """The turn and scale of a node that stands a mesh up as glTF wants it: y up, in metres.
 
     Only files that say other axes and units (USD) need one. Vertices stay as they are, below the node.
@@ -85,25 +87,25 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
     return vertex_of[order], corner_of[order], place[element.reshape(-1)]
 
 
-def _primitive(
+def _add_primitive(
     draft: Draft, moved: Mesh, vertex_of: Int[np.ndarray, " N"], corner_of: Int[np.ndarray, " N"]
 ) -> dict[str, Any]:
     """Positions and colours of all elements; normals and uv too where there are faces."""
-    attributes = {"POSITION": draft.add_floats(moved.vertices[vertex_of], VERTEX_DATA, bounds=True)}
+    attributes = {"POSITION": draft.add_floats(moved.vertices[vertex_of], ARRAY_BUFFER, bounds=True)}
     if moved.vertex_colors is not None:
-        attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], VERTEX_DATA)
+        attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], ARRAY_BUFFER)
     if not (corner_of >= 0).any():
         return {"attributes": attributes, "mode": POINTS}
     if moved.corner_normals is not None:
-        normals = _at_corners(moved.corner_normals, corner_of, [0.0, 1.0, 0.0])
-        attributes["NORMAL"] = draft.add_floats(normals, VERTEX_DATA)
+        normals = _gather_corners(moved.corner_normals, corner_of, [0.0, 1.0, 0.0])
+        attributes["NORMAL"] = draft.add_floats(normals, ARRAY_BUFFER)
     if moved.corner_uv is not None:
-        u, v = _at_corners(moved.corner_uv, corner_of, [0.0, 0.0]).T
-        attributes["TEXCOORD_0"] = draft.add_floats(np.stack([u, 1.0 - v], axis=1), VERTEX_DATA)
+        u, v = _gather_corners(moved.corner_uv, corner_of, [0.0, 0.0]).T
+        attributes["TEXCOORD_0"] = draft.add_floats(np.stack([u, 1.0 - v], axis=1), ARRAY_BUFFER)
     return {"attributes": attributes}
 
 
-def _at_corners(
+def _gather_corners(
     values: Float[np.ndarray, "F 3 C"], corner_of: Int[np.ndarray, " N"], default: list[float]
 ) -> Float[np.ndarray, "N C"]:
     return np.where(corner_of[:, None] >= 0, values.reshape(-1, values.shape[2])[corner_of], default)

@@ -12,7 +12,10 @@ from typing import Any
 
 from ...core.errors import InputError
 
-TRANSFORM, GLOSS = "extensions KHR_texture_transform", "extensions KHR_materials_pbrSpecularGlossiness"
+TEXTURE_TRANSFORM, SPECULAR_GLOSSINESS = (
+    "extensions KHR_texture_transform",
+    "extensions KHR_materials_pbrSpecularGlossiness",
+)
 
 REQUIRED = {
     "accessors []": ("componentType", "count", "type"),
@@ -26,7 +29,7 @@ REQUIRED = {
     "skins []": ("joints",),
 }
 
-NATURAL_NUMBERS = (
+NON_NEGATIVE_INTEGERS = (
     "accessors [] componentType",
     "accessors [] count",
     "accessors [] byteOffset",
@@ -49,14 +52,14 @@ NUMBER_LISTS = {
     "nodes [] weights": None,
     "meshes [] weights": None,
     "materials [] pbrMetallicRoughness baseColorFactor": 4,
-    f"materials [] pbrMetallicRoughness baseColorTexture {TRANSFORM} offset": 2,
-    f"materials [] pbrMetallicRoughness baseColorTexture {TRANSFORM} scale": 2,
-    f"materials [] {GLOSS} diffuseFactor": 4,
-    f"materials [] {GLOSS} diffuseTexture {TRANSFORM} offset": 2,
-    f"materials [] {GLOSS} diffuseTexture {TRANSFORM} scale": 2,
+    f"materials [] pbrMetallicRoughness baseColorTexture {TEXTURE_TRANSFORM} offset": 2,
+    f"materials [] pbrMetallicRoughness baseColorTexture {TEXTURE_TRANSFORM} scale": 2,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseFactor": 4,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture {TEXTURE_TRANSFORM} offset": 2,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture {TEXTURE_TRANSFORM} scale": 2,
 }
 
-TEXTS = (
+STRINGS = (
     "extensionsUsed []",
     "extensionsRequired []",
     "accessors [] type",
@@ -93,7 +96,7 @@ REFERENCES = {
     "meshes [] primitives [] material": "materials",
     "textures [] source": "images",
     "materials [] pbrMetallicRoughness baseColorTexture index": "textures",
-    f"materials [] {GLOSS} diffuseTexture index": "textures",
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture index": "textures",
     "images [] bufferView": "bufferViews",
     "accessors [] bufferView": "bufferViews",
     "accessors [] sparse indices bufferView": "bufferViews",
@@ -101,13 +104,13 @@ REFERENCES = {
     "bufferViews [] buffer": "buffers",
 }
 
-COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
+COMPRESSION_EXTENSIONS = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
 """Extensions that hide the vertices from us where they are required; elsewhere the file has plain data beside them."""
 
-PICTURES = {"KHR_texture_basisu"}
+IMAGE_EXTENSIONS = {"KHR_texture_basisu"}
 """Extensions that hide the pictures from us where they are required; elsewhere the file has PNG or JPEG beside them."""
 
-HARMLESS = (
+APPEARANCE_PREFIXES = (
     "KHR_materials_",
     "KHR_texture_",
     "EXT_texture_",
@@ -119,15 +122,15 @@ HARMLESS = (
 )
 """Beginnings of the names of extensions that say how things look and hold no vertex data."""
 
-UNDERSTOOD = ("KHR_mesh_quantization", "KHR_animation_pointer")
+SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer")
 
 
 def is_understood(extension: str) -> bool:
     """Whether a file with this extension is read rightly, and its buffers may be repacked, by the rest of `io.gltf`."""
-    return extension in UNDERSTOOD or extension.startswith(HARMLESS)
+    return extension in SUPPORTED_EXTENSIONS or extension.startswith(APPEARANCE_PREFIXES)
 
 
-VERTEX_KINDS = {
+ATTRIBUTE_TYPES = {
     "POSITION": "VEC3",
     "NORMAL": "VEC3",
     "TANGENT": "VEC4",
@@ -135,7 +138,7 @@ VERTEX_KINDS = {
     "JOINTS": "VEC4",
     "WEIGHTS": "VEC4",
 }
-DELTA_KINDS = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
+MORPH_TARGET_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
 INDEX_TYPES = (5121, 5123, 5125)
 
 
@@ -152,26 +155,26 @@ def check_document(gltf: Any, path: Path) -> None:
     _check_version(gltf, path)
     _check_extensions(gltf, path)
     for place, names in REQUIRED.items():
-        for item in _find(gltf, place, path):
+        for item in _values_at(gltf, place, path):
             for name in names:
                 _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{place}'", item)
-    for place in NATURAL_NUMBERS:
-        for value in _find(gltf, place, path):
+    for place in NON_NEGATIVE_INTEGERS:
+        for value in _values_at(gltf, place, path):
             _expect(_is_index(value), path, f"a count in '{place}'", value)
-    for place in TEXTS:
-        for value in _find(gltf, place, path):
+    for place in STRINGS:
+        for value in _values_at(gltf, place, path):
             _expect(isinstance(value, str), path, f"text in '{place}'", value)
     for place in OBJECTS:
-        for value in _find(gltf, place, path):
+        for value in _values_at(gltf, place, path):
             _expect(isinstance(value, dict), path, f"an object in '{place}'", value)
     for place, length in NUMBER_LISTS.items():
-        for value in _find(gltf, place, path):
+        for value in _values_at(gltf, place, path):
             _expect(_is_numbers(value, length), path, f"{length or 'some'} numbers in '{place}'", value)
     for place, name in REFERENCES.items():
-        for value in _find(gltf, place, path):
+        for value in _values_at(gltf, place, path):
             count = len(gltf.get(name, ()))
             _expect(_is_index(value) and value < count, path, f"'{place}' to be one of {count} {name}", value)
-    for primitive in _find(gltf, "meshes [] primitives []", path):
+    for primitive in _values_at(gltf, "meshes [] primitives []", path):
         _check_primitive(gltf, primitive, path)
 
 
@@ -183,13 +186,13 @@ def _check_version(gltf: dict[str, Any], path: Path) -> None:
 
 
 def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
-    for name in _find(gltf, "extensionsRequired []", path):
-        if str(name) in COMPRESSION:
+    for name in _values_at(gltf, "extensionsRequired []", path):
+        if str(name) in COMPRESSION_EXTENSIONS:
             raise InputError(
                 f"{path}: expected plain vertex data, found {name}; export without compression (Blender: untick "
                 "'Compression'; gltf-transform: 'copy' after removing it)"
             )
-        if str(name) in PICTURES:
+        if str(name) in IMAGE_EXTENSIONS:
             raise InputError(
                 f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
                 "(gltf-transform: 'png' or 'jpeg')"
@@ -206,7 +209,7 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
     if "POSITION" not in attributes:
         return  # nothing to draw; such a primitive is carried along unread
     count = accessors[attributes["POSITION"]]["count"]
-    owners = [(attributes, VERTEX_KINDS), *((target, DELTA_KINDS) for target in primitive.get("targets", []))]
+    owners = [(attributes, ATTRIBUTE_TYPES), *((target, MORPH_TARGET_TYPES) for target in primitive.get("targets", []))]
     for name, index, kinds in ((name, index, kinds) for owner, kinds in owners for name, index in owner.items()):
         accessor = accessors[index]
         kind = kinds.get(name.partition("_")[0], accessor["type"])
@@ -218,7 +221,7 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
         _expect(good, path, "unsigned indices", f"{accessor['componentType']} {accessor['type']}")
 
 
-def _find(value: Any, place: str, path: Path) -> Iterator[Any]:
+def _values_at(value: Any, place: str, path: Path) -> Iterator[Any]:
     """Everything at a place of the tree; lists and objects on the way must be lists and objects."""
     step, _, rest = place.partition(" ")
     if step == "[]":
@@ -229,7 +232,7 @@ def _find(value: Any, place: str, path: Path) -> Iterator[Any]:
         inner = value.values() if step == "{}" else [value[step]] if step in value else []
     for item in inner:
         if rest:
-            yield from _find(item, rest, path)
+            yield from _values_at(item, rest, path)
         else:
             yield item
 

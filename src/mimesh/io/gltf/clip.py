@@ -20,18 +20,18 @@ from jaxtyping import Float, Float32
 from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh
-from .blend_shapes import Blend
-from .draft import VERTEX_DATA, Draft, Spool
-from .primitives import Placed
+from .blend_shapes import BlendShapes
+from .draft import ARRAY_BUFFER, Draft, Spool
+from .primitives import WrittenPrimitives
 
 
-def add_frames(
+def add_morph_animation(
     draft: Draft,
-    placed: list[Placed],
+    written: list[WrittenPrimitives],
     mesh: Mesh,
     clip: Clip,
     progress: Progress | None = None,
-    blend: Blend | None = None,
+    blend: BlendShapes | None = None,
 ) -> None:
     """Add the frames of `clip` to a document that shows its frame 0 or, with `blend`, the base of that.
 
@@ -40,36 +40,36 @@ def add_frames(
     """
     if blend is None:
         first = np.asarray(clip.vertices[0], np.float64)
-        deltas = _frame_deltas(placed, mesh, clip, first, progress)
-        attributes = _one_each(itertools.islice(deltas, 1, None), placed)
+        deltas = _frame_deltas(written, mesh, clip, first, progress)
+        attributes = _one_target_per_frame(itertools.islice(deltas, 1, None), written)
         weights, kind = np.eye(len(clip), dtype=np.float32)[:, 1:], "frame"
     else:
-        deltas = _frame_deltas(placed, mesh, clip, blend.base, progress)
-        attributes = _blended(deltas, placed, blend.shares())
+        deltas = _frame_deltas(written, mesh, clip, blend.base, progress)
+        attributes = _blend_targets(deltas, written, blend.frame_coefficients())
         weights, kind = blend.weights, "shape"
-    for one, spools in zip(placed, attributes, strict=True):
+    for one, spools in zip(written, attributes, strict=True):
         targets = _add_targets(draft, spools)
         for primitive in one.primitives:
             primitive["targets"] = [dict(target) for target in targets]
-    nodes = list(dict.fromkeys(one.node for one in placed))
+    nodes = list(dict.fromkeys(one.node for one in written))
     names = [f"{kind} {number}" for number in range(1, weights.shape[1] + 1)]
     for node in nodes:
-        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
-    draft.gltf["animations"] = [_animation(draft, nodes, clip, weights)]
+        _complete_targets(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
+    draft.gltf["animations"] = [_morph_animation(draft, nodes, clip, weights)]
 
 
 def _frame_deltas(
-    placed: list[Placed], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
+    written: list[WrittenPrimitives], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
 ) -> Iterator[list[dict[str, Float[np.ndarray, "N 3"]]]]:
     """What each frame adds to the float32 attributes of the base, for each placed group."""
     turned = None
-    if any(one.has_normals for one in placed):
+    if any(one.has_normals for one in written):
         assert mesh.corner_normals is not None
         turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
 
     def shown(vertices: Float[np.ndarray, "V 3"]) -> list[dict[str, Float[np.ndarray, "N 3"]]]:
         normals = turned(vertices).reshape(-1, 3) if turned else None
-        return [_local(one, vertices, normals) for one in placed]
+        return [_local_attributes(one, vertices, normals) for one in written]
 
     start = [{name: values.astype(np.float32) for name, values in group.items()} for group in shown(base)]
     for vertices in each_frame(clip.vertices, progress):
@@ -79,11 +79,11 @@ def _frame_deltas(
         ]
 
 
-def _one_each(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed]
+def _one_target_per_frame(
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], written: list[WrittenPrimitives]
 ) -> list[dict[str, Spool]]:
     """For each group and attribute, one target a frame."""
-    spools: list[dict[str, Spool]] = [{} for _ in placed]
+    spools: list[dict[str, Spool]] = [{} for _ in written]
     for groups in deltas:
         for group, spool in zip(groups, spools, strict=True):
             for name, values in group.items():
@@ -91,18 +91,20 @@ def _one_each(
     return spools
 
 
-def _blended(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed], shares: Float[np.ndarray, "K T"]
+def _blend_targets(
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]],
+    written: list[WrittenPrimitives],
+    frame_coefficients: Float[np.ndarray, "K T"],
 ) -> list[dict[str, Spool]]:
     """For each group and attribute, targets that are mixed from all frames."""
-    sums: list[dict[str, np.ndarray]] = [{} for _ in placed]
-    for groups, share in zip(deltas, shares.T, strict=True):
+    sums: list[dict[str, np.ndarray]] = [{} for _ in written]
+    for groups, share in zip(deltas, frame_coefficients.T, strict=True):
         for group, total in zip(groups, sums, strict=True):
             for name, values in group.items():
                 mixed = total.setdefault(name, np.zeros((len(share), *values.shape)))
                 for shape, part in zip(mixed, share, strict=True):
                     shape += part * values
-    spools: list[dict[str, Spool]] = [{} for _ in placed]
+    spools: list[dict[str, Spool]] = [{} for _ in written]
     for total, spool in zip(sums, spools, strict=True):
         for name, shapes in total.items():
             spool[name] = Spool()
@@ -111,8 +113,8 @@ def _blended(
     return spools
 
 
-def _local(
-    one: Placed, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
+def _local_attributes(
+    one: WrittenPrimitives, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
 ) -> dict[str, Float[np.ndarray, "N 3"]]:
     """Positions and normals of a group's elements in the frame of its node; without a face the normal is constant."""
     linear, origin = one.T_world_local[:3, :3], one.T_world_local[:3, 3]
@@ -126,7 +128,7 @@ def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]
     """One view for all frames of an attribute, one accessor for each frame."""
     targets: list[dict[str, int]] = [{} for _ in next(iter(deltas.values())).bounds]
     for name, frames in deltas.items():
-        view = draft.add_view(frames, target=VERTEX_DATA, byteStride=12)
+        view = draft.add_view(frames, target=ARRAY_BUFFER, byteStride=12)
         size = frames.nbytes // max(len(frames.bounds), 1)
         for number, bounds in enumerate(frames.bounds):
             accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * size, "componentType": 5126}
@@ -135,7 +137,7 @@ def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]
     return targets
 
 
-def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str], weights: list[float]) -> None:
+def _complete_targets(draft: Draft, mesh: dict[str, Any], names: list[str], weights: list[float]) -> None:
     """Weights and names for the targets, and targets that do nothing for the lines and points of the mesh.
 
     glTF wants one number of targets for all primitives of a mesh. An accessor without a view is all zeros.
@@ -150,7 +152,7 @@ def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str], weights
         mesh["extras"]["targetNames"] = names
 
 
-def _animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
+def _morph_animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
     times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
     values = draft.add_floats(weights.reshape(-1, 1))
     return {

@@ -15,13 +15,13 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ...core.errors import InputError
-from .check import COMPRESSION, check_document
-from .pages import Pages
+from .check import COMPRESSION_EXTENSIONS, check_document
+from .mapped_files import MappedFiles
 
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-LANES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-MOST_ZEROS = 2**30
+MAX_ZERO_BYTES = 2**30
 """Bytes of an accessor without data: it stands for zeros, and a few letters could ask for any amount of memory."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
 
@@ -36,11 +36,11 @@ class Document:
     """In memory, or a large file that the system pages in."""
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where it could not be had (a file that is not there, or is no image)."""
-    pages: Pages = field(default_factory=Pages, repr=False)
+    mapped_files: MappedFiles = field(default_factory=MappedFiles, repr=False)
 
-    def let_go(self) -> None:
+    def release_pages(self) -> None:
         """Give back the memory that pages of a large file have taken."""
-        self.pages.let_go()
+        self.mapped_files.release_pages()
 
 
 def open_document(path: Path) -> Document:
@@ -49,17 +49,17 @@ def open_document(path: Path) -> Document:
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or needs an extension that is not understood.
     """
-    pages = Pages()
-    content = pages.read(path)
+    mapped_files = MappedFiles()
+    content = mapped_files.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (pages.without_large_data(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
-    gltf, binary = _join_buffers(_without_compression(gltf), chunk, path, pages)
-    images = tuple(_read_image(image, gltf, binary, path, pages) for image in gltf.get("images", []))
-    document = Document(path, gltf, binary, images, pages)
+    gltf, binary = _join_buffers(_drop_compression(gltf), chunk, path, mapped_files)
+    images = tuple(_read_image(image, gltf, binary, path, mapped_files) for image in gltf.get("images", []))
+    document = Document(path, gltf, binary, images, mapped_files)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
     return document
@@ -74,9 +74,9 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
     accessor = document.gltf["accessors"][index]
     count, size = accessor["count"], element_size(accessor, index, document.path)
     if "bufferView" in accessor:
-        rows = _view_rows(document, accessor, count, size, f"accessor {index}")
+        rows = _read_rows(document, accessor, count, size, f"accessor {index}")
     else:
-        if count * size > MOST_ZEROS:
+        if count * size > MAX_ZERO_BYTES:
             raise InputError(
                 f"{document.path}: expected data behind accessor {index}, found {count:,} elements without any; "
                 "the file is damaged, export it again"
@@ -85,15 +85,15 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
     if "sparse" not in accessor:
         return rows
     sparse, rows = accessor["sparse"], rows.copy()
-    places = _sparse_places(document, sparse, index, count)
-    rows[places] = _view_rows(document, sparse["values"], len(places), size, f"sparse accessor {index}")
+    places = _read_sparse_indices(document, sparse, index, count)
+    rows[places] = _read_rows(document, sparse["values"], len(places), size, f"sparse accessor {index}")
     return rows
 
 
 def read_accessor(document: Document, index: int) -> Shaped[np.ndarray, "N C"]:
     """The values of an accessor as stored, one a row (with the padding that matrices of small integers get)."""
     rows = np.ascontiguousarray(element_bytes(document, index))
-    dtype = np.dtype(COMPONENTS[document.gltf["accessors"][index]["componentType"]])
+    dtype = np.dtype(COMPONENT_TYPES[document.gltf["accessors"][index]["componentType"]])
     return rows.view(dtype).reshape(len(rows), rows.shape[1] // dtype.itemsize)
 
 
@@ -108,13 +108,13 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
 def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
     """Bytes of one element; columns of matrices start at multiples of four bytes."""
     component, kind = accessor["componentType"], accessor["type"]
-    if component not in COMPONENTS or kind not in LANES:
+    if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
         raise InputError(
             f"{path}: expected a glTF 2.0 type in accessor {index}, found {component} {kind}; export it again"
         )
-    width = np.dtype(COMPONENTS[component]).itemsize
+    width = np.dtype(COMPONENT_TYPES[component]).itemsize
     if not kind.startswith("MAT"):
-        return LANES[kind] * width
+        return COMPONENT_COUNTS[kind] * width
     columns = int(kind[3])
     return columns * (-(-columns * width // 4) * 4)
 
@@ -135,14 +135,14 @@ def _used_accessors(gltf: dict[str, Any]) -> set[int]:
     return used
 
 
-def _sparse_places(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
+def _read_sparse_indices(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
     component = sparse["indices"]["componentType"]
     if component not in (5121, 5123, 5125):
         raise InputError(
             f"{document.path}: expected unsigned sparse indices in accessor {index}, found {component}; export it again"
         )
-    dtype = np.dtype(COMPONENTS[component])
-    rows = _view_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
+    dtype = np.dtype(COMPONENT_TYPES[component])
+    rows = _read_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
     places = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
     if len(places) and places.max() >= count:
         raise InputError(
@@ -152,7 +152,7 @@ def _sparse_places(document: Document, sparse: dict[str, Any], index: int, count
     return places
 
 
-def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int, name: str) -> np.ndarray:
+def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int, name: str) -> np.ndarray:
     """`count` rows of `size` bytes from the buffer view that `owner` names, without a copy."""
     view = document.gltf["bufferViews"][owner["bufferView"]]
     start, stride = owner.get("byteOffset", 0), view.get("byteStride") or size
@@ -204,44 +204,46 @@ def _parse_json(text: bytes, path: Path) -> Any:
         ) from error
 
 
-def _without_compression(gltf: dict[str, Any]) -> dict[str, Any]:
+def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
     """The JSON without the optional compressed twins of the data, which will not be what the data is when written."""
-    gone = (*COMPRESSION, "KHR_animation_pointer")
+    gone = (*COMPRESSION_EXTENSIONS, "KHR_animation_pointer")
     gltf = {**gltf}
     for key in gltf.keys() & {"extensionsUsed", "extensionsRequired"}:
         gltf[key] = [name for name in gltf[key] if name not in gone]
     primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
     for owner in [*gltf.get("bufferViews", []), *primitives]:
-        if COMPRESSION & owner.get("extensions", {}).keys():
-            owner["extensions"] = {key: value for key, value in owner["extensions"].items() if key not in COMPRESSION}
+        if COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():
+            owner["extensions"] = {
+                key: value for key, value in owner["extensions"].items() if key not in COMPRESSION_EXTENSIONS
+            }
             if not owner["extensions"]:
                 del owner["extensions"]
     return gltf
 
 
 def _join_buffers(
-    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, pages: Pages
+    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> tuple[dict[str, Any], bytes | memoryview]:
     """The JSON with every view pointing into one joined buffer, and that buffer; a single one is not copied."""
     starts, parts, total = [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, path, pages)
+        content = _read_buffer(buffer, index, chunk, path, mapped_files)
         padding = bytes(-len(content) % 4)
         starts.append(total)
         parts += [content, padding]
         total += len(content) + len(padding)
     views = [
-        _moved_view(view, index, gltf["buffers"], starts, path)
+        _rebase_view(view, index, gltf["buffers"], starts, path)
         for index, view in enumerate(gltf.get("bufferViews", []))
     ]
     return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
 
 
 def _read_buffer(
-    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, pages: Pages
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> bytes | memoryview:
     uri = buffer.get("uri")
-    content = (chunk if index == 0 else None) if uri is None else pages.fetch(uri, path)
+    content = (chunk if index == 0 else None) if uri is None else mapped_files.fetch(uri, path)
     if content is None:
         raise InputError(
             f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
@@ -255,7 +257,7 @@ def _read_buffer(
     return content[: buffer["byteLength"]]
 
 
-def _moved_view(
+def _rebase_view(
     view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
 ) -> dict[str, Any]:
     offset, size = view.get("byteOffset", 0), buffers[view["buffer"]]["byteLength"]
@@ -268,11 +270,11 @@ def _moved_view(
 
 
 def _read_image(
-    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, pages: Pages
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> bytes | None:
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
         return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = bytes(pages.fetch(image.get("uri", ""), path) or b"")
+    content = bytes(mapped_files.fetch(image.get("uri", ""), path) or b"")
     # A file that is no image must not travel into the file we write, whatever a stranger's glTF points at.
     return content if content and image_type(content) else None

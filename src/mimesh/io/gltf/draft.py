@@ -19,13 +19,13 @@ from jaxtyping import Float
 from .check import is_understood
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type
 
-VERTEX_DATA, INDEX_DATA = 34962, 34963
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
-_PIECE = 3 * 2**20
+BASE64_BLOCK = 3 * 2**20
 """Bytes that are encoded at once; a multiple of three."""
-_PLACE = "\ue000buffer\ue000"
+BUFFER_MARK = "\ue000buffer\ue000"
 """Where the buffer goes in the text of a .gltf; these characters are for private use."""
 
 
@@ -42,7 +42,7 @@ class Spool:
     def append(self, values: Float[np.ndarray, "N C"]) -> None:
         """Write one more array, as float32."""
         values = np.ascontiguousarray(values, "<f4")
-        self.bounds.append(bounds_of(values))
+        self.bounds.append(accessor_bounds(values))
         self.nbytes += self.file.write(values.data)
 
     def copy_to(self, file: io.BufferedIOBase) -> None:
@@ -61,7 +61,7 @@ class Draft:
 
     def add_view(self, content: bytes | memoryview | np.ndarray | Spool, **properties: int | None) -> int:
         """Append bytes, an array (not copied) or a spool, and a buffer view of them; each starts at a multiple of 4."""
-        chunk = content if isinstance(content, Spool) else _bytes(content)
+        chunk = content if isinstance(content, Spool) else _as_bytes(content)
         given = {name: value for name, value in properties.items() if value is not None}
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **given})
         self.chunks += [chunk, memoryview(bytes(-chunk.nbytes % 4))]
@@ -77,13 +77,18 @@ class Draft:
         """Append an accessor of float32 values, with `min` and `max` if asked (a must for positions and times)."""
         values = np.asarray(values, "<f4")
         view = self.add_view(values, target=target)
-        accessor = {"bufferView": view, "componentType": 5126, "count": len(values), "type": KINDS[values.shape[1]]}
-        return self.add_accessor({**accessor, **(bounds_of(values) if bounds else {})})
+        accessor = {
+            "bufferView": view,
+            "componentType": 5126,
+            "count": len(values),
+            "type": ACCESSOR_TYPES[values.shape[1]],
+        }
+        return self.add_accessor({**accessor, **(accessor_bounds(values) if bounds else {})})
 
     def add_indices(self, indices: np.ndarray) -> int:
         """Append an index accessor, 16 bits wide where that is enough (65535 itself is not an index in glTF)."""
         small = indices.max(initial=0) < 65535
-        view = self.add_view(indices.astype("<u2" if small else "<u4").ravel(), target=INDEX_DATA)
+        view = self.add_view(indices.astype("<u2" if small else "<u4").ravel(), target=ELEMENT_ARRAY_BUFFER)
         kind = {"componentType": 5123 if small else 5125, "count": indices.size, "type": "SCALAR"}
         return self.add_accessor({"bufferView": view, **kind})
 
@@ -93,7 +98,7 @@ class Draft:
         if path.suffix.lower() == ".gltf":
             self._save_text(gltf, path)
             return
-        text = _dump(gltf)
+        text = _to_json(gltf)
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + (8 + self.size if self.size else 0)
         with path.open("wb") as file:
@@ -105,14 +110,14 @@ class Draft:
     def _save_text(self, gltf: dict[str, Any], path: Path) -> None:
         """Write JSON with the buffer in it, piece by piece."""
         for buffer in gltf["buffers"]:
-            buffer["uri"] = f"data:application/octet-stream;base64,{_PLACE}"
-        head, _, tail = _dump(gltf).partition(_PLACE.encode())
+            buffer["uri"] = f"data:application/octet-stream;base64,{BUFFER_MARK}"
+        head, _, tail = _to_json(gltf).partition(BUFFER_MARK.encode())
         with path.open("wb") as file, tempfile.TemporaryFile() as whole:
             file.write(head)
             if self.size:
                 self._write(whole)
                 whole.seek(0)
-            while piece := whole.read(_PIECE):
+            while piece := whole.read(BASE64_BLOCK):
                 file.write(base64.b64encode(piece))
             file.write(tail)
 
@@ -124,7 +129,7 @@ class Draft:
                 file.write(chunk)
 
 
-class Carrier:
+class AccessorCopier:
     """Takes accessors of an opened document over into a draft, each once, and nothing that is not asked for.
 
     A file with an extension we do not know may point at accessors and views from places we do not know either: there,
@@ -135,16 +140,16 @@ class Carrier:
         self.document = document
         gltf = copy.deepcopy(document.gltf)
         self.draft = Draft(gltf)
-        self.keeps_all = not all(is_understood(name) for name in gltf.get("extensionsUsed", []))
+        self.copies_all = not all(is_understood(name) for name in gltf.get("extensionsUsed", []))
         self.moved: dict[int, int] = {}
-        if self.keeps_all:
+        if self.copies_all:
             self.draft.add_view(document.binary)
             self.draft.gltf |= {"bufferViews": gltf["bufferViews"], "accessors": gltf.get("accessors", [])}
-        self._carry_images()
+        self._copy_images()
 
-    def carry(self, index: int, target: int | None = VERTEX_DATA) -> int:
+    def copy_accessor(self, index: int, target: int | None = ARRAY_BUFFER) -> int:
         """The number in the draft of an accessor of the document; vertex data gets its elements at multiples of 4."""
-        if self.keeps_all:
+        if self.copies_all:
             return index
         if index not in self.moved:
             self.moved[index] = self._copy(index, target)
@@ -156,16 +161,16 @@ class Carrier:
         if "bufferView" not in accessor and "sparse" not in accessor:
             return self.draft.add_accessor(kept)
         rows = element_bytes(self.document, index)
-        padding = -rows.shape[1] % 4 if target == VERTEX_DATA else 0
+        padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
         rows = np.pad(rows, ((0, 0), (0, padding)))
         view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
         return self.draft.add_accessor({"bufferView": view, **kept})
 
-    def _carry_images(self) -> None:
+    def _copy_images(self) -> None:
         """Images move into the buffer, from files beside the document and from data: URIs too."""
         images = []
         for image, content in zip(self.document.gltf.get("images", []), self.document.images, strict=True):
-            if content is None or (self.keeps_all and "bufferView" in image):
+            if content is None or (self.copies_all and "bufferView" in image):
                 images.append(image)
                 continue
             kept = {key: value for key, value in image.items() if key != "uri"}
@@ -175,19 +180,19 @@ class Carrier:
             self.draft.gltf["images"] = images
 
 
-def _bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
+def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
     chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
     return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
-def bounds_of(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
+def accessor_bounds(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
     """`min` and `max` of an accessor, exactly as its float32 values are."""
     if not len(values):
         return {}
     return {"min": values.min(axis=0).astype(float).tolist(), "max": values.max(axis=0).astype(float).tolist()}
 
 
-def _dump(gltf: dict[str, Any]) -> bytes:
+def _to_json(gltf: dict[str, Any]) -> bytes:
     """Compact JSON; top-level lists that ended up empty are left out, as glTF forbids them."""
     kept = {key: value for key, value in gltf.items() if value != []}
     return json.dumps(kept, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()

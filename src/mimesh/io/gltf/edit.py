@@ -19,12 +19,12 @@ from jaxtyping import Float
 from ...core.geometry import vertex_normals, weld
 from ...core.mesh import Mesh
 from .animation import animation_names, document_details
+from .deformed_attributes import needs_rotations, surface_rotations
 from .document import Document
-from .draft import Carrier, Draft
-from .move import has_turning_data, surface_turns
-from .primitives import Edit, Placed, carried_primitive, edited_primitives
-from .read import Rest, Run
-from .scene import shown_nodes
+from .draft import AccessorCopier, Draft
+from .primitives import EditContext, WrittenPrimitives, copy_primitive, edit_primitives
+from .read import RestScene, VertexRange
+from .scene import scene_nodes
 
 LOCAL_TOLERANCE = 1e-6
 """How far from its place, relative to the size of the mesh, float32 numbers in a node's frame may put a vertex."""
@@ -35,7 +35,7 @@ class GltfSource:
     """The opened file behind a Mesh (see `Mesh.source`)."""
 
     document: Document
-    rest: Rest = field(repr=False)
+    rest: RestScene = field(repr=False)
     vertices: Float[np.ndarray, "V 3"] = field(repr=False)
     """The Mesh's vertices at rest."""
     suffix: str
@@ -57,7 +57,7 @@ class GltfSource:
         edit_document(self, mesh)[0].save(path)
 
 
-def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> tuple[Draft, list[Placed]]:
+def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> tuple[Draft, list[WrittenPrimitives]]:
     """The source's document with the vertices of `mesh`, and where they are in it.
 
     A mesh that several nodes show becomes one for each, because their vertices now move apart. The vertices are written
@@ -68,25 +68,27 @@ def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> 
         ValueError: `mesh` does not have the vertices and faces of the source.
     """
     _check_topology(source, mesh)
-    old, carrier = source.document.gltf, Carrier(source.document)
-    runs: dict[int, list[Run]] = {node: [] for node in _edited_nodes(source)}
-    for run in source.rest.runs:
-        runs[run.node].append(run)
-    slots = _own_slots(old, list(runs))
+    old, copier = source.document.gltf, AccessorCopier(source.document)
+    vertex_ranges: dict[int, list[VertexRange]] = {node: [] for node in _edited_nodes(source)}
+    for span in source.rest.vertex_ranges:
+        vertex_ranges[span.node].append(span)
+    slots = _assign_meshes(old, list(vertex_ranges))
     own = set(slots.values())
-    meshes = [{} if slot in own else _carried_mesh(carrier, entry) for slot, entry in enumerate(old["meshes"])]
+    meshes = [{} if slot in own else _copy_mesh(copier, entry) for slot, entry in enumerate(old["meshes"])]
     meshes += [{} for slot in own if slot >= len(meshes)]
-    carrier.draft.gltf["meshes"] = meshes
-    edit = Edit(source.document, source.rest, with_normals(mesh), _turns(source, mesh, slots), carrier, keep_targets)
-    placed = []
+    copier.draft.gltf["meshes"] = meshes
+    edit = EditContext(
+        source.document, source.rest, with_normals(mesh), _surface_rotations(source, mesh, slots), copier, keep_targets
+    )
+    written = []
     for node, slot in slots.items():
-        T_world_local = _frame(edit, node, runs[node])
-        at = _hang(edit, node, slot, T_world_local)
-        primitives, here = edited_primitives(edit, node, runs[node], T_world_local)
-        meshes[slot] = _edited_mesh(old["meshes"][old["nodes"][node]["mesh"]], primitives, keep_targets)
-        placed += [dataclasses.replace(one, node=at) for one in here]
-    _drop_skins_and_animations(carrier)
-    return carrier.draft, placed
+        T_world_local = _choose_transform(edit, node, vertex_ranges[node])
+        at = _attach_mesh(edit, node, slot, T_world_local)
+        primitives, here = edit_primitives(edit, node, vertex_ranges[node], T_world_local)
+        meshes[slot] = _replace_primitives(old["meshes"][old["nodes"][node]["mesh"]], primitives, keep_targets)
+        written += [dataclasses.replace(one, node=at) for one in here]
+    _drop_skins_and_animations(copier)
+    return copier.draft, written
 
 
 def with_normals(mesh: Mesh) -> Mesh:
@@ -109,11 +111,14 @@ def _check_topology(source: GltfSource, mesh: Mesh) -> None:
 
 def _edited_nodes(source: GltfSource) -> list[int]:
     """Nodes in scene order that show vertices of the Mesh, or would lose their place with their skin."""
-    nodes, moved = source.document.gltf.get("nodes", []), {run.node for run in source.rest.runs}
-    return [n for n in shown_nodes(source.document) if n in moved or ("mesh" in nodes[n] and "skin" in nodes[n])]
+    nodes, moved = (
+        source.document.gltf.get("nodes", []),
+        {span.node for span in source.rest.vertex_ranges},
+    )
+    return [n for n in scene_nodes(source.document) if n in moved or ("mesh" in nodes[n] and "skin" in nodes[n])]
 
 
-def _own_slots(gltf: dict[str, Any], edited: list[int]) -> dict[int, int]:
+def _assign_meshes(gltf: dict[str, Any], edited: list[int]) -> dict[int, int]:
     """For each edited node the number of a mesh of its own: the old one for its first node, unless others keep it."""
     shown = set(edited)
     taken = {node.get("mesh") for index, node in enumerate(gltf["nodes"]) if index not in shown}
@@ -126,22 +131,22 @@ def _own_slots(gltf: dict[str, Any], edited: list[int]) -> dict[int, int]:
     return slots
 
 
-def _turns(source: GltfSource, mesh: Mesh, slots: dict[int, int]) -> Float[np.ndarray, "M 3 3"]:
+def _surface_rotations(source: GltfSource, mesh: Mesh, slots: dict[int, int]) -> Float[np.ndarray, "M 3 3"]:
     gltf = source.document.gltf
     primitives = [p for node in slots for p in gltf["meshes"][gltf["nodes"][node]["mesh"]]["primitives"]]
-    if not any(has_turning_data(primitive) for primitive in primitives):
+    if not any(needs_rotations(primitive) for primitive in primitives):
         return np.eye(3)[None]
-    return surface_turns(source.vertices, mesh.vertices, mesh.faces)
+    return surface_rotations(source.vertices, mesh.vertices, mesh.faces)
 
 
-def _frame(edit: Edit, node: int, runs: list[Run]) -> Float[np.ndarray, "4 4"]:
+def _choose_transform(edit: EditContext, node: int, vertex_ranges: list[VertexRange]) -> Float[np.ndarray, "4 4"]:
     """Where the node that shows the mesh shall stand: where it stands if that will do, else at the origin.
 
     A mirroring node is replaced by a mirroring one, because glTF turns the winding of its faces around.
     """
     T_world_node = edit.rest.T_world_node[node]
     root = np.diag([-1.0 if np.linalg.det(T_world_node) < 0 else 1.0, 1.0, 1.0, 1.0])
-    points = np.concatenate([np.zeros((0, 3))] + [edit.mesh.vertices[run.start : run.stop] for run in runs])
+    points = np.concatenate([np.zeros((0, 3))] + [edit.mesh.vertices[span.start : span.stop] for span in vertex_ranges])
     allowed = max(LOCAL_TOLERANCE * np.ptp(edit.mesh.vertices, axis=0).max(), 2 * _storage_error(root, points))
     return T_world_node if _storage_error(T_world_node, points) <= allowed else root
 
@@ -157,9 +162,9 @@ def _storage_error(T_world_local: Float[np.ndarray, "4 4"], points: Float[np.nda
     return float(error) if np.isfinite(error) else np.inf
 
 
-def _hang(edit: Edit, node: int, slot: int, T_world_local: Float[np.ndarray, "4 4"]) -> int:
+def _attach_mesh(edit: EditContext, node: int, slot: int, T_world_local: Float[np.ndarray, "4 4"]) -> int:
     """Let the draft show mesh `slot` at `T_world_local`: by the node itself, or by a new one. Returns its number."""
-    gltf = edit.carrier.draft.gltf
+    gltf = edit.copier.draft.gltf
     entry = gltf["nodes"][node]
     entry.pop("skin", None)
     shown = {"mesh": slot} | ({"weights": entry["weights"]} if "weights" in entry and edit.keep_targets else {})
@@ -175,11 +180,11 @@ def _hang(edit: Edit, node: int, slot: int, T_world_local: Float[np.ndarray, "4 
     return len(gltf["nodes"]) - 1
 
 
-def _carried_mesh(carrier: Carrier, mesh: dict[str, Any]) -> dict[str, Any]:
-    return {**mesh, "primitives": [carried_primitive(carrier, primitive) for primitive in mesh["primitives"]]}
+def _copy_mesh(copier: AccessorCopier, mesh: dict[str, Any]) -> dict[str, Any]:
+    return {**mesh, "primitives": [copy_primitive(copier, primitive) for primitive in mesh["primitives"]]}
 
 
-def _edited_mesh(mesh: dict[str, Any], primitives: list[dict[str, Any]], keep_targets: bool) -> dict[str, Any]:
+def _replace_primitives(mesh: dict[str, Any], primitives: list[dict[str, Any]], keep_targets: bool) -> dict[str, Any]:
     mesh = {**mesh, "primitives": primitives}
     if keep_targets:
         return mesh
@@ -189,13 +194,13 @@ def _edited_mesh(mesh: dict[str, Any], primitives: list[dict[str, Any]], keep_ta
     return mesh
 
 
-def _drop_skins_and_animations(carrier: Carrier) -> None:
+def _drop_skins_and_animations(copier: AccessorCopier) -> None:
     """Animations go; skins go unless a node outside the scene still has one."""
-    gltf = carrier.draft.gltf
+    gltf = copier.draft.gltf
     gltf.pop("animations", None)
     if any("skin" in node for node in gltf["nodes"]):
         for skin in gltf["skins"]:
             if "inverseBindMatrices" in skin:
-                skin["inverseBindMatrices"] = carrier.carry(skin["inverseBindMatrices"], None)
+                skin["inverseBindMatrices"] = copier.copy_accessor(skin["inverseBindMatrices"], None)
     else:
         gltf.pop("skins", None)

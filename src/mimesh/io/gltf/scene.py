@@ -16,24 +16,24 @@ from jaxtyping import Float, Int
 from ...core.errors import InputError
 from .document import Document, read_accessor, read_floats
 
-REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
 
 
-def node_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
+def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale."""
-    return np.array([_node_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
+    return np.array([_local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
-def moved_matrices(
+def animated_matrices(
     document: Document, moved: Mapping[tuple[int, str], Float[np.ndarray, "T C"]], frames: int
 ) -> Float[np.ndarray, "T N 4 4"]:
     """The same in each frame, where `moved` gives the translation, rotation or scale of nodes by number and name."""
-    T_parent_node = np.tile(node_matrices(document), (frames, 1, 1, 1))
+    T_parent_node = np.tile(local_matrices(document), (frames, 1, 1, 1))
     changes: dict[int, dict[str, Any]] = {}
     for (node, path), values in moved.items():
         changes.setdefault(node, {})[path] = values
     for node, values in changes.items():
-        T_parent_node[:, node] = _node_matrix({**document.gltf["nodes"][node], **values})
+        T_parent_node[:, node] = _local_matrix({**document.gltf["nodes"][node], **values})
     return T_parent_node
 
 
@@ -44,18 +44,18 @@ def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 
         InputError: the node tree has a loop, or a node with two parents.
     """
     T_world_node = T_parent_node.copy()
-    parent = parents_of(document)
-    for node in parents_first(document, parent):
+    parent = node_parents(document)
+    for node in sort_parents_first(document, parent):
         if parent[node] >= 0:
             T_world_node[..., node, :, :] = T_world_node[..., parent[node], :, :] @ T_parent_node[..., node, :, :]
     return T_world_node
 
 
-def shown_nodes(document: Document) -> list[int]:
+def scene_nodes(document: Document) -> list[int]:
     """The nodes of the default scene (else of scene 0, else all), depth first: the scene order."""
     gltf = document.gltf
     scenes = gltf.get("scenes")
-    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(parents_of(document))
+    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(node_parents(document))
     order: dict[int, None] = {}
     stack = list(reversed(roots))
     while stack:
@@ -66,7 +66,7 @@ def shown_nodes(document: Document) -> list[int]:
     return list(order)
 
 
-def attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
+def read_attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
     """A vertex attribute in float64, or None where the primitive has none."""
     index = primitive["attributes"].get(name)
     return None if index is None else read_floats(document, index)
@@ -90,7 +90,7 @@ def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def morph_delta(
+def read_morph_delta(
     document: Document, primitive: dict[str, Any], target: int, name: str
 ) -> Float[np.ndarray, "V 3"] | None:
     """What morph target number `target` adds to an attribute at weight 1, or None where it leaves it alone."""
@@ -98,19 +98,19 @@ def morph_delta(
     return None if index is None else read_floats(document, index)
 
 
-def morphed(
+def read_morphed_attribute(
     document: Document, primitive: dict[str, Any], name: str, weights: list[float]
 ) -> Float[np.ndarray, "V C"] | None:
     """A vertex attribute with its weighted morph targets added (w of a tangent has none)."""
-    values = attribute(document, primitive, name)
+    values = read_attribute(document, primitive, name)
     for target, weight in enumerate(weights[: len(primitive.get("targets", []))]):
-        delta = morph_delta(document, primitive, target, name) if weight and values is not None else None
+        delta = read_morph_delta(document, primitive, target, name) if weight and values is not None else None
         if delta is not None and values is not None:
             values[:, :3] += weight * delta
     return values
 
 
-def morph_weights(document: Document, node: int) -> list[float]:
+def read_morph_weights(document: Document, node: int) -> list[float]:
     """The morph weights of a node at rest: its own, else its mesh's."""
     owner = document.gltf["nodes"][node]
     weights = owner.get("weights") or document.gltf["meshes"][owner["mesh"]].get("weights") or []
@@ -118,7 +118,7 @@ def morph_weights(document: Document, node: int) -> list[float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Binding:
+class SkinBinding:
     """Which nodes hold the vertices of a primitive, and how: all that a skin says, in no particular pose."""
 
     nodes: Int[np.ndarray, " J"]
@@ -139,7 +139,7 @@ class Binding:
         return blend
 
 
-def binding(document: Document, node: int, primitive: dict[str, Any]) -> Binding | None:
+def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) -> SkinBinding | None:
     """How the skin of a node holds the vertices of a primitive; None where they follow the node itself.
 
     Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js.
@@ -147,14 +147,14 @@ def binding(document: Document, node: int, primitive: dict[str, Any]) -> Binding
     skin = document.gltf["nodes"][node].get("skin")
     if skin is None or "JOINTS_0" not in primitive["attributes"]:
         return None
-    joints, weights = influences(document, primitive)
+    joints, weights = read_influences(document, primitive)
     nodes, T_joint_bind = np.array(document.gltf["skins"][skin]["joints"], np.int64), _inverse_binds(document, skin)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(nodes):
         raise InputError(
             f"{document.path}: expected joints below {len(nodes)} in skin {skin}, found {joints.max()}; "
             "the file is damaged, export it again"
         )
-    return Binding(nodes, T_joint_bind, joints, weights)
+    return SkinBinding(nodes, T_joint_bind, joints, weights)
 
 
 def vertex_matrices(
@@ -164,8 +164,8 @@ def vertex_matrices(
 
     A skinned vertex ignores the transform of the node that shows it, as glTF has it.
     """
-    bound = binding(document, node, primitive)
-    return T_world_node[node][None, :3] if bound is None else bound.matrices(T_world_node)
+    binding = read_skin_binding(document, node, primitive)
+    return T_world_node[node][None, :3] if binding is None else binding.matrices(T_world_node)
 
 
 def joint_matrices(
@@ -189,12 +189,16 @@ def _inverse_binds(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] 
     return columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
 
 
-def transform(matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+def transform_points(
+    matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
     """Points taken by their own matrix each, or all by one."""
-    return turn(matrices[:, :, :3], points) + matrices[:, :, 3]
+    return transform_vectors(matrices[:, :, :3], points) + matrices[:, :, 3]
 
 
-def turn(matrices: Float[np.ndarray, "M 3 3"], vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
+def transform_vectors(
+    matrices: Float[np.ndarray, "M 3 3"], vectors: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
     """Vectors taken by their own 3x3 matrix each, or all by one."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
@@ -206,31 +210,31 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
 
 
-def dots(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
+def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
     """The inner product of each pair of rows."""
     return (a[..., None, :] @ b[..., :, None])[..., 0]
 
 
-def quaternions_of_unit(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
+def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
     """Quaternions at length one; zeros stay."""
-    length = np.sqrt(dots(quat_xyzw, quat_xyzw))
+    length = np.sqrt(inner_products(quat_xyzw, quat_xyzw))
     return quat_xyzw / np.where(length > 0, length, 1.0)
 
 
-def _node_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     """Of one node, whose translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    values = {path: np.array(node.get(path, rest), np.float64) for path, rest in REST.items()}
+    values = {path: np.array(node.get(path, rest), np.float64) for path, rest in DEFAULT_TRS.items()}
     matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
-    matrix[..., :3, :3] = _rotation(values["rotation"]) * values["scale"][..., None, :]
+    matrix[..., :3, :3] = _rotation_matrix(values["rotation"]) * values["scale"][..., None, :]
     matrix[..., :3, 3] = values["translation"]
     matrix[..., 3, 3] = 1.0
     return matrix
 
 
-def _rotation(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
-    x, y, z, w = np.moveaxis(quaternions_of_unit(quat_xyzw), -1, 0)
+def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
+    x, y, z, w = np.moveaxis(normalized_quaternions(quat_xyzw), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -239,7 +243,7 @@ def _rotation(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def parents_of(document: Document) -> list[int]:
+def node_parents(document: Document) -> list[int]:
     """The parent of each node, -1 for roots."""
     nodes = document.gltf.get("nodes", [])
     parent = [-1] * len(nodes)
@@ -255,7 +259,7 @@ def _roots(parent: list[int]) -> list[int]:
     return [node for node, above in enumerate(parent) if above < 0]
 
 
-def parents_first(document: Document, parent: list[int]) -> list[int]:
+def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
     """All nodes, each after its parent."""
     order = _roots(parent)
     for node in order:  # grows while it is walked
@@ -266,12 +270,12 @@ def parents_first(document: Document, parent: list[int]) -> list[int]:
     return order
 
 
-def influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
+def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
     """Joint numbers and weights of each vertex from all sets; joints of no weight are 0, whatever the file says."""
     joints, weights, number = [], [], 0
     while f"JOINTS_{number}" in primitive["attributes"]:
-        joints.append(attribute(document, primitive, f"JOINTS_{number}"))
-        weights.append(attribute(document, primitive, f"WEIGHTS_{number}"))
+        joints.append(read_attribute(document, primitive, f"JOINTS_{number}"))
+        weights.append(read_attribute(document, primitive, f"WEIGHTS_{number}"))
         number += 1
     if any(part is None for part in weights):
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")

@@ -19,12 +19,20 @@ from ...core.errors import InputError
 from .. import load_mesh
 from .document import Document
 from .edit import GltfSource
-from .read import Rest, Run, primitive_of
-from .scene import influences, joint_matrices, morph_weights, morphed, parents_first, parents_of, transform
+from .read import RestScene, VertexRange, get_primitive
+from .scene import (
+    joint_matrices,
+    node_parents,
+    read_influences,
+    read_morph_weights,
+    read_morphed_attribute,
+    sort_parents_first,
+    transform_points,
+)
 
 
 @dataclass(frozen=True, eq=False)
-class _Tree:
+class _JointTree:
     """The joints of a document among its nodes."""
 
     nodes: list[int]
@@ -33,7 +41,7 @@ class _Tree:
     joint: dict[int, int]
     """Index of the joint that each joint node is."""
 
-    def holder(self, node: int) -> int:
+    def nearest_joint(self, node: int) -> int:
         """The joint that a node is or hangs on; -1 where there is none."""
         while node >= 0 and node not in self.joint:
             node = self.above[node]
@@ -58,50 +66,60 @@ def read_skin(path: str | Path) -> SkinnedCharacter:
     tree = _find_joints(source.document, source.rest)
     if not tree.nodes:
         raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
-    runs = [_run_influences(source.document, source.rest, run, tree) for run in source.rest.runs]
-    most = max(weights.shape[1] for _, weights, _ in runs)
-    joint_of, weights, points = (np.concatenate([_widened(run[k], most) for run in runs]) for k in range(3))
+    vertex_ranges = [
+        _read_range_influences(source.document, source.rest, span, tree) for span in source.rest.vertex_ranges
+    ]
+    most = max(weights.shape[1] for _, weights, _ in vertex_ranges)
+    joint_of, weights, points = (
+        np.concatenate([_pad_influences(span[k], most) for span in vertex_ranges]) for k in range(3)
+    )
     names = [source.document.gltf["nodes"][node].get("name", f"node{node}") for node in tree.nodes]
-    parents = tuple(tree.holder(tree.above[node]) for node in tree.nodes)
+    parents = tuple(tree.nearest_joint(tree.above[node]) for node in tree.nodes)
     return SkinnedCharacter(
         mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points
     )
 
 
-def _find_joints(document: Document, rest: Rest) -> _Tree:
+def _find_joints(document: Document, rest: RestScene) -> _JointTree:
     """The joints of the shown skins, each after its parent."""
     gltf = document.gltf
-    skins = {skin for run in rest.runs if (skin := _skin_of(document, run)) is not None}
+    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
     wanted = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
-    above = parents_of(document)
-    nodes = [node for node in parents_first(document, above) if node in wanted]
-    return _Tree(nodes, above, {node: j for j, node in enumerate(nodes)})
+    above = node_parents(document)
+    nodes = [node for node in sort_parents_first(document, above) if node in wanted]
+    return _JointTree(nodes, above, {node: j for j, node in enumerate(nodes)})
 
 
-def _skin_of(document: Document, run: Run) -> int | None:
+def _find_skin(document: Document, span: VertexRange) -> int | None:
     """The skin that holds a run's vertices; None where they follow their node, as `vertex_matrices` has it."""
-    skinned = "JOINTS_0" in primitive_of(document, (run.node, run.primitives[0]))["attributes"]
-    return document.gltf["nodes"][run.node].get("skin") if skinned else None
+    skinned = "JOINTS_0" in get_primitive(document, (span.node, span.primitives[0]))["attributes"]
+    return document.gltf["nodes"][span.node].get("skin") if skinned else None
 
 
-def _run_influences(
-    document: Document, rest: Rest, run: Run, tree: _Tree
+def _read_range_influences(
+    document: Document, rest: RestScene, span: VertexRange, tree: _JointTree
 ) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"], Float[np.ndarray, "N K 3"]]:
     """Joints, weights and places of the vertices of one run."""
-    primitive = primitive_of(document, (run.node, run.primitives[0]))
-    positions = morphed(document, primitive, "POSITION", morph_weights(document, run.node))
+    primitive = get_primitive(document, (span.node, span.primitives[0]))
+    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
     assert positions is not None
-    skin = _skin_of(document, run)
+    skin = _find_skin(document, span)
     if skin is None:
-        one = np.full((len(positions), 1), tree.holder(run.node) % (len(tree.nodes) + 1))  # -1: the world, the last
-        return one, np.ones(one.shape), transform(rest.T_world_node[run.node, None, :3], positions)[:, None]
-    number, weights = influences(document, primitive)
+        one = np.full(
+            (len(positions), 1), tree.nearest_joint(span.node) % (len(tree.nodes) + 1)
+        )  # -1: the world, the last
+        return (
+            one,
+            np.ones(one.shape),
+            transform_points(rest.T_world_node[span.node, None, :3], positions)[:, None],
+        )
+    number, weights = read_influences(document, primitive)
     T_world_bind = joint_matrices(document, skin, rest.T_world_node)
-    points = [transform(T_world_bind[column, :3], positions) for column in number.T]
+    points = [transform_points(T_world_bind[column, :3], positions) for column in number.T]
     joint = np.array([tree.joint[node] for node in document.gltf["skins"][skin]["joints"]])
     return joint[number], weights, np.stack(points, axis=1)
 
 
-def _widened(columns: np.ndarray, most: int) -> np.ndarray:
+def _pad_influences(columns: np.ndarray, most: int) -> np.ndarray:
     """Influences padded to `most` columns with zeros: weights of zero, so it does not matter whose."""
     return np.pad(columns, [(0, 0), (0, most - columns.shape[1]), *[(0, 0)] * (columns.ndim - 2)])

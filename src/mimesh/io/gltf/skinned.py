@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.animated_rig import AnimatedRig
-from .build import build_document, standing
-from .draft import VERTEX_DATA, Draft
+from .build import build_document, stage_transform
+from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
-from .primitives import Placed
+from .primitives import WrittenPrimitives
 
-BYTES, FLOATS = 5121, 5126
+UNSIGNED_BYTE, FLOAT = 5121, 5126
 
 
 def write_gltf_skinned(skeleton: AnimatedRig, fps: float, path: Path) -> None:
@@ -28,45 +28,45 @@ def write_gltf_skinned(skeleton: AnimatedRig, fps: float, path: Path) -> None:
     """
     mesh = with_normals(skeleton.mesh)
     if isinstance(mesh.source, GltfSource):
-        draft, placed = edit_document(mesh.source, mesh, keep_targets=False)
+        draft, written = edit_document(mesh.source, mesh, keep_targets=False)
     else:
-        draft, placed = build_document(mesh, mesh)
+        draft, written = build_document(mesh, mesh)
     bones = _add_joints(draft, skeleton)
-    _add_weights(draft, placed, skeleton)
-    for node in dict.fromkeys(one.node for one in placed):
-        here = [one for one in placed if one.node == node]
-        _hang(draft, node, _add_skin(draft, skeleton, bones, here[0].T_world_local), here)
-    draft.gltf["animations"] = [_animation(draft, skeleton, bones, fps)]
+    _add_weights(draft, written, skeleton)
+    for node in dict.fromkeys(one.node for one in written):
+        here = [one for one in written if one.node == node]
+        _attach_skinned_mesh(draft, node, _add_skin(draft, skeleton, bones, here[0].T_world_local), here)
+    draft.gltf["animations"] = [_joint_animation(draft, skeleton, bones, fps)]
     draft.save(path)
 
 
 def _add_joints(draft: Draft, skeleton: AnimatedRig) -> list[int]:
     """A node for each joint, standing as the mesh does; the root's at the root of the scene."""
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
-    turns = local_frames(skeleton, skeleton.rig.rotation[None])[0]
+    turns = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
     moves = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
     for j, name in enumerate(skeleton.names):
         node: dict[str, Any] = {"name": name, "rotation": turns[j].tolist(), "translation": moves[j].tolist()}
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
         nodes.append(node | ({"children": children} if children else {}))
-    stands = standing(skeleton.mesh)
+    stands = stage_transform(skeleton.mesh)
     if stands:  # a skin is shown where its joints are, whatever node it hangs on
         nodes.append({"name": "axes", **stands, "children": [start]})
-    _scene(draft)["nodes"].append(len(nodes) - 1 if stands else start)
+    _default_scene(draft)["nodes"].append(len(nodes) - 1 if stands else start)
     return list(range(start, start + len(skeleton.names)))
 
 
-def _add_weights(draft: Draft, placed: list[Placed], skeleton: AnimatedRig) -> None:
+def _add_weights(draft: Draft, written: list[WrittenPrimitives], skeleton: AnimatedRig) -> None:
     """Joints and weights of every element of the primitives."""
     joints, weights = skeleton.strongest()
     spare = ((0, 0), (0, 4 - joints.shape[1]))
     joints, weights = np.pad(joints, spare), np.pad(weights, spare)
-    for one in placed:
+    for one in written:
         held, share = joints[one.vertex_of], weights[one.vertex_of].astype("<f4")
         held = np.where(share > 0, held, 0).astype("u1")
-        accessor = {"bufferView": draft.add_view(held, target=VERTEX_DATA), "componentType": BYTES}
+        accessor = {"bufferView": draft.add_view(held, target=ARRAY_BUFFER), "componentType": UNSIGNED_BYTE}
         accessor |= {"count": len(held), "type": "VEC4"}
-        attributes = {"JOINTS_0": draft.add_accessor(accessor), "WEIGHTS_0": draft.add_floats(share, VERTEX_DATA)}
+        attributes = {"JOINTS_0": draft.add_accessor(accessor), "WEIGHTS_0": draft.add_floats(share, ARRAY_BUFFER)}
         for primitive in one.primitives:
             primitive["attributes"] = {**primitive["attributes"], **attributes}
 
@@ -78,17 +78,17 @@ def _add_skin(draft: Draft, skeleton: AnimatedRig, bones: list[int], T_world_loc
     inverse = np.linalg.inv(stand) @ T_world_local
     inverse[:, 3] = [0, 0, 0, 1]
     view = draft.add_view(inverse.swapaxes(-1, -2).reshape(-1, 16).astype("<f4"))
-    accessor = {"bufferView": view, "componentType": FLOATS, "count": len(bones), "type": "MAT4"}
+    accessor = {"bufferView": view, "componentType": FLOAT, "count": len(bones), "type": "MAT4"}
     skin = {"joints": bones, "skeleton": bones[0], "inverseBindMatrices": draft.add_accessor(accessor)}
     draft.gltf.setdefault("skins", []).append(skin)
     return len(draft.gltf["skins"]) - 1
 
 
-def _hang(draft: Draft, node: int, skin: int, placed: list[Placed]) -> None:
+def _attach_skinned_mesh(draft: Draft, node: int, skin: int, written: list[WrittenPrimitives]) -> None:
     """Show the skinned primitives of a node at the root of the scene; lines and points stay with the node."""
     old = draft.gltf["nodes"][node]
     mesh = draft.gltf["meshes"][old["mesh"]]
-    skinned = [primitive for one in placed for primitive in one.primitives]
+    skinned = [primitive for one in written for primitive in one.primitives]
     others = [primitive for primitive in mesh["primitives"] if not any(primitive is one for one in skinned)]
     shown = {"name": old.get("name", "mesh"), "skin": skin, "mesh": old["mesh"]}
     if others:
@@ -98,16 +98,16 @@ def _hang(draft: Draft, node: int, skin: int, placed: list[Placed]) -> None:
     else:
         del old["mesh"]
     draft.gltf["nodes"].append(shown)
-    _scene(draft)["nodes"].append(len(draft.gltf["nodes"]) - 1)
+    _default_scene(draft)["nodes"].append(len(draft.gltf["nodes"]) - 1)
 
 
-def _scene(draft: Draft) -> dict[str, Any]:
+def _default_scene(draft: Draft) -> dict[str, Any]:
     return draft.gltf["scenes"][draft.gltf.get("scene", 0)]
 
 
-def _animation(draft: Draft, skeleton: AnimatedRig, bones: list[int], fps: float) -> dict[str, Any]:
+def _joint_animation(draft: Draft, skeleton: AnimatedRig, bones: list[int], fps: float) -> dict[str, Any]:
     times = draft.add_floats(np.arange(len(skeleton.root))[:, None] / fps, bounds=True)
-    turns = local_frames(skeleton, skeleton.rotation)
+    turns = local_quaternions(skeleton, skeleton.rotation)
     tracks = [(j, "rotation", turns[:, j]) for j in range(len(bones))] + [(0, "translation", skeleton.root)]
     samplers = [
         {"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)} for _, _, values in tracks
@@ -119,7 +119,7 @@ def _animation(draft: Draft, skeleton: AnimatedRig, bones: list[int], fps: float
     return {"name": skeleton.mesh.name, "samplers": samplers, "channels": channels}
 
 
-def local_frames(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
+def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
     """Quaternions (x, y, z, w) of every joint as its parent sees it; each near that of the frame before."""
     from scipy.spatial.transform import Rotation
 

@@ -14,11 +14,11 @@ from ...core.errors import InputError
 from ...core.frame_buffer import LARGE
 from ..beside import is_there
 
-_PIECE = 2**22
+BASE64_BLOCK = 2**22
 """Characters that are decoded at once; a multiple of four."""
 
 
-class Pages:
+class MappedFiles:
     """The large files behind a document, mapped, so that what is not being read takes no memory."""
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Pages:
         self.cut: dict[str, memoryview] = {}
         """Large data: URIs that were taken out of the text, by what stands there instead."""
 
-    def let_go(self) -> None:
+    def release_pages(self) -> None:
         """Give back the memory that has been read; the bytes stay."""
         for mapped in self.maps:
             if hasattr(mapped, "madvise"):
@@ -55,7 +55,7 @@ class Pages:
                 return self.read(path.parent / name)
         return None
 
-    def without_large_data(self, text: memoryview) -> bytes:
+    def extract_large_uris(self, text: memoryview) -> bytes:
         """The JSON of a .gltf file, its large data: URIs decoded and replaced by short names."""
         kept, end = [], 0
         for found in re.finditer(rb'"data:[^",]*;base64,([A-Za-z0-9+/]{%d,}={0,2})"' % LARGE, text):
@@ -67,9 +67,9 @@ class Pages:
 
     def _decoded(self, characters: memoryview) -> memoryview:
         with tempfile.TemporaryFile() as file:
-            for start in range(0, len(characters), _PIECE):
-                file.write(base64.b64decode(characters[start : start + _PIECE]))
-                self.let_go()
+            for start in range(0, len(characters), BASE64_BLOCK):
+                file.write(base64.b64decode(characters[start : start + BASE64_BLOCK]))
+                self.release_pages()
             file.flush()
             return self._map(file.fileno())
 

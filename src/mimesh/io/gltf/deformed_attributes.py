@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 
 from ...core.geometry import face_vectors, unit_vectors, weld
 from .document import Document
-from .scene import morph_delta, morphed, normal_matrices, turn
+from .scene import normal_matrices, read_morph_delta, read_morphed_attribute, transform_vectors
 
 Arrays = dict[str, Float[np.ndarray, "V C"]]
 
 
 @dataclass(frozen=True, eq=False)
-class ChangedData:
+class DeformedVertices:
     """What a primitive's vertices shall be in the world, and how the surface around each has turned since rest."""
 
     points: Float[np.ndarray, "V 3"]
@@ -25,13 +25,13 @@ class ChangedData:
     """One rotation for each vertex, or one for all."""
 
 
-def local_attributes(
+def deformed_attributes(
     document: Document,
     primitive: dict[str, Any],
     matrices: Float[np.ndarray, "M 3 4"],
     weights: list[float],
     T_world_local: Float[np.ndarray, "4 4"],
-    wanted: ChangedData,
+    wanted: DeformedVertices,
     keep_targets: bool,
 ) -> tuple[Arrays, list[Arrays]]:
     """POSITION, NORMAL and TANGENT, and the same of each morph target, in the frame of the node that will show them.
@@ -46,30 +46,30 @@ def local_attributes(
     carry_normal = linear.T @ wanted.turns @ normal_matrices(matrices[:, :, :3])
     base: Arrays = {"POSITION": (wanted.points - T_world_local[:3, 3]) @ back.T}
     scale = {"POSITION": np.ones((1, 1))}
-    rest_normals = morphed(document, primitive, "NORMAL", weights)
+    rest_normals = read_morphed_attribute(document, primitive, "NORMAL", weights)
     if rest_normals is not None and wanted.normals is not None:
         base["NORMAL"] = unit_vectors(wanted.normals @ linear)
-        scale["NORMAL"] = _inverse_length(turn(carry_normal, rest_normals))
-    tangents = morphed(document, primitive, "TANGENT", weights)
+        scale["NORMAL"] = _inverse_length(transform_vectors(carry_normal, rest_normals))
+    tangents = read_morphed_attribute(document, primitive, "TANGENT", weights)
     if tangents is not None:
-        along = turn(carry, tangents[:, :3])
+        along = transform_vectors(carry, tangents[:, :3])
         scale["TANGENT"] = _inverse_length(along)
-        base["TANGENT"] = np.concatenate([_perpendicular(along, base.get("NORMAL")), tangents[:, 3:]], axis=1)
+        base["TANGENT"] = np.concatenate([_orthogonalize(along, base.get("NORMAL")), tangents[:, 3:]], axis=1)
     if not keep_targets:
         return base, []
     push = {"POSITION": carry, "NORMAL": carry_normal, "TANGENT": carry}
     targets = [
         {
-            name: scale[name] * turn(push[name], delta)
+            name: scale[name] * transform_vectors(push[name], delta)
             for name in scale
-            if (delta := morph_delta(document, primitive, number, name)) is not None
+            if (delta := read_morph_delta(document, primitive, number, name)) is not None
         }
         for number in range(len(primitive.get("targets", [])))
     ]
-    return _unmorphed(base, targets, weights), targets
+    return _subtract_morphs(base, targets, weights), targets
 
 
-def surface_turns(
+def surface_rotations(
     vertices: Float[np.ndarray, "V 3"], moved: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
 ) -> Float[np.ndarray, "V 3 3"]:
     """The rotation of the surface around each vertex, twist included: the best one for its edges and face normals.
@@ -82,9 +82,9 @@ def surface_turns(
     ring = index[faces]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         before, after = (points[faces[:, j]] - points[faces[:, i]] for points in (vertices, moved))
-        _add_at(covariance, ring[:, [i, j]], after[:, :, None] * before[:, None])
-    normals, turned = (_length_root(face_vectors(points, faces)) for points in (vertices, moved))
-    _add_at(covariance, ring, turned[:, :, None] * normals[:, None])
+        _add_to_rows(covariance, ring[:, [i, j]], after[:, :, None] * before[:, None])
+    normals, turned = (_scaled_face_normals(face_vectors(points, faces)) for points in (vertices, moved))
+    _add_to_rows(covariance, ring, turned[:, :, None] * normals[:, None])
     u, _, vt = np.linalg.svd(covariance)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     rotations = u @ vt
@@ -92,12 +92,12 @@ def surface_turns(
     return rotations[index]
 
 
-def has_turning_data(primitive: dict[str, Any]) -> bool:
-    """Whether a primitive has anything that needs `surface_turns`: tangents or morph targets."""
+def needs_rotations(primitive: dict[str, Any]) -> bool:
+    """Whether a primitive has anything that needs `surface_rotations`: tangents or morph targets."""
     return "TANGENT" in primitive["attributes"] or bool(primitive.get("targets"))
 
 
-def _unmorphed(base: Arrays, targets: list[Arrays], weights: list[float]) -> Arrays:
+def _subtract_morphs(base: Arrays, targets: list[Arrays], weights: list[float]) -> Arrays:
     """The base that gives `base` once the weighted targets are added; of a direction it gives the direction only."""
     result = dict(base)
     for name in base if any(weights) else ():
@@ -116,7 +116,7 @@ def _length_for_unit(directions: Float[np.ndarray, "V 3"], added: Float[np.ndarr
     return along + np.sqrt(np.maximum(square, 0.0))
 
 
-def _perpendicular(
+def _orthogonalize(
     along: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "V 3"] | None
 ) -> Float[np.ndarray, "V 3"]:
     if normals is None:
@@ -129,12 +129,12 @@ def _inverse_length(vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 1
     return 1.0 / np.where(length > 0, length, 1.0)
 
 
-def _length_root(vectors: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
+def _scaled_face_normals(vectors: Float[np.ndarray, "F 3"]) -> Float[np.ndarray, "F 3"]:
     """Face normals as long as the root of twice the area, so that they weigh as much as the edges."""
     return vectors * np.sqrt(_inverse_length(vectors))
 
 
-def _add_at(
+def _add_to_rows(
     total: Float[np.ndarray, "W 3 3"], rows: Int[np.ndarray, "F K"], values: Float[np.ndarray, "F 3 3"]
 ) -> None:
     """Add the value of each face to each of its rows of `total`, in place (`np.add.at` is ten times slower)."""
