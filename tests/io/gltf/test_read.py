@@ -256,7 +256,7 @@ def test_large_files_are_the_same_when_paged_in(suffix, tmp_path, monkeypatch):
     write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
     whole = read_gltf(tmp_path / f"b{suffix}")
     monkeypatch.setattr("mimesh.io.gltf.mapped_files.LARGE", 100)
-    monkeypatch.setattr("mimesh.io.gltf.mapped_files.BASE64_BLOCK", 8)
+    monkeypatch.setattr("mimesh.io.gltf.mapped_files.DECODE_BLOCK", 8)
     paged = read_gltf(tmp_path / f"b{suffix}")
     assert paged.source.document.mapped_files.maps
     assert not whole.source.document.mapped_files.maps

@@ -21,7 +21,7 @@ from .animation import frame_rate, select_channels
 from .bake import bake_frames
 from .blend_shapes import fit_blend_shapes
 from .build import build_document
-from .check import is_understood
+from .check import is_supported
 from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
@@ -140,7 +140,7 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
         if content is None:
             notes.append(f"kept the reference to image {image.get('uri', '')[:80]!r}, which is not there")
     for name in gltf.get("extensionsUsed", []):
-        if not is_understood(str(name)):
+        if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")
     return tuple(notes)
 

@@ -11,14 +11,14 @@ from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
 from .document import image_type
 from .draft import ARRAY_BUFFER, Draft
-from .primitives import WrittenPrimitives
+from .primitives import PrimitiveGroup
 from .read import DEFAULT_MATERIAL, POINTS
 
 WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))
 """BARE where vertices have colours, which it multiplies."""
 
 
-def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[WrittenPrimitives]]:
+def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[PrimitiveGroup]]:
     """A document that shows `moved`, with its vertices split where the uv or the normal of `mesh` changes.
 
     `moved` is `mesh` with other vertices (or itself); both have corner normals. Within a part the vertices keep their
@@ -36,7 +36,7 @@ def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[WrittenPrimitiv
             primitive["material"] = materials.setdefault(part.material or bare, len(materials))
         primitives.append(primitive)
         written.append(
-            WrittenPrimitives(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
+            PrimitiveGroup(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
         )
     draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **stage_transform(mesh)}]
     draft.gltf["meshes"] = [{"name": mesh.name, "primitives": primitives}]

@@ -22,12 +22,12 @@ from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh
 from .blend_shapes import BlendShapes
 from .draft import ARRAY_BUFFER, Draft, Spool
-from .primitives import WrittenPrimitives
+from .primitives import PrimitiveGroup
 
 
 def add_morph_animation(
     draft: Draft,
-    written: list[WrittenPrimitives],
+    written: list[PrimitiveGroup],
     mesh: Mesh,
     clip: Clip,
     progress: Progress | None = None,
@@ -59,7 +59,7 @@ def add_morph_animation(
 
 
 def _frame_deltas(
-    written: list[WrittenPrimitives], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
+    written: list[PrimitiveGroup], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
 ) -> Iterator[list[dict[str, Float[np.ndarray, "N 3"]]]]:
     """What each frame adds to the float32 attributes of the base, for each placed group."""
     turned = None
@@ -80,7 +80,7 @@ def _frame_deltas(
 
 
 def _one_target_per_frame(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], written: list[WrittenPrimitives]
+    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], written: list[PrimitiveGroup]
 ) -> list[dict[str, Spool]]:
     """For each group and attribute, one target a frame."""
     spools: list[dict[str, Spool]] = [{} for _ in written]
@@ -93,7 +93,7 @@ def _one_target_per_frame(
 
 def _blend_targets(
     deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]],
-    written: list[WrittenPrimitives],
+    written: list[PrimitiveGroup],
     frame_coefficients: Float[np.ndarray, "K T"],
 ) -> list[dict[str, Spool]]:
     """For each group and attribute, targets that are mixed from all frames."""
@@ -114,7 +114,7 @@ def _blend_targets(
 
 
 def _local_attributes(
-    one: WrittenPrimitives, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
+    one: PrimitiveGroup, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
 ) -> dict[str, Float[np.ndarray, "N 3"]]:
     """Positions and normals of a group's elements in the frame of its node; without a face the normal is constant."""
     linear, origin = one.T_world_local[:3, :3], one.T_world_local[:3, 3]

@@ -16,14 +16,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .check import is_understood
+from .check import is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type
 
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
-BASE64_BLOCK = 3 * 2**20
+ENCODE_BLOCK = 3 * 2**20
 """Bytes that are encoded at once; a multiple of three."""
 BUFFER_MARK = "\ue000buffer\ue000"
 """Where the buffer goes in the text of a .gltf; these characters are for private use."""
@@ -117,7 +117,7 @@ class Draft:
             if self.size:
                 self._write(whole)
                 whole.seek(0)
-            while piece := whole.read(BASE64_BLOCK):
+            while piece := whole.read(ENCODE_BLOCK):
                 file.write(base64.b64encode(piece))
             file.write(tail)
 
@@ -140,7 +140,7 @@ class AccessorCopier:
         self.document = document
         gltf = copy.deepcopy(document.gltf)
         self.draft = Draft(gltf)
-        self.copies_all = not all(is_understood(name) for name in gltf.get("extensionsUsed", []))
+        self.copies_all = not all(is_supported(name) for name in gltf.get("extensionsUsed", []))
         self.moved: dict[int, int] = {}
         if self.copies_all:
             self.draft.add_view(document.binary)

@@ -22,7 +22,7 @@ from .animation import animation_names, document_details
 from .deformed_attributes import needs_rotations, surface_rotations
 from .document import Document
 from .draft import AccessorCopier, Draft
-from .primitives import EditContext, WrittenPrimitives, copy_primitive, edit_primitives
+from .primitives import EditContext, PrimitiveGroup, copy_primitive, edit_primitives
 from .read import RestScene, VertexRange
 from .scene import scene_nodes
 
@@ -57,7 +57,7 @@ class GltfSource:
         edit_document(self, mesh)[0].save(path)
 
 
-def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> tuple[Draft, list[WrittenPrimitives]]:
+def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> tuple[Draft, list[PrimitiveGroup]]:
     """The source's document with the vertices of `mesh`, and where they are in it.
 
     A mesh that several nodes show becomes one for each, because their vertices now move apart. The vertices are written

@@ -19,7 +19,7 @@ SKINNING = ("JOINTS_", "WEIGHTS_")
 
 
 @dataclass(frozen=True, eq=False)
-class WrittenPrimitives:
+class PrimitiveGroup:
     """Primitives of a draft that show vertices of the Mesh: what an animation needs to add its frames to them."""
 
     node: int
@@ -48,7 +48,7 @@ class EditContext:
 
 def edit_primitives(
     edit: EditContext, node: int, vertex_ranges: list[VertexRange], T_world_local: Float[np.ndarray, "4 4"]
-) -> tuple[list[dict[str, Any]], list[WrittenPrimitives]]:
+) -> tuple[list[dict[str, Any]], list[PrimitiveGroup]]:
     """The primitives that `node` shows, without skinning, for a node that stands at `T_world_local`.
 
     Those of `vertex_ranges` get the wanted vertices. Others (lines, points) stay where they are in the world, and are taken over
@@ -66,9 +66,7 @@ def edit_primitives(
             positions = attributes["POSITION"]
             new |= {p: _replace_attributes(edit.copier, old[p], attributes, targets) for p in group}
             vertex_of, members = np.arange(span.start, span.stop), [new[p] for p in group]
-            written.append(
-                WrittenPrimitives(node, members, vertex_of, corner_of, T_world_local, "NORMAL" in attributes)
-            )
+            written.append(PrimitiveGroup(node, members, vertex_of, corner_of, T_world_local, "NORMAL" in attributes))
     for p in range(len(old)):
         if p not in new:
             new[p] = _rewrite_in_place(edit, node, p, T_world_local)

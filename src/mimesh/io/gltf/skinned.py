@@ -16,7 +16,7 @@ from ...core.animated_rig import AnimatedRig
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
-from .primitives import WrittenPrimitives
+from .primitives import PrimitiveGroup
 
 UNSIGNED_BYTE, FLOAT = 5121, 5126
 
@@ -56,7 +56,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig) -> list[int]:
     return list(range(start, start + len(skeleton.names)))
 
 
-def _add_weights(draft: Draft, written: list[WrittenPrimitives], skeleton: AnimatedRig) -> None:
+def _add_weights(draft: Draft, written: list[PrimitiveGroup], skeleton: AnimatedRig) -> None:
     """Joints and weights of every element of the primitives."""
     joints, weights = skeleton.strongest()
     spare = ((0, 0), (0, 4 - joints.shape[1]))
@@ -84,7 +84,7 @@ def _add_skin(draft: Draft, skeleton: AnimatedRig, bones: list[int], T_world_loc
     return len(draft.gltf["skins"]) - 1
 
 
-def _attach_skinned_mesh(draft: Draft, node: int, skin: int, written: list[WrittenPrimitives]) -> None:
+def _attach_skinned_mesh(draft: Draft, node: int, skin: int, written: list[PrimitiveGroup]) -> None:
     """Show the skinned primitives of a node at the root of the scene; lines and points stay with the node."""
     old = draft.gltf["nodes"][node]
     mesh = draft.gltf["meshes"][old["mesh"]]
