@@ -32,7 +32,7 @@ def test_as_many_shapes_as_ways_to_move_are_exact():
     blend = fit_blend_shapes(clip, 8)
     assert blend.weights.shape == (12, 3)
     np.testing.assert_allclose(shown(clip, 8), clip.vertices, atol=1e-6)
-    assert blend.error < 1e-5
+    assert blend.max_error < 1e-5
 
 
 def test_the_first_frame_is_exact_and_weights_stay_within_one():
@@ -45,7 +45,7 @@ def test_the_first_frame_is_exact_and_weights_stay_within_one():
 def test_the_error_is_the_farthest_vertex_and_squares_are_least(count):
     clip = clip_of(8)
     off = shown(clip, count) - clip.vertices
-    assert fit_blend_shapes(clip, count).error == pytest.approx(np.linalg.norm(off, axis=-1).max(), rel=1e-4)
+    assert fit_blend_shapes(clip, count).max_error == pytest.approx(np.linalg.norm(off, axis=-1).max(), rel=1e-4)
     differences = (clip.vertices - clip.vertices[0]).reshape(12, -1)
     least = (np.linalg.svd(differences, compute_uv=False)[count:] ** 2).sum()
     assert (off**2).sum() == pytest.approx(least, rel=1e-4)
@@ -53,11 +53,11 @@ def test_the_error_is_the_farthest_vertex_and_squares_are_least(count):
 
 def test_blocks_of_vertices_change_nothing(monkeypatch):
     whole = fit_blend_shapes(clip_of(8), 3)
-    monkeypatch.setattr(blend_shapes, "BLOCK", 24 * 12 * 4)
+    monkeypatch.setattr(blend_shapes, "BLOCK_BYTES", 24 * 12 * 4)
     told = []
     parts = fit_blend_shapes(clip_of(8), 3, lambda done, total: told.append((done, total)))
     np.testing.assert_allclose(np.abs(parts.weights - 0.5), np.abs(whole.weights - 0.5), atol=1e-5)
-    assert parts.error == pytest.approx(whole.error, rel=1e-4)
+    assert parts.max_error == pytest.approx(whole.max_error, rel=1e-4)
     assert told == [(k, 14) for k in range(1, 15)]
 
 

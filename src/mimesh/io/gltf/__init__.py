@@ -113,13 +113,13 @@ def write_gltf_clip(
     first = np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base
     shown = mesh.with_vertices(first)
     if isinstance(mesh.source, GltfSource):
-        draft, written = edit_document(mesh.source, shown, keep_targets=False)
+        draft, groups = edit_document(mesh.source, shown, keep_targets=False)
     else:
-        draft, written = build_document(mesh, shown)
+        draft, groups = build_document(mesh, shown)
     if len(clip) > 1:
-        add_morph_animation(draft, written, mesh, clip, progress, blend)
+        add_morph_animation(draft, groups, mesh, clip, progress, blend)
     draft.save(path)
-    return None if blend is None else blend.error
+    return None if blend is None else blend.max_error
 
 
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:

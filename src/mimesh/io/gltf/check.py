@@ -13,10 +13,8 @@ from typing import Any
 
 from ...core.errors import InputError
 
-TEXTURE_TRANSFORM, SPECULAR_GLOSSINESS = (
-    "extensions KHR_texture_transform",
-    "extensions KHR_materials_pbrSpecularGlossiness",
-)
+TEXTURE_TRANSFORM = "extensions KHR_texture_transform"
+SPECULAR_GLOSSINESS = "extensions KHR_materials_pbrSpecularGlossiness"
 
 REQUIRED = {
     "accessors []": ("componentType", "count", "type"),
@@ -215,7 +213,7 @@ def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
 
 
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
-    """Check the types of a primitive's attributes, morph targets and indices, and that all attributes have one count."""
+    """Check the types of a primitive's attributes, morph targets and indices, and that attributes have one count."""
     attributes, accessors = primitive["attributes"], gltf.get("accessors", [])
     if "POSITION" not in attributes:
         return  # nothing to draw without positions (3.7.2.1); the primitive is copied unread

@@ -80,15 +80,15 @@ def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> 
     edit = EditContext(
         source.document, source.rest, with_normals(mesh), _surface_rotations(source, mesh, slots), copier, keep_targets
     )
-    written = []
+    groups = []
     for node, slot in slots.items():
         T_world_local = _choose_transform(edit, node, vertex_ranges[node])
         at = _attach_mesh(edit, node, slot, T_world_local)
-        primitives, here = edit_primitives(edit, node, vertex_ranges[node], T_world_local)
+        primitives, node_groups = edit_primitives(edit, node, vertex_ranges[node], T_world_local)
         meshes[slot] = _replace_primitives(old["meshes"][old["nodes"][node]["mesh"]], primitives, keep_targets)
-        written += [dataclasses.replace(one, node=at) for one in here]
+        groups += [dataclasses.replace(group, node=at) for group in node_groups]
     _drop_skins_and_animations(copier)
-    return copier.draft, written
+    return copier.draft, groups
 
 
 def with_normals(mesh: Mesh) -> Mesh:

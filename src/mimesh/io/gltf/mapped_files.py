@@ -1,6 +1,6 @@
 """Reads the bytes of a glTF file, of files beside it and of data: URIs; large ones are memory-mapped.
 
-Characters with large buffers are common (scans, long clips); mapped, they take only the memory of what is being read.
+A mapped file takes only the memory of the pages that are being read.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class MappedFiles:
     def extract_large_uris(self, text: memoryview) -> bytes:
         """Decode the large data: URIs in the text of a .gltf file; returns its JSON with short URIs instead.
 
-        Done on the text, before it is parsed: a parsed string of a large buffer would need twice its memory.
+        Done before the text is parsed, so that the JSON parser never holds the base64 characters in memory.
         """
         pieces, end = [], 0
         for found in re.finditer(rb'"data:[^",]*;base64,([A-Za-z0-9+/]{%d,}={0,2})"' % LARGE, text):

@@ -39,7 +39,7 @@ PrimitiveKey = tuple[int, int]
 
 @dataclass(frozen=True)
 class VertexRange:
-    """Vertices `start:stop` of the Mesh: one POSITION accessor with one set of joints and weights, shown by one node."""
+    """Vertices `start:stop` of the Mesh: one POSITION accessor with one skinning of it, shown by one node."""
 
     node: int
     start: int
@@ -248,7 +248,7 @@ def _read_vertex_colors(
 def _read_corner_uv(
     document: Document, keys: list[PrimitiveKey], triangles: list[np.ndarray]
 ) -> Float[np.ndarray, "F 3 2"] | None:
-    """Read the texture coordinates of all corners for the base colour texture, v up; zeros where a primitive has none."""
+    """Read the base colour texture coordinates of all corners, v up; zeros where a primitive has none."""
     vertex_uv = [_read_vertex_uv(document, get_primitive(document, key)) for key in keys]
     return joined_corners(
         [None if uv is None else uv[local_faces] for uv, local_faces in zip(vertex_uv, triangles, strict=True)],

@@ -152,7 +152,7 @@ class SkinBinding:
 
 
 def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) -> SkinBinding | None:
-    """Read the joints and weights of a primitive's vertices; None where the node has no skin or the primitive no joints.
+    """Read the joints and weights of a primitive's vertices; None where node or primitive have no skinning.
 
     Raises:
         InputError: a joint index is beyond the joints of the skin.
