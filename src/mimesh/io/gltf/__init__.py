@@ -1,10 +1,12 @@
-"""glTF 2.0 in and out (.glb, .vrm, .gltf): a character at rest, the same file with its points moved, an animated one.
+"""Reads and writes glTF 2.0 (.glb, .vrm, .gltf): meshes at rest, baked animations, and files with changed vertices.
 
-gltf_check -> gltf_document -> gltf_scene -> gltf_read          a file becomes a Mesh
-gltf_draft -> gltf_move -> gltf_primitives -> gltf_edit         its source, written back
-gltf_animation -> gltf_bake                                     its animations as points
-              gltf_motion                                       joints without a mesh, on the shipped body
-              gltf_build, gltf_clip                             a Mesh from elsewhere, frames as morph targets
+mapped_files -> document (with check) -> scene -> read      opens a file and reads its scene at rest as a Mesh
+draft, deformed_attributes -> primitives -> edit            writes the file of a Mesh again, with other vertices
+build                                                       builds a new file for a Mesh without a glTF source
+blend_shapes -> clip                                        writes a clip as morph targets with an animation
+animation -> bake                                           bakes animations to vertex positions
+motion                                                      plays animated joints without a mesh on the shipped body
+skin, skinned                                               reads rigged characters; writes a mesh with joints
 """
 
 from __future__ import annotations
@@ -34,11 +36,11 @@ def read_gltf(path: Path) -> Mesh:
 
     Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
     the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
-    default are not read; they stay in `Mesh.source`, whose `notes` say what writing the file again leaves out. Of a
-    file with animations and no mesh it is the shipped body in the first frame (see `gltf_motion`), without a source.
+    default are not read; they stay in `Mesh.source`, whose `notes` say what is lost when the file is written again. A
+    file with animations and no mesh gives the shipped body in the first frame (see `gltf.motion`), without a source.
 
     Raises:
-        InputError: the file is damaged, compressed, not glTF 2.0, or shows no triangles and no person's joints move.
+        InputError: the file is damaged, compressed, not glTF 2.0, or shows neither triangles nor a person's joints.
     """
     document = open_document(path)
     return read_motion_mesh(document) if is_motion(document) else _read_mesh(document)
@@ -55,14 +57,15 @@ def _read_mesh(document: Document) -> Mesh:
 def read_gltf_clip(
     path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
 ) -> Clip:
-    """An animation of a .glb, .vrm or .gltf file, baked to points; one frame where it has none and none is wanted.
+    """Read an animation of a .glb, .vrm or .gltf file, baked to vertex positions.
 
-    Joints without a mesh are played by the shipped body (see `gltf_motion`).
+    A file without animations gives one frame, unless `animation` is given. Joints without a mesh are played by the
+    shipped body (see `gltf.motion`).
 
     Args:
-        fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
-        animation: its name, the name behind its last "|", or its number; None: the first, and with it those that move
-            other nodes.
+        fps: frames a second; None: the rate that the file's keys lie on, else 30. Frame k is at k / fps seconds.
+        animation: its name, the part of its name after the last "|", or its index; None: the first animation, together
+            with those that move other nodes.
 
     Raises:
         InputError: as `read_gltf`, no such animation, or a damaged one.
@@ -82,10 +85,11 @@ def read_gltf_clip(
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as .glb or as .gltf with everything inside: the file it came from, points moved, if it has one.
+    """Write a mesh as .glb, or as .gltf with embedded buffers.
 
-    A mesh from elsewhere gets a document of its own, with smooth normals if it has none (viewers show a mesh without
-    normals faceted). Skin and animations are not written; see `gltf_edit`.
+    A mesh with a glTF source gives that file with its vertices changed, without skins and animations (see `gltf.edit`).
+    Another mesh gives a new document, with smooth normals if it has none, because viewers show a mesh without normals
+    faceted.
     """
     if isinstance(mesh.source, GltfSource):
         mesh.source.write(mesh, path)
@@ -97,25 +101,24 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
 def write_gltf_clip(
     clip: Clip, path: Path, progress: Progress | None = None, blendshapes: int | None = None
 ) -> float | None:
-    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf_clip`).
+    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf.clip`).
 
-    A mesh that came from a glTF file keeps all of it but skin, animations and morph targets of its own. One frame
-    gives a file without animation. The size is about 24 bytes a vertex and frame (normals included).
+    A mesh with a glTF source keeps all of that file but its skins, animations and morph targets. One frame gives a file
+    without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
 
     Args:
-        blendshapes: so many morph targets in all, mixed to show every frame as well as they can (see `blend_shapes`).
+        blendshapes: number of morph targets to fit to the clip instead (see `gltf.blend_shapes`).
 
     Returns:
-        How far a vertex is then from its frame at most, in the mesh's unit; None without `blendshapes`.
+        The largest distance of a vertex from its position in the clip, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
     blend = None if blendshapes is None or len(clip) == 1 else fit_blend_shapes(clip, blendshapes, progress)
-    first = np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base
-    shown = mesh.with_vertices(first)
+    base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base)
     if isinstance(mesh.source, GltfSource):
-        draft, groups = edit_document(mesh.source, shown, keep_targets=False)
+        draft, groups = edit_document(mesh.source, base, keep_targets=False)
     else:
-        draft, groups = build_document(mesh, shown)
+        draft, groups = build_document(mesh, base)
     if len(clip) > 1:
         add_morph_animation(draft, groups, mesh, clip, progress, blend)
     draft.save(path)
@@ -123,13 +126,13 @@ def write_gltf_clip(
 
 
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
-    """What a written file does not have, or has in another way, one line each."""
+    """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
     notes = []
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
-        found = [_count_text(skins, "skin"), _count_text(animations, "animation")]
-        notes.append(f"dropped {' and '.join(text for text in found if text)} that the file had")
+        dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]
+        notes.append(f"dropped {' and '.join(text for text in dropped if text)} that the file had")
     nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
     if len(meshes) < len(nodes):

@@ -35,7 +35,7 @@ def deformed_attributes(
     T_world_local: Float[np.ndarray, "4 4"],
     deformed: DeformedVertices,
     keep_targets: bool,
-) -> tuple[Arrays, list[Arrays]]:
+) -> tuple[AttributeArrays, list[AttributeArrays]]:
     """Return POSITION, NORMAL and TANGENT of a primitive, and the deltas of its morph targets, in a node's frame.
 
     A morph delta is taken to the world by `matrices`, rotated with the surface and taken to the node's frame. With
