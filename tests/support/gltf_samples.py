@@ -55,10 +55,10 @@ class Sample:
     def sparse(self, values: Any) -> int:
         """A float accessor without a view of its own: zeros but for the rows that are not."""
         rows = np.asarray(values, "<f4")
-        places = np.flatnonzero(rows.any(axis=1)).astype("<u2")
-        indices = {"bufferView": self.view(places.tobytes()), "componentType": 5123}
-        patch = {"bufferView": self.view(rows[places].tobytes())}
-        return self.entry(rows, "f4", sparse={"count": len(places), "indices": indices, "values": patch})
+        nonzero = np.flatnonzero(rows.any(axis=1)).astype("<u2")
+        indices = {"bufferView": self.view(nonzero.tobytes()), "componentType": 5123}
+        patch = {"bufferView": self.view(rows[nonzero].tobytes())}
+        return self.entry(rows, "f4", sparse={"count": len(nonzero), "indices": indices, "values": patch})
 
     def indices(self, values: Any, dtype: str = "u2") -> int:
         return self.accessor(np.ravel(values), dtype, vertex=False)
@@ -71,12 +71,12 @@ class Sample:
         return len(self.gltf["accessors"]) - 1
 
     def glb(self, path: Path) -> Path:
-        path.write_bytes(pack_glb(self.finished(), bytes(self.data)))
+        path.write_bytes(pack_glb(self.document_json(), bytes(self.data)))
         return path
 
     def text(self, path: Path, outside: bool = False) -> Path:
         """A .gltf with its buffer inside, or in a file beside it whose name needs escaping."""
-        gltf = self.finished()
+        gltf = self.document_json()
         gltf["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
         if outside:
             gltf["buffers"][0]["uri"] = "the%20data.bin"
@@ -84,7 +84,7 @@ class Sample:
         path.write_text(json.dumps(gltf))
         return path
 
-    def finished(self) -> dict[str, Any]:
+    def document_json(self) -> dict[str, Any]:
         buffers = [{"byteLength": len(self.data)}] if self.data else []
         return {**self.gltf, **({"buffers": buffers} if buffers else {})}
 
@@ -164,9 +164,9 @@ def hero() -> Sample:
     sample = Sample()
     body = _body_mesh(sample)
     face = _face_mesh(sample)
-    bind = [np.linalg.inv(matrix).T.ravel() for matrix in _bind_matrices()]
+    bind = [np.linalg.inv(matrix).T.ravel() for matrix in bind_matrices()]
     times = sample.accessor([0.0, 1.0])
-    turns = sample.accessor([[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
+    quaternions = sample.accessor([[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
     inside = sample.view(png())
     sample.gltf |= {
         "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_unlit"],
@@ -188,7 +188,7 @@ def hero() -> Sample:
         "animations": [
             {
                 "name": "turn",
-                "samplers": [{"input": times, "output": turns}],
+                "samplers": [{"input": times, "output": quaternions}],
                 "channels": [{"sampler": 0, "target": {"node": 1, "path": "rotation"}}],
             }
         ],
@@ -212,7 +212,7 @@ def hero() -> Sample:
     return sample
 
 
-def _bind_matrices() -> list[np.ndarray]:
+def bind_matrices() -> list[np.ndarray]:
     """Where the joints were when the body was bound: standing straight, in a world without the scale of 100."""
     hip, chest = np.eye(4), np.eye(4)
     hip[:3, 3], chest[:3, 3] = [0, 0, 1], [0, 0, 2]
@@ -243,7 +243,7 @@ def _body_mesh(sample: Sample) -> dict[str, Any]:
         "COLOR_0": sample.accessor(rng.integers(0, 256, (24, 3)), "u1", normalized=True),
         **skinning,
     }
-    dust = {
+    loose_points = {
         "POSITION": sample.accessor(rng.random((5, 3))),
         "JOINTS_0": sample.accessor(np.tile([1, 0, 0, 0], (5, 1)), "u2"),
         "WEIGHTS_0": sample.accessor(np.tile([1, 0, 0, 0], (5, 1))),
@@ -255,7 +255,7 @@ def _body_mesh(sample: Sample) -> dict[str, Any]:
             {"attributes": attributes, "indices": sample.indices(faces[:7]), "material": 0, "extras": {"first": True}},
             {"attributes": attributes, "indices": sample.indices(faces[7:], "u4"), "material": 1},
             {"attributes": {"POSITION": position, **skinning}, "indices": sample.indices([0, 1, 2, 3]), "mode": 1},
-            {"attributes": dust, "mode": 0},
+            {"attributes": loose_points, "mode": 0},
         ],
     }
 

@@ -24,7 +24,7 @@ def json_of(path: Path) -> dict[str, Any]:
     return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
-class Twin:
+class ReferenceReader:
     """What one file shows, primitive by primitive."""
 
     def __init__(self, path: Path) -> None:
@@ -42,10 +42,10 @@ class Twin:
         if accessor.sparse is not None:
             sparse = accessor.sparse
             kind = f"<1{FORMAT[sparse.indices.componentType]}"
-            places = self.unpack(sparse.indices.bufferView, sparse.indices.byteOffset or 0, kind, sparse.count)
+            elements = self.unpack(sparse.indices.bufferView, sparse.indices.byteOffset or 0, kind, sparse.count)
             new = self.unpack(sparse.values.bufferView, sparse.values.byteOffset or 0, code, sparse.count)
-            for (place,), row in zip(places, new, strict=True):
-                rows[place] = row
+            for (element,), row in zip(elements, new, strict=True):
+                rows[element] = row
         values = np.array(rows, float)
         return values / LARGEST[accessor.componentType] if accessor.normalized else values
 
@@ -70,15 +70,15 @@ class Twin:
         if node.matrix:
             return np.array(node.matrix).reshape(4, 4, order="F")
         x, y, z, w = node.rotation or [0, 0, 0, 1]
-        turn = np.eye(4)
+        rotation = np.eye(4)
         for column, axis in enumerate(np.eye(3)):  # q v q*, one basis vector at a time
             u = np.array([x, y, z])
-            turn[:3, column] = 2 * (u @ axis) * u + (w * w - u @ u) * axis + 2 * w * np.cross(u, axis)
-        shift, scale = np.eye(4), np.diag([*(node.scale or [1, 1, 1]), 1])
-        shift[:3, 3] = node.translation or [0, 0, 0]
-        return shift @ turn @ scale
+            rotation[:3, column] = 2 * (u @ axis) * u + (w * w - u @ u) * axis + 2 * w * np.cross(u, axis)
+        translation, scale = np.eye(4), np.diag([*(node.scale or [1, 1, 1]), 1])
+        translation[:3, 3] = node.translation or [0, 0, 0]
+        return translation @ rotation @ scale
 
-    def shown(self) -> list[tuple[int, int]]:
+    def scene_primitives(self) -> list[tuple[int, int]]:
         """(node, primitive) of everything in the default scene, depth first."""
         found = []
 
