@@ -1,4 +1,4 @@
-"""A second reader of glTF, naive on purpose: pygltflib opens the file, loops and recursion do the rest."""
+"""A reference reader of glTF for the tests: simple and slow, with pygltflib, loops and recursion."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def json_of(path: Path) -> dict[str, Any]:
 
 
 class ReferenceReader:
-    """What one file shows, primitive by primitive."""
+    """Evaluates one file primitive by primitive: positions, normals, indices and morph weights."""
 
     def __init__(self, path: Path) -> None:
         self.file = pygltflib.GLTF2().load(str(path))
@@ -79,7 +79,7 @@ class ReferenceReader:
         return translation @ rotation @ scale
 
     def scene_primitives(self) -> list[tuple[int, int]]:
-        """(node, primitive) of everything in the default scene, depth first."""
+        """(node, primitive) of all primitives in the default scene, depth first."""
         found = []
 
         def visit(index: int) -> None:
@@ -113,7 +113,7 @@ class ReferenceReader:
         return values
 
     def matrices(self, node: int, number: int) -> list[np.ndarray]:
-        """The 4 x 4 matrix of each vertex, joint by joint."""
+        """The 4 x 4 world matrix of each vertex: its node's, or the weighted sum of its joints'."""
         entry, joints = self.file.nodes[node], self.attribute(node, number, "JOINTS_0")
         count = len(self.attribute(node, number, "POSITION"))
         if entry.skin is None or joints is None:

@@ -1,4 +1,4 @@
-"""Animations baked: keys as the standard has them, and frames as a file at rest in that pose has them."""
+"""Animations: channels interpolate as glTF 2.0 says, and baked frames equal a file at rest in that pose."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from mimesh.io.gltf import write_gltf_clip
 from mimesh.io.gltf.animation import AnimationChannel, frame_rate
 
 HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
-"""What the hero's hip does from 0 to 1 s."""
+"""Rotation (xyzw) of the hero's hip at 0 s and 1 s."""
 
 
 def hero_with_hip_rotation(tmp_path, quaternion):
-    """The hero at rest with its hip turned."""
+    """Return the vertices of the hero at rest with another rotation of its hip."""
     sample = samples.hero()
     sample.gltf["nodes"][1]["rotation"] = list(quaternion)
     return load_mesh(sample.glb(tmp_path / "turned.glb")).vertices

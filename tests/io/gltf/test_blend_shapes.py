@@ -1,4 +1,4 @@
-"""Few blend shapes: exact where few are enough, as good as the best otherwise, and the error that is told is true."""
+"""Blend shapes: exact where few are enough, least squares otherwise, and the reported error is the real one."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mimesh.io.gltf.blend_shapes import fit_blend_shapes
 
 
 def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
-    """A grid that moves in `rank` ways."""
+    """A clip of a grid whose motion has the given rank."""
     rng = np.random.default_rng(seed)
     mesh = zoo.grid(5)
     directions = rng.normal(size=(rank, *mesh.vertices.shape))
@@ -21,7 +21,7 @@ def clip_of(rank: int, frames: int = 12, seed: int = 0) -> Clip:
 
 
 def evaluated(clip: Clip, count: int) -> np.ndarray:
-    """What a client shows at every frame."""
+    """Evaluate the fitted blend shapes at every frame, as a client does."""
     blend = fit_blend_shapes(clip, count)
     shapes = np.einsum("kt,tvc->kvc", blend.frame_coefficients(), clip.vertices - blend.base)
     return blend.base + np.einsum("tk,kvc->tvc", blend.weights, shapes)

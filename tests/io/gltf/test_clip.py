@@ -1,4 +1,4 @@
-"""Animated glTF: what a client shows at time k / fps is frame k, for files of others and for meshes from elsewhere."""
+"""Clips as morph targets: at time k / fps a client shows frame k, for meshes with and without a glTF source."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from mimesh.io.gltf import read_gltf, write_gltf, write_gltf_clip
 
 
 def frames_of(vertices: np.ndarray, count: int = 5) -> np.ndarray:
-    """A rising, turning, bending motion that begins away from the rest shape."""
+    """A motion that translates, rotates and bends, and whose first frame is not the rest shape."""
     frames = []
     for time in np.linspace(0.3, 1.5, count):
         cosine, sine = np.cos(time), np.sin(time)
@@ -30,7 +30,7 @@ def clip_of(mesh: Mesh, count: int = 5) -> Clip:
 
 
 def full_featured_cube() -> Mesh:
-    """A cube from elsewhere with everything: parts (two of one material), uv seams, hard edges, a loose vertex."""
+    """A cube without a source: parts (two of one material), uv seams, hard edges, a vertex without faces."""
     cube = zoo.cube()
     red, plain = Material("red", (1.0, 0.0, 0.0, 0.5), samples.png()), Material("plain", (0.1, 0.2, 0.3, 1.0))
     corners = cube.vertices[cube.faces]
@@ -74,7 +74,7 @@ def test_clip_animates_normals(tmp_path):
 
 @pytest.mark.parametrize("name", ["hero", "props"])
 def test_clip_file_equals_the_mesh_file_besides_targets_and_animation(name, tmp_path):
-    """Frame 0 written as a mesh, and nothing but targets, weights, one animation on top of it."""
+    """The clip's file is frame 0 written as a mesh, plus morph targets, weights and one animation."""
     mesh = read_gltf(getattr(samples, name)().glb(tmp_path / "a.glb"))
     clip = clip_of(mesh)
     write_gltf_clip(clip, tmp_path / "b.glb")
@@ -93,7 +93,7 @@ def test_clip_file_equals_the_mesh_file_besides_targets_and_animation(name, tmp_
 
 
 def test_clip_gives_all_primitives_of_a_mesh_the_same_number_of_targets(tmp_path):
-    """Lines and points of a moving mesh too, and the file's own targets are gone."""
+    """Lines and points of an animated mesh have targets too, and the source file's targets are dropped."""
     path = samples.hero().glb(tmp_path / "a.glb")
     write_gltf_clip(clip_of(read_gltf(path)), tmp_path / "b.glb")
     reference = ReferenceReader(tmp_path / "b.glb")
@@ -173,7 +173,7 @@ def test_mesh_with_seams_keeps_its_corners_when_written_and_read(tmp_path):
     red, bare, again_red = (part.material for part in loaded.parts)
     assert (red, again_red, bare) == (mesh.parts[0].material, red, None)
     assert len(ReferenceReader(tmp_path / "b.glb").file.images) == 1
-    assert any(np.allclose(vertex, [0.5, 0.5, 2.0]) for vertex in loaded.vertices)  # the loose one too
+    assert any(np.allclose(vertex, [0.5, 0.5, 2.0]) for vertex in loaded.vertices)  # the vertex without faces too
 
 
 def test_texture_of_a_mesh_without_uv_is_not_written(tmp_path: Path):

@@ -1,4 +1,4 @@
-"""Every way a glTF file can be wrong is one line that names the file, what was expected and what was found."""
+"""Errors in glTF files: each is one line that names the file, what was expected and what was found."""
 
 from __future__ import annotations
 

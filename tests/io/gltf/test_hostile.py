@@ -1,4 +1,4 @@
-"""Hostile but legal glTF: all that a file says besides points and normals is in the written one."""
+"""Unusual but valid glTF files: all data besides positions and normals is in the written file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FOLDER = "Größe & 大小 #1"
 
 
 def sparse_over_a_view(sample: samples.Sample, values: np.ndarray) -> int:
-    """An accessor whose view is wrong in two rows, which its sparse part puts right."""
+    """An accessor with two wrong rows in its buffer view, which its sparse values correct."""
     wrong, elements = values.copy(), np.array([1, len(values) - 1])
     wrong[elements] += 9
     index = sample.accessor(wrong)
@@ -102,7 +102,7 @@ def unusual_document() -> samples.Sample:
 
 
 def reference_without_extras(path: Path) -> ReferenceReader:
-    """A second reader of the file without its extras, of which it knows only objects."""
+    """Open a copy of the file without extras, of which pygltflib accepts only objects."""
     copy, gltf = path.with_stem("plain"), json_of(path)
     text = json.dumps(without_extras(gltf)).encode()
     binary = (
@@ -121,7 +121,7 @@ def without_extras(value: Any) -> Any:
 
 
 def resolved(path: Path) -> dict[str, Any]:
-    """The JSON of a file with the values behind its references in their place; without what is moved or dropped."""
+    """The JSON of a file with accessor values in place of their indices, without data that writing changes or drops."""
     reference, gltf = reference_without_extras(path), json_of(path)
     for mesh in gltf["meshes"]:
         for primitive in mesh["primitives"]:
@@ -142,7 +142,7 @@ def values_of(reference: ReferenceReader, index: int) -> tuple:
 
 
 def without_meshes(gltf: dict[str, Any]) -> dict[str, Any]:
-    """Each node with the mesh that it shows: shared meshes may have become several."""
+    """Move each mesh into the nodes that show it, because shared meshes may have become several."""
     meshes = gltf.pop("meshes")
     for node in gltf["nodes"]:
         if "mesh" in node:

@@ -1,4 +1,4 @@
-"""glTF files of joints without a mesh: the body's limbs point as the joints that were written, frame by frame."""
+"""Motions, glTF files of joints without a mesh: the body's limb directions equal those of the file in every frame."""
 
 import base64
 import json
@@ -33,7 +33,7 @@ ARMATURES = {
     "turned by a quarter": {"rotation": [0, 0.5**0.5, 0, 0.5**0.5], "translation": [3, 4, 5]},
 }
 QUATERNION_30_DEGREES = [0, np.sin(np.pi / 12), 0, np.cos(np.pi / 12)]
-"""By 30 degrees about y."""
+"""Rotation (xyzw) by 30 degrees about y."""
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +48,7 @@ def motion():
 
 @pytest.fixture(scope="module")
 def rigged(body, motion, tmp_path_factory):
-    """A mesh on the body's skeleton, whose joints lie anyhow at rest, and its motion."""
+    """Write a mesh on the body's skeleton, with random joint axes at rest, and its motion."""
     path = tmp_path_factory.mktemp("rigged") / "leap.glb"
     rest_rotation = Rotation.random(len(body.parents), 5).as_matrix()
     rotation, position = joint_tracks(body, motion)
@@ -59,7 +59,7 @@ def rigged(body, motion, tmp_path_factory):
 
 
 def joints_only(rigged, path, modify=lambda gltf: None, skin=False):
-    """The file without its mesh, and without its skin unless that is wanted; `modify` alters the rest."""
+    """Write the file without its mesh, and without its skin unless `skin`; `modify` changes the JSON."""
     content = rigged.read_bytes()
     size = struct.unpack_from("<I", content, 12)[0]
     gltf = json.loads(content[20 : 20 + size])
@@ -75,7 +75,7 @@ def joints_only(rigged, path, modify=lambda gltf: None, skin=False):
 
 
 def add_armature(gltf, **armature):
-    """Put the joints below another node."""
+    """Add a node above the joints."""
     gltf["nodes"].append({"name": "Armature", **armature, "children": [joint_node(gltf, "Hips")]})
     gltf["scenes"][0]["nodes"] = [len(gltf["nodes"]) - 1]
 
@@ -85,7 +85,7 @@ def joint_node(gltf, name):
 
 
 def add_channel(gltf, name, path, values):
-    """Another track of one joint, at the times of the others; its values lie in a buffer of their own."""
+    """Add a channel for one joint, with the key times of the others; its values get a buffer of their own."""
     content, animation = np.asarray(values, "<f4").tobytes(), gltf["animations"][0]
     uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
     gltf["buffers"].append({"byteLength": len(content), "uri": uri})
@@ -116,7 +116,7 @@ def angle(a, b):
 
 
 def hip_path(body, motion):
-    """The path of the hips from where it begins."""
+    """Positions of the hips relative to the first frame, (T, 3)."""
     position = joint_tracks(body, motion)[1][:, 0]
     return position - position[0]
 
@@ -133,30 +133,32 @@ def test_motion_gives_the_body_the_limb_directions_of_the_file(armature, skin, r
 
 @pytest.mark.parametrize("heading", [0, 170])
 def test_rest_pose_comes_from_inverse_bind_matrices_not_from_nodes(heading, rigged, body, motion, tmp_path):
-    """Nodes that stand in some frame of another motion, below an armature that is turned by no right angle."""
+    """Node transforms are those of another pose, below an armature that is not rotated by a right angle."""
 
     def modify(gltf):
         for channel in gltf["animations"][0]["channels"]:
             node = gltf["nodes"][channel["target"]["node"]]
             if channel["target"]["path"] == "rotation":
-                turn, rest = (
+                rotation, rest = (
                     Rotation.from_euler("xyz", [20, -15, 10], degrees=True),
                     Rotation.from_quat(node["rotation"]),
                 )
-                turned = (
-                    Rotation.from_euler("y", heading, degrees=True) * rest if node["name"] == "Hips" else rest * turn
+                rotated = (
+                    Rotation.from_euler("y", heading, degrees=True) * rest
+                    if node["name"] == "Hips"
+                    else rest * rotation
                 )
-                node["rotation"] = turned.as_quat().tolist()
+                node["rotation"] = rotated.as_quat().tolist()
         add_armature(gltf, rotation=QUATERNION_30_DEGREES)
 
     played = play_on_body(joints_only(rigged, tmp_path / "a.glb", modify, skin=True))
-    turn = Rotation.from_quat(QUATERNION_30_DEGREES).as_matrix()
-    assert angle(limbs(body, played), limbs(body, motion) @ turn.T) < 1e-5
-    np.testing.assert_allclose(hip_path(body, played), hip_path(body, motion) @ turn.T, atol=1e-5)
+    rotation = Rotation.from_quat(QUATERNION_30_DEGREES).as_matrix()
+    assert angle(limbs(body, played), limbs(body, motion) @ rotation.T) < 1e-5
+    np.testing.assert_allclose(hip_path(body, played), hip_path(body, motion) @ rotation.T, atol=1e-5)
 
 
 def test_motion_joints_are_found_under_other_names_and_among_other_nodes(rigged, body, motion, tmp_path):
-    """Several roots (a camera that moves), and a node between two joints that neither moves nor is listed."""
+    """There are several roots (an animated camera), and between two joints a node that is not a joint."""
 
     def modify(gltf):
         gltf["nodes"].append({"name": "Eye"})

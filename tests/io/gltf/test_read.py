@@ -1,4 +1,4 @@
-"""Reading glTF: the rest state against a naive second reader and trimesh, and every way an array can be stored."""
+"""Reading glTF: the rest state against a reference reader and trimesh, and every way an array can be stored."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_parts_have_the_names_and_materials_of_primitives(tmp_path):
 
 def test_shared_vertices_are_read_once_and_instances_twice(tmp_path):
     hero, props = (read_gltf(sample.glb(tmp_path / "a.glb")) for sample in (samples.hero(), samples.props()))
-    assert len(hero.vertices) == 12 + 24  # the loose points of the body are no part of the mesh
+    assert len(hero.vertices) == 12 + 24  # the points of the body are not part of the mesh
     assert len(props.vertices) == 24 + 24 + 6 + 4
     assert [(span.node, span.start, span.stop) for span in props.source.rest.vertex_ranges] == [
         (1, 0, 24),
@@ -106,7 +106,7 @@ def test_strips_and_fans_become_triangles(tmp_path):
     strip, fan = mesh.faces[24:28] - 48, mesh.faces[28:30] - 54
     assert strip.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4]]
     assert fan.tolist() == [[1, 2, 0], [2, 3, 0]]
-    assert (mesh.corner_normals[24:28] == mesh.corner_normals[24:28, :1]).all()  # none given: flat
+    assert (mesh.corner_normals[24:28] == mesh.corner_normals[24:28, :1]).all()  # no normals in the file: face normals
 
 
 def test_degenerate_triangles_of_a_strip_are_left_out(tmp_path):
@@ -124,7 +124,7 @@ def test_uv_is_flipped_to_v_up(tmp_path):
 
 
 def test_uv_follows_the_base_texture(tmp_path):
-    """Its set, and its transform: half the size, moved, turned by 90 degrees."""
+    """Its TEXCOORD set and its KHR_texture_transform: scale, offset, and rotation by 90 degrees."""
     sample = samples.hero()
     texture = sample.gltf["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     texture |= {"extensions": {"KHR_texture_transform": {"scale": [0.5, 0.25], "offset": [0.1, 0.2], "texCoord": 1}}}
@@ -167,7 +167,7 @@ def test_most_negative_normalized_integer_is_minus_one(tmp_path):
 
 
 def _with_influences(sets: list[tuple[list[float], list[float]]]) -> samples.Sample:
-    """The hero with the same joints and weights at every vertex of its body, in as many sets as given."""
+    """The hero with the same joints and weights at every vertex of its body, one set for each pair."""
     sample = samples.hero()
     for primitive in sample.gltf["meshes"][0]["primitives"][:3]:
         for number, (joints, weights) in enumerate(sets):

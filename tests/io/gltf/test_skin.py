@@ -1,4 +1,4 @@
-"""Skeletons of glTF files: joints, influences and their places against a naive second reader."""
+"""Rigged characters: joints, influences and their positions against a reference reader."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_influence_positions_match_the_reference_reader(tmp_path):
 
 
 def test_unskinned_mesh_follows_the_joint_above_it(tmp_path):
-    """The face hangs on the chest, with its morph targets at their default."""
+    """The face is below the chest, with its morph targets at their default weights."""
     path = samples.hero().glb(tmp_path / "a.glb")
     skin = read_skin(path)
     assert (skin.joint_of[:12, 0] == 1).all()
@@ -66,7 +66,7 @@ def test_unskinned_mesh_without_a_joint_above_follows_the_world(tmp_path):
 
 
 def test_skins_with_the_same_joints_are_merged(tmp_path):
-    """A second piece has its own skin with the same joints in another order: the same joints hold it."""
+    """A second mesh has its own skin with the same joints in another order, and the same influences result."""
     sample = samples.hero()
     bind = [np.linalg.inv(matrix).T.ravel() for matrix in samples.bind_matrices()]
     sample.gltf["skins"].append({"joints": [2, 1], "inverseBindMatrices": sample.accessor(bind[::-1])})

@@ -1,4 +1,4 @@
-"""Meshes with joints: at rest as they stood, and in every frame of the animation where the skeleton puts them."""
+"""Skinned results: at rest as in the source file, and in every frame of the animation as in the clip."""
 
 import copy
 import dataclasses
@@ -25,7 +25,7 @@ def result(tmp_path_factory):
 
 
 def frame_of(path, t):
-    """The file's vertices in frame t: its joints are put where the animation has them, and it is read at rest."""
+    """The file's vertices in frame t, read at rest after the values of frame t were written into the joint nodes."""
     document = open_document(path)
     gltf = copy.deepcopy(document.gltf)
     animation = gltf["animations"][0]

@@ -1,4 +1,4 @@
-"""Writing an identity back: its own file with the points elsewhere, and everything else as it was."""
+"""Writing a mesh into its source file again: new positions, and everything else as it was."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def sample(request: pytest.FixtureRequest) -> samples.Sample:
 
 
 def wave(points: np.ndarray) -> np.ndarray:
-    """A smooth deformation that keeps nothing where it was."""
+    """A smooth deformation that moves every point."""
     return points + 0.3 * np.sin(points @ np.array([[1, 2, 0], [0, 1, -1], [2, 0, 1.0]]) + 1) + [0.1, 0.2, 0.3]
 
 
 def rotate_all(points: np.ndarray) -> np.ndarray:
-    """A rigid motion of the whole: a turn about (1, 2, 2) / 3 and a step."""
+    """A rotation by 1.2 radians about (1, 2, 2) / 3."""
     x, y, z = 1 / 3, 2 / 3, 2 / 3
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     rotation = np.eye(3) + np.sin(1.2) * cross + (1 - np.cos(1.2)) * cross @ cross
@@ -52,7 +52,7 @@ def test_written_positions_are_read_back(sample, suffix, tmp_path):
     np.testing.assert_allclose(loaded.vertices, expected, atol=1e-6 * np.ptp(expected))
     np.testing.assert_array_equal(loaded.faces, mesh.faces)
     reference = ReferenceReader(path)
-    for span in loaded.source.rest.vertex_ranges:  # a second reader finds them there too, without any skin
+    for span in loaded.source.rest.vertex_ranges:  # the reference reader agrees, without any skin
         for primitive in span.primitives:
             np.testing.assert_allclose(
                 reference.points(span.node, primitive), expected[span.start : span.stop], atol=2e-6
@@ -159,7 +159,7 @@ def props_json(tmp_path: Path) -> dict[str, Any]:
 
 
 def test_written_points_and_hidden_nodes_keep_their_positions(tmp_path):
-    """Loose points under the skin keep their place in the world, hidden nodes their old mesh."""
+    """Points of a skinned mesh keep their world positions, nodes outside the scene their old mesh."""
     hero = samples.hero().glb(tmp_path / "a.glb")
     new = ReferenceReader(written(read_gltf(hero), tmp_path / "b.glb", wave))
     np.testing.assert_allclose(new.points(3, 3), ReferenceReader(hero).points(3, 3), atol=3e-6)
@@ -172,7 +172,7 @@ def test_written_normals_follow_the_mesh(sample, tmp_path):
     mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
     moved = mesh.with_vertices(wave(mesh.vertices))
     loaded = read_gltf(written(moved, tmp_path / "b.glb"))
-    with_normals = slice(0, 24)  # the strip and the fan of the props have none: theirs are flat, not turned
+    with_normals = slice(0, 24)  # the strip and the fan of the props have none: theirs are face normals
     np.testing.assert_allclose(loaded.corner_normals[with_normals], moved.corner_normals[with_normals], atol=1e-6)
 
 
@@ -201,7 +201,7 @@ def test_source_file_without_normals_is_written_without(tmp_path):
 @pytest.mark.parametrize("weights", [[0.5, 0.0], [0.0, 0.0], [1.0, 0.7], [-0.3, 2.0]])
 def test_tangents_and_morph_targets_follow_a_rigid_motion(weights, tmp_path):
     sample = samples.hero()
-    sample.gltf["meshes"][1]["weights"] = [0.0, 0.0]  # normals turn exactly where they are those of the faces
+    sample.gltf["meshes"][1]["weights"] = [0.0, 0.0]  # normals follow exactly only where they equal the face normals
     path = sample.glb(tmp_path / "a.glb")
     old, new = ReferenceReader(path), ReferenceReader(written(read_gltf(path), tmp_path / "b.glb", rotate_all))
     np.testing.assert_allclose(new.points(4, 0, weights), rotate_all(old.points(4, 0, weights)), atol=3e-6)
@@ -218,7 +218,9 @@ def test_written_tangents_are_unit_and_perpendicular_to_normals(tmp_path):
     normals, tangents = reference.attribute(4, 0, "NORMAL"), reference.attribute(4, 0, "TANGENT")
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
     np.testing.assert_allclose(np.linalg.norm(tangents[:, :3], axis=1), 1, atol=1e-6)
-    assert np.abs((normals * tangents[:, :3]).sum(-1)).max() < 0.05  # half of a small smile lies between the two
+    assert (
+        np.abs((normals * tangents[:, :3]).sum(-1)).max() < 0.05
+    )  # the default weight of 0.5 leaves a small angle between the two
 
 
 def test_written_morph_targets_keep_seams_closed(tmp_path):
@@ -247,13 +249,13 @@ def test_mesh_of_a_singular_or_distant_node_moves_to_a_new_node(node, tmp_path):
     assert gltf["nodes"][3] == {"name": "body", **node}
     assert gltf["nodes"][7]["name"] == "body"
     assert gltf["scenes"][0]["nodes"] == [0, 5, 6, 7]
-    np.testing.assert_array_equal(loaded.faces, mesh.faces)  # no winding is turned around
+    np.testing.assert_array_equal(loaded.faces, mesh.faces)  # the winding order is kept
     loose_points = ReferenceReader(tmp_path / "b.glb").points(7, 3)
     np.testing.assert_allclose(loose_points, ReferenceReader(path).points(3, 3), atol=1e-6)
 
 
 def test_mesh_far_from_the_origin_stays_in_its_node(tmp_path):
-    """The node's own frame holds it better than the world does."""
+    """Float32 is finer in the node's frame than in world coordinates."""
     sample = samples.props()
     sample.gltf["nodes"][0]["translation"] = [1e5, 0, 0]
     mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
@@ -287,7 +289,7 @@ def test_optional_compression_is_not_written(tmp_path):
 
 
 def test_skinned_node_outside_the_scene_keeps_its_skin(tmp_path):
-    """A node outside the scene is not read, so it is not touched either."""
+    """A node outside the scene is not read, and therefore not changed."""
     sample = samples.hero()
     sample.gltf["nodes"].append({"name": "twin", "mesh": 0, "skin": 0})
     path = sample.glb(tmp_path / "a.glb")
@@ -311,7 +313,7 @@ def test_quantized_positions_are_written_as_floats(tmp_path):
 def test_writing_twice_gives_the_same_file(sample, tmp_path):
     path = sample.glb(tmp_path / "a.glb")
     content, mesh = path.read_bytes(), read_gltf(path)
-    path.unlink()  # the mesh stands on its own
+    path.unlink()  # the mesh needs its file no more
     first, second = (written(mesh, tmp_path / name, wave).read_bytes() for name in ("b.glb", "c.glb"))
     assert first == second
     path.write_bytes(content)
