@@ -133,6 +133,7 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     if skins or animations:
         dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]
         notes.append(f"dropped {' and '.join(text for text in dropped if text)} that the file had")
+    # Instances of one mesh get copies when written, because each is deformed on its own.
     nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
     if len(meshes) < len(nodes):

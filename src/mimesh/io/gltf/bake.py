@@ -86,6 +86,7 @@ def _pose_frames(
     parts = [_prepare_vertices(document, span, span.node in morphing) for span in rest.vertex_ranges]
     for values, T_world_node in sample_nodes(document, channels, times):
         morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
+        # Positions of one frame at a time: only node transforms are computed for a whole block.
         for t in range(len(T_world_node)):
             frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}
             yield np.concatenate([_pose_vertices(document, part, T_world_node[t], frame_weights) for part in parts])

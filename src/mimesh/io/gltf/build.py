@@ -67,7 +67,7 @@ def _split_parts(mesh: Mesh) -> list[tuple[Part, Int[np.ndarray, " N"], Int[np.n
     for part in mesh.parts or (Part(mesh.name, 0, len(mesh.faces)),):
         if part.stop > part.start:
             result.append((part, *_split_corners(mesh, part, loose)))
-            loose = loose[:0]
+            loose = loose[:0]  # written once, with the first part
     return result
 
 
@@ -76,6 +76,7 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
 
     `loose` vertices, which no face uses, become elements without a corner.
     """
+    # One row of keys for each corner: vertex index, uv, normal. Equal rows are one element.
     corner = np.arange(3 * part.start, 3 * part.stop)
     vertex = mesh.faces.ravel()[corner]
     columns = [vertex[:, None].astype(np.float64)]
@@ -90,6 +91,7 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
         np.concatenate([vertex[first], loose]),
         np.concatenate([corner[first], np.full(len(loose), -1)]),
     )
+    # np.unique sorts by all keys; sort by vertex alone, so that a part without seams keeps its numbering.
     order = np.argsort(vertex_of, kind="stable")
     new_index = np.argsort(order)
     return vertex_of[order], corner_of[order], new_index[element.reshape(-1)]
@@ -104,6 +106,7 @@ def _add_primitive(
         attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], ARRAY_BUFFER)
     if not (corner_of >= 0).any():
         return {"attributes": attributes, "mode": POINTS}
+    # Elements without a corner are in no triangle; their normal only has to be a valid unit vector.
     if moved.corner_normals is not None:
         normals = _gather_corners(moved.corner_normals, corner_of, [0.0, 1.0, 0.0])
         attributes["NORMAL"] = draft.add_floats(normals, ARRAY_BUFFER)

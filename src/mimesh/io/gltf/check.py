@@ -163,6 +163,7 @@ def check_document(gltf: Any, path: Path) -> None:
         )
     _check_version(gltf, path)
     _check_extensions(gltf, path)
+    # In this order: required properties first, so that the checks after them need not ask whether these are there.
     for location, names in REQUIRED.items():
         for item in _values_at(gltf, location, path):
             for name in names:
@@ -188,6 +189,7 @@ def check_document(gltf: Any, path: Path) -> None:
 
 
 def _check_version(gltf: dict[str, Any], path: Path) -> None:
+    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
     asset = gltf.get("asset")
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2."):
@@ -195,6 +197,7 @@ def _check_version(gltf: dict[str, Any], path: Path) -> None:
 
 
 def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
+    """Check that every extension in `extensionsRequired` is supported (3.12 Specifying Extensions)."""
     for name in _values_at(gltf, "extensionsRequired []", path):
         if str(name) in COMPRESSION_EXTENSIONS:
             raise InputError(
@@ -251,6 +254,7 @@ def _values_at(value: Any, location: str, path: Path) -> Iterator[Any]:
 
 
 def _is_index(value: Any) -> bool:
+    # A bool is an int in Python, but not in JSON.
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 

@@ -47,6 +47,7 @@ def add_morph_animation(
     Targets of all frames wait in a temporary file: memory does not grow with the number of frames.
     """
     if blend is None:
+        # Target k - 1 has weight 1 at key k and 0 at all others; frame 0 has no target.
         first = np.asarray(clip.vertices[0], np.float64)
         deltas = _frame_deltas(groups, mesh, clip, first, progress)
         attributes = _one_target_per_frame(itertools.islice(deltas, 1, None), groups)
@@ -59,6 +60,7 @@ def add_morph_animation(
         targets = _add_targets(draft, spools)
         for primitive in group.primitives:
             primitive["targets"] = [dict(target) for target in targets]
+    # A node appears once, although several groups may be primitives of its mesh.
     nodes = list(dict.fromkeys(group.node for group in groups))
     names = [f"{kind} {number}" for number in range(1, weights.shape[1] + 1)]
     for node in nodes:
@@ -141,7 +143,7 @@ def _add_targets(draft: Draft, spools: dict[str, Spool]) -> list[dict[str, int]]
     targets: list[dict[str, int]] = [{} for _ in next(iter(spools.values())).bounds]
     for name, spool in spools.items():
         view = draft.add_view(spool, target=ARRAY_BUFFER, byteStride=12)
-        size = spool.nbytes // max(len(spool.bounds), 1)
+        size = spool.nbytes // max(len(spool.bounds), 1)  # bytes of one target: 12 an element
         for number, bounds in enumerate(spool.bounds):
             accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * size, "componentType": 5126}
             accessor |= {"count": size // 12, "type": "VEC3"} | (bounds if name == "POSITION" else {})
@@ -168,6 +170,7 @@ def _complete_targets(draft: Draft, mesh: dict[str, Any], names: list[str], weig
 def _morph_animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
     """Return an animation of the morph weights with one key a frame; its channels share one sampler."""
     times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
+    # The weights of all targets at one key lie next to each other (3.11 Animations).
     values = draft.add_floats(weights.reshape(-1, 1))
     return {
         "name": clip.mesh.name,

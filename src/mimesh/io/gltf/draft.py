@@ -70,6 +70,7 @@ class Draft:
         chunk = content if isinstance(content, Spool) else _as_bytes(content)
         present = {name: value for name, value in properties.items() if value is not None}
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **present})
+        # The chunk itself is written when the document is saved.
         self.chunks += [chunk, memoryview(bytes(-chunk.nbytes % 4))]
         self.size += chunk.nbytes + -chunk.nbytes % 4
         return len(self.gltf["bufferViews"]) - 1
@@ -111,7 +112,8 @@ class Draft:
             self._save_text(gltf, path)
             return
         text = _to_json(gltf)
-        text += b" " * (-len(text) % 4)
+        text += b" " * (-len(text) % 4)  # the JSON chunk is padded with spaces (4.4.3.2)
+        # A header of 12 bytes and two chunks with headers of 8 bytes; an empty binary chunk is left out.
         total = 12 + 8 + len(text) + (8 + self.size if self.size else 0)
         with path.open("wb") as file:
             file.write(struct.pack("<4sIIII", b"glTF", 2, total, len(text), JSON_CHUNK) + text)

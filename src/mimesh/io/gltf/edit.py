@@ -71,6 +71,7 @@ def edit_document(source: GltfSource, mesh: Mesh, keep_targets: bool = True) -> 
         ValueError: `mesh` does not have the vertices and faces of the source.
     """
     _check_topology(source, mesh)
+    # `old` is the JSON of the source, which is never changed; the copier's draft is the new document.
     old, copier = source.document.gltf, AccessorCopier(source.document)
     vertex_ranges: dict[int, list[VertexRange]] = {node: [] for node in _edited_nodes(source)}
     for span in source.rest.vertex_ranges:
@@ -104,6 +105,7 @@ def with_normals(mesh: Mesh) -> Mesh:
 
 
 def _check_topology(source: GltfSource, mesh: Mesh) -> None:
+    """Raise a ValueError where a mesh does not have as many vertices and faces as its source."""
     faces = max((stop for _, stop in source.rest.faces.values()), default=0)
     if len(mesh.vertices) != len(source.vertices) or len(mesh.faces) != faces:
         raise ValueError(
@@ -151,6 +153,7 @@ def _choose_transform(edit: EditContext, node: int, vertex_ranges: list[VertexRa
     """
     T_world_node = edit.rest.T_world_node[node]
     root = np.diag([-1.0 if np.linalg.det(T_world_node) < 0 else 1.0, 1.0, 1.0, 1.0])
+    # Far from the origin float32 is coarse at the root too: then the node may be up to twice as coarse.
     points = np.concatenate([np.zeros((0, 3))] + [edit.mesh.vertices[span.start : span.stop] for span in vertex_ranges])
     allowed = max(LOCAL_TOLERANCE * np.ptp(edit.mesh.vertices, axis=0).max(), 2 * _storage_error(root, points))
     return T_world_node if _storage_error(T_world_node, points) <= allowed else root
@@ -161,7 +164,7 @@ def _storage_error(T_world_local: Float[np.ndarray, "4 4"], points: Float[np.nda
     linear, origin = T_world_local[:3, :3], T_world_local[:3, 3]
     if not np.linalg.cond(linear) < MAX_CONDITION:
         return np.inf
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):  # float32 may overflow; the error is then infinite
         stored = ((points - origin) @ np.linalg.inv(linear).T).astype(np.float32).astype(np.float64)
         error = np.abs(stored @ linear.T + origin - points).max(initial=0.0)
     return float(error) if np.isfinite(error) else np.inf
@@ -178,6 +181,7 @@ def _attach_mesh(edit: EditContext, node: int, mesh_index: int, T_world_local: F
     if np.array_equal(T_world_local, edit.rest.T_world_node[node]):
         entry |= shown
         return node
+    # The old node keeps its name, children and extensions; the new one gets the name, and a mirroring scale if needed.
     scale = {"scale": np.diag(T_world_local)[:3].tolist()} if T_world_local[0, 0] < 0 else {}
     gltf["nodes"].append({**{key: entry[key] for key in ("name",) if key in entry}, **scale, **shown})
     if gltf.get("scenes"):

@@ -95,6 +95,7 @@ def _rewrite_in_place(
 ) -> dict[str, Any]:
     """Rewrite a primitive so that its world positions stay, although skin, node or morph targets are removed."""
     primitive, T_world_node = get_primitive(edit.document, (node, index)), edit.rest.T_world_node
+    # New positions are needed where the skin or another node moves the primitive, or its morph weights are dropped.
     moved = "skin" in edit.document.gltf["nodes"][node] or (T_world_local != T_world_node[node]).any()
     if "POSITION" not in primitive["attributes"] or not (moved or (primitive.get("targets") and not edit.keep_targets)):
         return copy_primitive(edit.copier, primitive)
@@ -158,6 +159,7 @@ def _add_attributes(
     for name, values in base.items():
         if name not in attributes:
             attributes[name] = draft.add_floats(values, ARRAY_BUFFER, bounds=name == "POSITION")
+    # Attributes of a target that are not recomputed (texture coordinates, colours) are copied.
     targets = []
     for old, new in zip(primitive.get("targets", []) if edit.keep_targets else [], deltas, strict=True):
         added = {

@@ -83,6 +83,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
         [local_faces + start[key] for key, local_faces in zip(keys, triangles, strict=True)]
         or [np.zeros((0, 3), np.int64)]
     )
+    # Faces of primitive i are ends[i]:ends[i + 1] of the Mesh.
     ends = np.cumsum([0] + [len(local_faces) for local_faces in triangles]).tolist()
     rest = RestScene(T_world_node, vertex_ranges, {key: (ends[i], ends[i + 1]) for i, key in enumerate(keys)})
     vertices = np.concatenate(
@@ -140,6 +141,7 @@ def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
 
     Ranges that no triangle uses are left out, unless the scene has no triangles at all: then POINTS are kept.
     """
+    # Dictionaries keep insertion order, so the vertices follow the scene.
     groups: dict[tuple[Any, ...], list[PrimitiveKey]] = {}
     for node in scene_nodes(document):
         mesh = document.gltf["nodes"][node].get("mesh")
@@ -191,17 +193,15 @@ def _read_faces(document: Document, key: PrimitiveKey) -> Int[np.ndarray, "F 3"]
     if mode == TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)  # as in OpenGL, an incomplete triangle is not drawn
     if mode == TRIANGLE_FAN:
-        triangles = np.stack(
-            [indices[1:-1], indices[2:], np.broadcast_to(indices[:1], max(len(indices) - 2, 0))], axis=1
-        )
+        # Triangle i is (v[i + 1], v[i + 2], v[0]).
+        centre = np.broadcast_to(indices[:1], max(len(indices) - 2, 0))
+        triangles = np.stack([indices[1:-1], indices[2:], centre], axis=1)
     else:
+        # Triangle i is (v[i], v[i + 1], v[i + 2]); every second one has the last two exchanged, to keep the winding.
         triangles = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
         triangles[1::2, 1:] = triangles[1::2, :0:-1]
-    return triangles[
-        (triangles[:, 0] != triangles[:, 1])
-        & (triangles[:, 1] != triangles[:, 2])
-        & (triangles[:, 2] != triangles[:, 0])
-    ]
+    a, b, c = triangles.T
+    return triangles[(a != b) & (b != c) & (c != a)]
 
 
 def _read_corner_normals(

@@ -64,6 +64,7 @@ def read_skin(path: str | Path) -> SkinnedCharacter:
             f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
             "export the mesh and its armature together as glTF"
         )
+    # One tree for all skins of the scene, so that their joints have one numbering.
     tree = _find_joints(source.document, source.rest)
     if not tree.nodes:
         raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
