@@ -101,7 +101,7 @@ def test_gltf_colours_are_read_where_primitives_have_them(tmp_path):
     entry = sample.gltf["accessors"][sample.gltf["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
     view = sample.gltf["bufferViews"][entry["bufferView"]]
     rows = stored[view["byteOffset"] :][: view["byteLength"]].reshape(24, 4)[:, :3] / 255
-    run = next(run for run in mesh.source.rest.runs if run.stop - run.start == 24)
+    run = next(run for run in mesh.source.rest.vertex_ranges if run.stop - run.start == 24)
     assert np.allclose(mesh.vertex_colors[run.start : run.stop, :3], rows)
     others = np.delete(mesh.vertex_colors, np.arange(run.start, run.stop), axis=0)
     assert np.array_equal(others, np.ones_like(others))

@@ -1,4 +1,4 @@
-"""glTF files made by hand for the tests: JSON and bytes put together without any of the code under test."""
+"""glTF files for the tests: JSON and bytes are built without any of the code under test."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ import numpy as np
 COMPONENT = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 KIND = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
 QUARTER = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
-"""Quaternion of the turn about x that makes a z-up character stand up."""
+"""Quaternion (xyzw) of the rotation by -90 degrees about x, from z up to y up."""
 
 
 class Sample:
-    """A document in the making: `gltf` is its JSON, `data` its only buffer."""
+    """A document under construction: `gltf` is its JSON, `data` its only buffer."""
 
     def __init__(self) -> None:
         self.gltf: dict[str, Any] = {"asset": {"version": "2.0"}, "accessors": [], "bufferViews": []}
@@ -31,7 +31,7 @@ class Sample:
         return len(self.gltf["bufferViews"]) - 1
 
     def accessor(self, values: Any, dtype: str = "f4", vertex: bool = True, **more: Any) -> int:
-        """An accessor with a view of its own; vertex data of odd sizes is padded to multiples of 4 bytes."""
+        """Add an accessor with a buffer view of its own; vertex attributes are padded to multiples of 4 bytes."""
         rows = np.atleast_2d(np.asarray(values, f"<{dtype}"))
         rows = rows.T if np.ndim(values) == 1 else rows
         size, stride = rows.itemsize * rows.shape[1], {}
@@ -43,7 +43,7 @@ class Sample:
         return self.entry(rows, dtype, bufferView=self.view(content, **stride), **more)
 
     def interleaved(self, *columns: Any) -> list[int]:
-        """Float accessors that share one view, element after element."""
+        """Add float accessors that share one buffer view, interleaved."""
         rows = np.concatenate([np.asarray(column, "<f4") for column in columns], axis=1)
         view = self.view(rows.tobytes(), byteStride=rows.shape[1] * 4)
         starts = np.cumsum([0] + [np.shape(column)[1] * 4 for column in columns]).tolist()
@@ -53,12 +53,12 @@ class Sample:
         ]
 
     def sparse(self, values: Any) -> int:
-        """A float accessor without a view of its own: zeros but for the rows that are not."""
+        """Add a sparse float accessor without a buffer view: only rows that are not zero are stored."""
         rows = np.asarray(values, "<f4")
-        places = np.flatnonzero(rows.any(axis=1)).astype("<u2")
-        indices = {"bufferView": self.view(places.tobytes()), "componentType": 5123}
-        patch = {"bufferView": self.view(rows[places].tobytes())}
-        return self.entry(rows, "f4", sparse={"count": len(places), "indices": indices, "values": patch})
+        nonzero = np.flatnonzero(rows.any(axis=1)).astype("<u2")
+        indices = {"bufferView": self.view(nonzero.tobytes()), "componentType": 5123}
+        patch = {"bufferView": self.view(rows[nonzero].tobytes())}
+        return self.entry(rows, "f4", sparse={"count": len(nonzero), "indices": indices, "values": patch})
 
     def indices(self, values: Any, dtype: str = "u2") -> int:
         return self.accessor(np.ravel(values), dtype, vertex=False)
@@ -71,12 +71,12 @@ class Sample:
         return len(self.gltf["accessors"]) - 1
 
     def glb(self, path: Path) -> Path:
-        path.write_bytes(pack_glb(self.finished(), bytes(self.data)))
+        path.write_bytes(pack_glb(self.document_json(), bytes(self.data)))
         return path
 
     def text(self, path: Path, outside: bool = False) -> Path:
-        """A .gltf with its buffer inside, or in a file beside it whose name needs escaping."""
-        gltf = self.finished()
+        """Write a .gltf with an embedded buffer, or one in a file whose name needs percent-encoding."""
+        gltf = self.document_json()
         gltf["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(self.data).decode()
         if outside:
             gltf["buffers"][0]["uri"] = "the%20data.bin"
@@ -84,7 +84,7 @@ class Sample:
         path.write_text(json.dumps(gltf))
         return path
 
-    def finished(self) -> dict[str, Any]:
+    def document_json(self) -> dict[str, Any]:
         buffers = [{"byteLength": len(self.data)}] if self.data else []
         return {**self.gltf, **({"buffers": buffers} if buffers else {})}
 
@@ -125,7 +125,7 @@ def box(half: float = 0.5) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarr
 
 
 def props() -> Sample:
-    """No skin: a box shown by two nodes (one mirrored, both under a turned and scaled parent), a strip, a fan."""
+    """No skin: a box shown by two nodes (one mirrored, both below a rotated and scaled parent), a strip, a fan."""
     sample = Sample()
     positions, normals, uv, faces = box()
     shared = {
@@ -160,13 +160,13 @@ def props() -> Sample:
 
 
 def hero() -> Sample:
-    """A rigged character as exporters make it: z-up armature of scale 100, and one of everything that must survive."""
+    """A rigged character as exporters write it, with a z-up armature of scale 100, and one of each kind of object."""
     sample = Sample()
     body = _body_mesh(sample)
     face = _face_mesh(sample)
-    bind = [np.linalg.inv(matrix).T.ravel() for matrix in _bind_matrices()]
+    bind = [np.linalg.inv(matrix).T.ravel() for matrix in bind_matrices()]
     times = sample.accessor([0.0, 1.0])
-    turns = sample.accessor([[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
+    quaternions = sample.accessor([[0, 0, 0, 1], [0, 0, 0.6, 0.8]])
     inside = sample.view(png())
     sample.gltf |= {
         "extensionsUsed": ["KHR_lights_punctual", "KHR_materials_unlit"],
@@ -188,7 +188,7 @@ def hero() -> Sample:
         "animations": [
             {
                 "name": "turn",
-                "samplers": [{"input": times, "output": turns}],
+                "samplers": [{"input": times, "output": quaternions}],
                 "channels": [{"sampler": 0, "target": {"node": 1, "path": "rotation"}}],
             }
         ],
@@ -212,8 +212,8 @@ def hero() -> Sample:
     return sample
 
 
-def _bind_matrices() -> list[np.ndarray]:
-    """Where the joints were when the body was bound: standing straight, in a world without the scale of 100."""
+def bind_matrices() -> list[np.ndarray]:
+    """World transforms of the joints in the bind pose: upright along z, with the scale of the armature."""
     hip, chest = np.eye(4), np.eye(4)
     hip[:3, 3], chest[:3, 3] = [0, 0, 1], [0, 0, 2]
     small = np.diag([100.0, 100.0, 100.0, 1.0])
@@ -221,7 +221,7 @@ def _bind_matrices() -> list[np.ndarray]:
 
 
 def _body_mesh(sample: Sample) -> dict[str, Any]:
-    """Two materials on one interleaved vertex buffer, lines over the same vertices, loose points of their own."""
+    """Two materials on one interleaved vertex buffer, lines over the same vertices, and separate points."""
     positions, normals, uv, faces = box(1.0)
     positions = positions * [0.5, 0.3, 1.0] + [0, 0, 1]
     rng = np.random.default_rng(0)
@@ -243,7 +243,7 @@ def _body_mesh(sample: Sample) -> dict[str, Any]:
         "COLOR_0": sample.accessor(rng.integers(0, 256, (24, 3)), "u1", normalized=True),
         **skinning,
     }
-    dust = {
+    loose_points = {
         "POSITION": sample.accessor(rng.random((5, 3))),
         "JOINTS_0": sample.accessor(np.tile([1, 0, 0, 0], (5, 1)), "u2"),
         "WEIGHTS_0": sample.accessor(np.tile([1, 0, 0, 0], (5, 1))),
@@ -255,13 +255,13 @@ def _body_mesh(sample: Sample) -> dict[str, Any]:
             {"attributes": attributes, "indices": sample.indices(faces[:7]), "material": 0, "extras": {"first": True}},
             {"attributes": attributes, "indices": sample.indices(faces[7:], "u4"), "material": 1},
             {"attributes": {"POSITION": position, **skinning}, "indices": sample.indices([0, 1, 2, 3]), "mode": 1},
-            {"attributes": dust, "mode": 0},
+            {"attributes": loose_points, "mode": 0},
         ],
     }
 
 
 def _face_mesh(sample: Sample) -> dict[str, Any]:
-    """Not skinned, but below a joint: tangents, two morph targets with a default weight, no index buffer."""
+    """Not skinned, but below a joint: tangents, two morph targets with a default weight, no index accessor."""
     x, y = np.meshgrid([0.0, 0.5, 1.0], [0.0, 1.0])
     points = np.stack([x, y, 0.2 * x * x], axis=-1)
     quads = [(points[0, i], points[0, i + 1], points[1, i + 1], points[1, i]) for i in range(2)]

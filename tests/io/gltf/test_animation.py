@@ -1,4 +1,4 @@
-"""Animations baked: keys as the standard has them, and frames as a file at rest in that pose has them."""
+"""Animations: channels interpolate as glTF 2.0 says, and baked frames equal a file at rest in that pose."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
 from mimesh.io.gltf import write_gltf_clip
-from mimesh.io.gltf.animation import Channel, frame_rate
+from mimesh.io.gltf.animation import AnimationChannel, frame_rate
 
-TURNS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
-"""What the hero's hip does from 0 to 1 s."""
+HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
+"""Rotation (xyzw) of the hero's hip at 0 s and 1 s."""
 
 
-def hero_turned(tmp_path, quaternion):
-    """The hero at rest with its hip turned."""
+def hero_with_hip_rotation(tmp_path, quaternion):
+    """Return the vertices of the hero at rest with another rotation of its hip."""
     sample = samples.hero()
     sample.gltf["nodes"][1]["rotation"] = list(quaternion)
     return load_mesh(sample.glb(tmp_path / "turned.glb")).vertices
 
 
-def test_our_own_clips_come_back(tmp_path):
+def test_clip_written_with_morph_targets_is_read_back(tmp_path):
     cube = zoo.cube()
     frames = np.stack([cube.vertices * [1, 1 + 0.1 * t, 1] + [t, 0, 0] for t in range(7)])
     write_gltf_clip(Clip(cube, frames, 24.0), tmp_path / "clip.glb")
@@ -36,21 +36,21 @@ def test_our_own_clips_come_back(tmp_path):
         assert points == {tuple(np.round(p, 4)) for p in frames[t]}
 
 
-def test_a_skin_is_where_its_joints_take_it(tmp_path):
+def test_skinned_vertices_equal_the_mesh_at_rest_in_each_pose(tmp_path):
     path = samples.hero().glb(tmp_path / "hero.glb")
     clip = load_clip(path, fps=4.0)
     assert len(clip) == 5
-    slerp = Slerp([0, 1], Rotation.from_quat(TURNS))
+    slerp = Slerp([0, 1], Rotation.from_quat(HIP_QUATERNIONS))
     for t in range(5):
-        wanted = hero_turned(tmp_path, slerp(t / 4).as_quat())
-        assert np.allclose(clip.vertices[t], wanted, atol=1e-6 * np.ptp(wanted))
+        expected = hero_with_hip_rotation(tmp_path, slerp(t / 4).as_quat())
+        assert np.allclose(clip.vertices[t], expected, atol=1e-6 * np.ptp(expected))
     assert np.array_equal(clip.mesh.vertices, clip.vertices[0])
     assert not np.allclose(clip.vertices[0], clip.vertices[4])
 
 
-def test_weights_of_morph_targets(tmp_path):
+def test_animated_morph_weights_interpolate_linearly(tmp_path):
     sample = samples.hero()
-    still = load_mesh(sample.glb(tmp_path / "still.glb")).vertices
+    rest = load_mesh(sample.glb(tmp_path / "still.glb")).vertices
     node = next(i for i, n in enumerate(sample.gltf["nodes"]) if n.get("mesh") == 1)
     count = len(sample.gltf["meshes"][1]["primitives"][0]["targets"])
     keys = np.zeros((2, count))
@@ -66,34 +66,34 @@ def test_weights_of_morph_targets(tmp_path):
     assert not np.allclose(clip.vertices[2], clip.vertices[0])
     sample.gltf["nodes"][node]["weights"] = keys[1].tolist()
     assert np.allclose(load_mesh(sample.glb(tmp_path / "posed.glb")).vertices, clip.vertices[2])
-    assert still.shape == clip.vertices[2].shape
+    assert rest.shape == clip.vertices[2].shape
 
 
 def channel(values, interpolation, path="translation"):
-    return Channel(0, path, np.array([1.0, 2.0, 4.0]), np.array(values, float), interpolation)
+    return AnimationChannel(0, path, np.array([1.0, 2.0, 4.0]), np.array(values, float), interpolation)
 
 
-def test_values_between_keys():
+def test_channel_interpolates_by_step_line_and_cubic():
     steps = channel([[0], [10], [20]], "STEP")
-    assert steps.at(np.array([0, 1, 1.99, 2, 3.9, 4, 9]))[:, 0].tolist() == [0, 0, 0, 10, 10, 20, 20]
+    assert steps.sample(np.array([0, 1, 1.99, 2, 3.9, 4, 9]))[:, 0].tolist() == [0, 0, 0, 10, 10, 20, 20]
     lines = channel([[0], [10], [20]], "LINEAR")
-    assert lines.at(np.array([0, 1.5, 3, 9]))[:, 0].tolist() == [0, 5, 15, 20]
+    assert lines.sample(np.array([0, 1.5, 3, 9]))[:, 0].tolist() == [0, 5, 15, 20]
     # A cubic whose tangents are those of a parabola is that parabola.
     cubic = channel([[2 * t, t * t, 2 * t] for t in (1.0, 2.0, 4.0)], "CUBICSPLINE")
-    assert np.allclose(cubic.at(np.array([1.0, 1.3, 2.0, 3.1, 4.0, 7.0]))[:, 0], [1, 1.69, 4, 9.61, 16, 16])
+    assert np.allclose(cubic.sample(np.array([1.0, 1.3, 2.0, 3.1, 4.0, 7.0]))[:, 0], [1, 1.69, 4, 9.61, 16, 16])
 
 
-def test_rotations_take_the_shorter_arc_and_stay_of_unit_length():
+def test_channel_rotations_take_the_shorter_arc_and_have_unit_length():
     half = np.sqrt(0.5)
-    turning = channel([[0, 0, 0, 1], [0, 0, -half, -half], [0, 0, 1, 0]], "LINEAR", "rotation")
-    wanted = Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix()
-    assert np.allclose(Rotation.from_quat(turning.at(np.array([1.5]))[0]).as_matrix(), wanted)
-    assert np.allclose(np.linalg.norm(turning.at(np.linspace(0, 5, 21)), axis=1), 1)
+    rotations = channel([[0, 0, 0, 1], [0, 0, -half, -half], [0, 0, 1, 0]], "LINEAR", "rotation")
+    expected = Rotation.from_rotvec([0, 0, np.pi / 4]).as_matrix()
+    assert np.allclose(Rotation.from_quat(rotations.sample(np.array([1.5]))[0]).as_matrix(), expected)
+    assert np.allclose(np.linalg.norm(rotations.sample(np.linspace(0, 5, 21)), axis=1), 1)
 
 
-def test_the_rate_is_the_one_that_keys_lie_on():
+def test_frame_rate_is_that_of_the_keys():
     def keys(times):
-        return [Channel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
+        return [AnimationChannel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
 
     assert frame_rate(keys(np.arange(9) / 24)) == 24
     assert frame_rate(keys(np.arange(9) / 30)) == 30
@@ -104,32 +104,32 @@ def test_the_rate_is_the_one_that_keys_lie_on():
 
 @pytest.mark.parametrize("fps", [10.0, 12.0, 15.0, 23.976, 29.97, 72.0])
 @pytest.mark.parametrize("frames", [2, 13])
-def test_the_frames_of_a_clip_come_back_at_their_own_rate(fps, frames, tmp_path):
+def test_clip_keeps_frames_and_rate_when_written_and_read(fps, frames, tmp_path):
     mesh = zoo.cube()
     clip = Clip(mesh, np.stack([mesh.vertices + [np.sin(k), k * k, 0] for k in range(frames)]), fps)
     save_clip(clip, tmp_path / "a.glb")
-    back = load_clip(tmp_path / "a.glb")
-    assert back.fps == pytest.approx(fps, rel=1e-4)
-    np.testing.assert_allclose(back.vertices, clip.vertices, atol=1e-4)
+    loaded = load_clip(tmp_path / "a.glb")
+    assert loaded.fps == pytest.approx(fps, rel=1e-4)
+    np.testing.assert_allclose(loaded.vertices, clip.vertices, atol=1e-4)
 
 
-def named(tmp_path):
+def hero_with_three_animations(tmp_path):
     sample = samples.hero()
     first = sample.gltf["animations"][0]
     times = sample.accessor([0.0, 0.5])
-    still = {"channels": first["channels"], "samplers": [{**first["samplers"][0], "input": times}]}
-    sample.gltf["animations"] = [first, {**still, "name": "rig|short"}, still]
+    rest = {"channels": first["channels"], "samplers": [{**first["samplers"][0], "input": times}]}
+    sample.gltf["animations"] = [first, {**rest, "name": "rig|short"}, rest]
     return sample.glb(tmp_path / "named.glb")
 
 
-@pytest.mark.parametrize(("wanted", "frames"), [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6)])
-def test_animations_are_chosen_by_name_or_number(tmp_path, wanted, frames):
-    assert len(load_clip(named(tmp_path), fps=10.0, animation=wanted)) == frames
+@pytest.mark.parametrize(("selector", "frames"), [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6)])
+def test_animation_is_selected_by_name_or_index(tmp_path, selector, frames):
+    assert len(load_clip(hero_with_three_animations(tmp_path), fps=10.0, animation=selector)) == frames
 
 
-def test_an_animation_that_is_not_there_is_told_with_those_that_are(tmp_path):
+def test_missing_animation_is_refused_with_the_names_of_others(tmp_path):
     with pytest.raises(InputError, match=r"turn, rig\|short, 2.*--animation"):
-        load_clip(named(tmp_path), animation="walk")
+        load_clip(hero_with_three_animations(tmp_path), animation="walk")
     (tmp_path / "cube.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     with pytest.raises(InputError, match="--animation"):
         load_clip(tmp_path / "cube.obj", animation="walk")
@@ -146,7 +146,7 @@ def test_an_animation_that_is_not_there_is_told_with_those_that_are(tmp_path):
     ],
     ids=["no samplers", "no such sampler", "no such node", "times do not rise", "unknown interpolation"],
 )
-def test_damaged_animations_are_told(tmp_path, damage):
+def test_damaged_animation_is_refused(tmp_path, damage):
     sample = samples.hero()
     damage(sample.gltf)
     with pytest.raises(InputError, match="export it again"):

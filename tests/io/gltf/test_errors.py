@@ -1,4 +1,4 @@
-"""Every way a glTF file can be wrong is one line that names the file, what was expected and what was found."""
+"""Errors in glTF files: each is one line that names the file, what was expected and what was found."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ import pytest
 from mimesh.core.errors import InputError
 from mimesh.io.gltf import read_gltf
 
-Change = Callable[[dict[str, Any]], Any]
+JsonChange = Callable[[dict[str, Any]], Any]
 
 
-def refused(path: Path, message: str) -> None:
+def check_refused(path: Path, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         read_gltf(path)
     text = str(caught.value)
@@ -25,7 +25,7 @@ def refused(path: Path, message: str) -> None:
     assert "\n" not in text
 
 
-JSON_CHANGES: dict[str, tuple[Change, str]] = {
+JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "gltf 1": (lambda g: g.update(asset={"version": "1.0"}), "glTF version 2.0, found 1.0"),
     "no asset": (lambda g: g.pop("asset"), "glTF version 2.0, found None"),
     "draco": (
@@ -111,53 +111,53 @@ JSON_CHANGES: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize("name", JSON_CHANGES)
-def test_wrong_json(name, tmp_path):
+def test_invalid_json_values_are_refused(name, tmp_path):
     sample = samples.hero()
-    change, message = JSON_CHANGES[name]
-    gltf = json.loads(json.dumps(sample.finished()))
-    change(gltf)
+    modify, message = JSON_CHANGES[name]
+    gltf = json.loads(json.dumps(sample.document_json()))
+    modify(gltf)
     path = tmp_path / "a.glb"
     path.write_bytes(samples.pack_glb(gltf, bytes(sample.data)))
-    refused(path, message)
+    check_refused(path, message)
 
 
-def test_sparse_index_out_of_range(tmp_path):
+def test_sparse_index_out_of_range_is_refused(tmp_path):
     sample = samples.hero()
     entry = next(a for a in sample.gltf["accessors"] if "sparse" in a)
     start = sample.gltf["bufferViews"][entry["sparse"]["indices"]["bufferView"]]["byteOffset"]
     sample.data[start : start + 2] = struct.pack("<H", 999)
-    refused(sample.glb(tmp_path / "a.glb"), "sparse indices below 24 in accessor .*, found 999")
+    check_refused(sample.glb(tmp_path / "a.glb"), "sparse indices below 24 in accessor .*, found 999")
 
 
-def test_index_of_no_vertex(tmp_path):
+def test_face_index_out_of_range_is_refused(tmp_path):
     sample = samples.hero()
     sample.gltf["meshes"][0]["primitives"][0]["indices"] = sample.indices([0, 1, 24])
-    refused(sample.glb(tmp_path / "a.glb"), "face indices below 24, found 24")
+    check_refused(sample.glb(tmp_path / "a.glb"), "face indices below 24, found 24")
 
 
-def test_nan_position(tmp_path):
+def test_nan_position_is_refused(tmp_path):
     sample = samples.props()
     positions = samples.box()[0]
     positions[3, 1] = float("nan")
     accessor = sample.accessor(positions, min=[0, 0, 0], max=[0, 0, 0])
     sample.gltf["meshes"][0]["primitives"][0]["attributes"]["POSITION"] = accessor
-    refused(sample.glb(tmp_path / "a.glb"), "finite coordinates, found NaN or infinity in 2 of 58")
+    check_refused(sample.glb(tmp_path / "a.glb"), "finite coordinates, found NaN or infinity in 2 of 58")
 
 
 @pytest.mark.parametrize("length", [0, 10, 19, 100, 5000, -1, -100])
-def test_truncated_glb(length, tmp_path):
+def test_truncated_glb_is_refused(length, tmp_path):
     path = samples.hero().glb(tmp_path / "a.glb")
     path.write_bytes(path.read_bytes()[:length])
-    refused(path, "truncated|binary glTF")
+    check_refused(path, "truncated|binary glTF")
 
 
-def test_truncated_chunk(tmp_path):
+def test_truncated_binary_chunk_is_refused(tmp_path):
     path = samples.props().glb(tmp_path / "a.glb")
     content = bytearray(path.read_bytes())
     start = 20 + struct.unpack_from("<I", content, 12)[0]
     struct.pack_into("<I", content, start, 10**6)
     path.write_bytes(content)
-    refused(path, "a binary chunk of 1000000 bytes")
+    check_refused(path, "a binary chunk of 1000000 bytes")
 
 
 @pytest.mark.parametrize(
@@ -168,12 +168,12 @@ def test_truncated_chunk(tmp_path):
         (16, b"BIN\0", "JSON chunk first"),
     ],
 )
-def test_wrong_header(offset, value, message, tmp_path):
+def test_invalid_glb_header_is_refused(offset, value, message, tmp_path):
     path = samples.props().glb(tmp_path / "a.glb")
     content = bytearray(path.read_bytes())
     content[offset : offset + len(value)] = value
     path.write_bytes(content)
-    refused(path, message)
+    check_refused(path, message)
 
 
 @pytest.mark.parametrize(
@@ -186,13 +186,13 @@ def test_wrong_header(offset, value, message, tmp_path):
         ('{"asset": {"version": "2.0"}}', "with triangles, found none"),
     ],
 )
-def test_wrong_text(text, message, tmp_path):
+def test_invalid_json_text_is_refused(text, message, tmp_path):
     path = tmp_path / "a.gltf"
     path.write_text(text)
-    refused(path, message)
+    check_refused(path, message)
 
 
-def test_not_utf8(tmp_path):
+def test_text_that_is_not_utf8_is_refused(tmp_path):
     path = tmp_path / "a.gltf"
     path.write_bytes(b'{"asset": "\xff"}')
-    refused(path, "JSON, found text that does not parse")
+    check_refused(path, "JSON, found text that does not parse")

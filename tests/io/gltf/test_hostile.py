@@ -1,4 +1,4 @@
-"""Hostile but legal glTF: all that a file says besides points and normals is in the written one."""
+"""Unusual but valid glTF files: all data besides positions and normals is in the written file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from urllib.parse import quote
 import gltf_samples as samples
 import numpy as np
 import pytest
-from gltf_twin import Twin, json_of
+from gltf_reference import ReferenceReader, json_of
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
@@ -23,17 +23,17 @@ FOLDER = "Größe & 大小 #1"
 
 
 def sparse_over_a_view(sample: samples.Sample, values: np.ndarray) -> int:
-    """An accessor whose view is wrong in two rows, which its sparse part puts right."""
-    wrong, places = values.copy(), np.array([1, len(values) - 1])
-    wrong[places] += 9
+    """An accessor with two wrong rows in its buffer view, which its sparse values correct."""
+    wrong, elements = values.copy(), np.array([1, len(values) - 1])
+    wrong[elements] += 9
     index = sample.accessor(wrong)
-    indices = {"bufferView": sample.view(places.astype("<u4").tobytes()), "componentType": 5125}
-    patch = {"bufferView": sample.view(values[places].astype("<f4").tobytes())}
+    indices = {"bufferView": sample.view(elements.astype("<u4").tobytes()), "componentType": 5125}
+    patch = {"bufferView": sample.view(values[elements].astype("<f4").tobytes())}
     sample.gltf["accessors"][index] |= {"sparse": {"count": 2, "indices": indices, "values": patch}}
     return index
 
 
-def everything() -> samples.Sample:
+def unusual_document() -> samples.Sample:
     """Quantised points under a scaling node, two scenes, variants, transformed textures, extras of every kind."""
     sample = samples.Sample()
     positions, normals, uv, faces = samples.box(0.5)
@@ -101,15 +101,15 @@ def everything() -> samples.Sample:
     return sample
 
 
-def twin_of(path: Path) -> Twin:
-    """A second reader of the file without its extras, of which it knows only objects."""
+def reference_without_extras(path: Path) -> ReferenceReader:
+    """Open a copy of the file without extras, of which pygltflib accepts only objects."""
     copy, gltf = path.with_stem("plain"), json_of(path)
     text = json.dumps(without_extras(gltf)).encode()
     binary = (
         b"" if path.suffix == ".gltf" else path.read_bytes()[28 + struct.unpack_from("<I", path.read_bytes(), 12)[0] :]
     )
     copy.write_bytes(text if path.suffix == ".gltf" else samples.pack_glb(json.loads(text), binary))
-    return Twin(copy)
+    return ReferenceReader(copy)
 
 
 def without_extras(value: Any) -> Any:
@@ -121,26 +121,28 @@ def without_extras(value: Any) -> Any:
 
 
 def resolved(path: Path) -> dict[str, Any]:
-    """The JSON of a file with the values behind its references in their place; without what is moved or dropped."""
-    twin, gltf = twin_of(path), json_of(path)
+    """The JSON of a file with accessor values in place of their indices, without data that writing changes or drops."""
+    reference, gltf = reference_without_extras(path), json_of(path)
     for mesh in gltf["meshes"]:
         for primitive in mesh["primitives"]:
             primitive["attributes"] = {
-                name: values_of(twin, index) for name, index in primitive["attributes"].items() if name not in MOVED
+                name: values_of(reference, index)
+                for name, index in primitive["attributes"].items()
+                if name not in MOVED
             }
-            primitive["indices"] = values_of(twin, primitive["indices"]) if "indices" in primitive else None
+            primitive["indices"] = values_of(reference, primitive["indices"]) if "indices" in primitive else None
             primitive["targets"] = len(primitive.get("targets", []))
-    images = [(twin.image(number), image.get("name")) for number, image in enumerate(gltf.get("images", []))]
+    images = [(reference.image(number), image.get("name")) for number, image in enumerate(gltf.get("images", []))]
     return {**{key: value for key, value in gltf.items() if key not in BYTES_OF}, "images": images}
 
 
-def values_of(twin: Twin, index: int) -> tuple:
-    entry = twin.file.accessors[index]
-    return entry.componentType, entry.type, bool(entry.normalized), twin.values(index).tolist()
+def values_of(reference: ReferenceReader, index: int) -> tuple:
+    entry = reference.file.accessors[index]
+    return entry.componentType, entry.type, bool(entry.normalized), reference.values(index).tolist()
 
 
 def without_meshes(gltf: dict[str, Any]) -> dict[str, Any]:
-    """Each node with the mesh that it shows: shared meshes may have become several."""
+    """Move each mesh into the nodes that show it, because shared meshes may have become several."""
     meshes = gltf.pop("meshes")
     for node in gltf["nodes"]:
         if "mesh" in node:
@@ -149,23 +151,23 @@ def without_meshes(gltf: dict[str, Any]) -> dict[str, Any]:
     return gltf
 
 
-@pytest.mark.parametrize("make", [everything, samples.hero, samples.props])
+@pytest.mark.parametrize("make", [unusual_document, samples.hero, samples.props])
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_all_but_points_and_normals_is_as_it_was(make, suffix, tmp_path):
+def test_mesh_file_keeps_all_but_positions_and_normals(make, suffix, tmp_path):
     path = make().glb(tmp_path / "a.glb")
     mesh = load_mesh(path)
     moved = mesh.with_vertices(mesh.vertices * [1, 1.5, 1] + [0, 0.25, 1])
     save_mesh(moved, tmp_path / f"b{suffix}")
     assert without_meshes(resolved(tmp_path / f"b{suffix}")) == without_meshes(resolved(path))
-    back = load_mesh(tmp_path / f"b{suffix}")
-    assert np.allclose(back.vertices, moved.vertices, atol=1e-6 * np.ptp(moved.vertices))
+    loaded = load_mesh(tmp_path / f"b{suffix}")
+    assert np.allclose(loaded.vertices, moved.vertices, atol=1e-6 * np.ptp(moved.vertices))
     for name in ("faces", "corner_uv", "vertex_colors"):
-        assert np.array_equal(getattr(back, name), getattr(mesh, name))
-    assert back.parts == mesh.parts
+        assert np.array_equal(getattr(loaded, name), getattr(mesh, name))
+    assert loaded.parts == mesh.parts
 
 
-@pytest.mark.parametrize("make", [everything, samples.hero, samples.props])
-def test_a_clip_keeps_all_that_is_not_moved(make, tmp_path):
+@pytest.mark.parametrize("make", [unusual_document, samples.hero, samples.props])
+def test_clip_file_keeps_all_but_positions_and_normals(make, tmp_path):
     path = make().glb(tmp_path / "a.glb")
     mesh = load_mesh(path)
     frames = np.stack([mesh.vertices + [t, 0, 0.5 * t] for t in range(3)])
@@ -184,20 +186,22 @@ def test_a_clip_keeps_all_that_is_not_moved(make, tmp_path):
 
 @pytest.mark.parametrize("name", ["the data.bin", "50%20off.bin", "数据 #1?.bin", "a+b&c.bin"])
 @pytest.mark.parametrize("escape", [quote, str], ids=["escaped", "as it is"])
-def test_buffers_and_images_beside_the_file_are_found(name, escape, tmp_path):
-    sample = everything()
+def test_buffers_and_images_in_other_files_are_found(name, escape, tmp_path):
+    sample = unusual_document()
     (tmp_path / FOLDER / "maps").mkdir(parents=True)
     (tmp_path / FOLDER / name).write_bytes(sample.data)
     picture = f"maps/{Path(name).stem}.png"
     (tmp_path / FOLDER / picture).write_bytes(samples.png())
-    gltf = sample.finished()
+    gltf = sample.document_json()
     gltf["buffers"][0]["uri"] = escape(name)
     gltf["images"].append({"uri": escape(picture)})
     (tmp_path / FOLDER / "a b.gltf").write_text(json.dumps(gltf), "utf-8")
     mesh = load_mesh(tmp_path / FOLDER / "a b.gltf")
-    assert np.array_equal(mesh.vertices, load_mesh(everything().glb(tmp_path / "a.glb")).vertices)
+    assert np.array_equal(mesh.vertices, load_mesh(unusual_document().glb(tmp_path / "a.glb")).vertices)
     save_mesh(mesh, tmp_path / "out" / "a b.gltf")
-    assert [twin_of(tmp_path / "out" / "a b.gltf").image(number) for number in range(2)] == [samples.png()] * 2
+    assert [reference_without_extras(tmp_path / "out" / "a b.gltf").image(number) for number in range(2)] == [
+        samples.png()
+    ] * 2
 
 
 @pytest.mark.parametrize(
@@ -209,8 +213,8 @@ def test_buffers_and_images_beside_the_file_are_found(name, escape, tmp_path):
         ("ACME_fur", "without it"),
     ],
 )
-def test_required_extensions_that_are_not_understood_are_named(extension, remedy, tmp_path):
-    sample = everything()
+def test_unsupported_required_extension_is_refused_by_name(extension, remedy, tmp_path):
+    sample = unusual_document()
     sample.gltf["extensionsUsed"].append(extension)
     sample.gltf["extensionsRequired"].append(extension)
     with pytest.raises(InputError, match=extension) as caught:
@@ -218,8 +222,8 @@ def test_required_extensions_that_are_not_understood_are_named(extension, remedy
     assert remedy in str(caught.value)
 
 
-def test_an_optional_picture_format_stays_beside_the_plain_one(tmp_path):
-    sample = everything()
+def test_optional_image_format_is_kept_beside_the_png(tmp_path):
+    sample = unusual_document()
     sample.gltf["extensionsUsed"].append("KHR_texture_basisu")
     ktx = b"\xabKTX 20\xbb\r\n\x1a\n" + bytes(68)
     sample.gltf["images"].append({"bufferView": sample.view(ktx), "mimeType": "image/ktx2"})
@@ -227,5 +231,5 @@ def test_an_optional_picture_format_stays_beside_the_plain_one(tmp_path):
     mesh = load_mesh(sample.glb(tmp_path / "a.glb"))
     save_mesh(mesh, tmp_path / "b.glb")
     assert json_of(tmp_path / "b.glb")["textures"][0] == sample.gltf["textures"][0]
-    assert twin_of(tmp_path / "b.glb").image(1) == ktx
+    assert reference_without_extras(tmp_path / "b.glb").image(1) == ktx
     assert mesh.parts[0].material.texture == samples.png()

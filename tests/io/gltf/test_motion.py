@@ -1,4 +1,4 @@
-"""glTF files of joints without a mesh: the body's limbs point as the joints that were written, frame by frame."""
+"""Motions, glTF files of joints without a mesh: the body's limb directions equal those of the file in every frame."""
 
 import base64
 import json
@@ -32,8 +32,8 @@ ARMATURES = {
     "z-up, centimetres": {"rotation": QUARTER, "scale": [0.01] * 3},
     "turned by a quarter": {"rotation": [0, 0.5**0.5, 0, 0.5**0.5], "translation": [3, 4, 5]},
 }
-TURN = [0, np.sin(np.pi / 12), 0, np.cos(np.pi / 12)]
-"""By 30 degrees about y."""
+QUATERNION_30_DEGREES = [0, np.sin(np.pi / 12), 0, np.cos(np.pi / 12)]
+"""Rotation (xyzw) by 30 degrees about y."""
 
 
 @pytest.fixture(scope="module")
@@ -48,18 +48,18 @@ def motion():
 
 @pytest.fixture(scope="module")
 def rigged(body, motion, tmp_path_factory):
-    """A mesh on the body's skeleton, whose joints lie anyhow at rest, and its motion."""
+    """Write a mesh on the body's skeleton, with random joint axes at rest, and its motion."""
     path = tmp_path_factory.mktemp("rigged") / "leap.glb"
-    anyhow = Rotation.random(len(body.parents), 5).as_matrix()
-    rotation, place = joint_tracks(body, motion)
-    rig = Rig(anyhow, body.joints, body.weights[kept(1000)])
-    skeleton = AnimatedRig(person(0), body.joint_names, body.parents, rig, rotation @ anyhow, place[:, 0])
+    rest_rotation = Rotation.random(len(body.parents), 5).as_matrix()
+    rotation, position = joint_tracks(body, motion)
+    rig = Rig(rest_rotation, body.joints, body.weights[kept(1000)])
+    skeleton = AnimatedRig(person(0), body.joint_names, body.parents, rig, rotation @ rest_rotation, position[:, 0])
     save_skinned(skeleton, motion.fps, path)
     return path
 
 
-def stripped(rigged, path, change=lambda gltf: None, skin=False):
-    """The file without its mesh, and without its skin unless that is wanted; `change` alters the rest."""
+def joints_only(rigged, path, modify=lambda gltf: None, skin=False):
+    """Write the file without its mesh, and without its skin unless `skin`; `modify` changes the JSON."""
     content = rigged.read_bytes()
     size = struct.unpack_from("<I", content, 12)[0]
     gltf = json.loads(content[20 : 20 + size])
@@ -69,13 +69,13 @@ def stripped(rigged, path, change=lambda gltf: None, skin=False):
     del gltf["meshes"]
     if not skin:
         del gltf["skins"]
-    change(gltf)
+    modify(gltf)
     path.write_bytes(pack_glb(gltf, content[28 + size :]))
     return path
 
 
-def hang(gltf, **armature):
-    """Put the joints below another node."""
+def add_armature(gltf, **armature):
+    """Add a node above the joints."""
     gltf["nodes"].append({"name": "Armature", **armature, "children": [joint_node(gltf, "Hips")]})
     gltf["scenes"][0]["nodes"] = [len(gltf["nodes"]) - 1]
 
@@ -84,8 +84,8 @@ def joint_node(gltf, name):
     return next(k for k, node in enumerate(gltf["nodes"]) if node.get("name") == name)
 
 
-def key(gltf, name, path, values):
-    """Another track of one joint, at the times of the others; its values lie in a buffer of their own."""
+def add_channel(gltf, name, path, values):
+    """Add a channel for one joint, with the key times of the others; its values get a buffer of their own."""
     content, animation = np.asarray(values, "<f4").tobytes(), gltf["animations"][0]
     uri = "data:application/octet-stream;base64," + base64.b64encode(content).decode()
     gltf["buffers"].append({"byteLength": len(content), "uri": uri})
@@ -99,67 +99,71 @@ def key(gltf, name, path, values):
     animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
 
 
-def on_ours(path):
+def play_on_body(path):
     return on_body(read_skeleton(open_document(path)), path)
 
 
 def limbs(body, motion):
     """Unit vectors along all limb bones, (T, L, 3)."""
-    _, place = joint_tracks(body, motion)
-    bones = np.stack([place[:, body.joint(b)] - place[:, body.joint(a)] for a, b in BONES.items()], axis=1)
+    _, position = joint_tracks(body, motion)
+    bones = np.stack([position[:, body.joint(b)] - position[:, body.joint(a)] for a, b in BONES.items()], axis=1)
     return bones / np.linalg.norm(bones, axis=-1, keepdims=True)
 
 
-def angle(one, two):
+def angle(a, b):
     """Largest angle between unit vectors, radians."""
-    return 2 * np.arcsin(np.linalg.norm(one - two, axis=-1) / 2).max()
+    return 2 * np.arcsin(np.linalg.norm(a - b, axis=-1) / 2).max()
 
 
-def way(body, motion):
-    """The path of the hips from where it begins."""
-    place = joint_tracks(body, motion)[1][:, 0]
-    return place - place[0]
+def hip_path(body, motion):
+    """Positions of the hips relative to the first frame, (T, 3)."""
+    position = joint_tracks(body, motion)[1][:, 0]
+    return position - position[0]
 
 
 @pytest.mark.parametrize("skin", [False, True], ids=["nodes", "skin"])
 @pytest.mark.parametrize("armature", ARMATURES)
-def test_limbs_point_as_the_joints_that_were_written(armature, skin, rigged, body, motion, tmp_path):
-    path = stripped(rigged, tmp_path / "a.glb", lambda gltf: hang(gltf, **ARMATURES[armature]), skin)
-    got = on_ours(path)
-    assert (got.fps, len(got)) == (motion.fps, len(motion))
-    assert angle(limbs(body, got), limbs(body, motion)) < 1e-5
-    np.testing.assert_allclose(way(body, got), way(body, motion), atol=1e-5)
+def test_motion_gives_the_body_the_limb_directions_of_the_file(armature, skin, rigged, body, motion, tmp_path):
+    path = joints_only(rigged, tmp_path / "a.glb", lambda gltf: add_armature(gltf, **ARMATURES[armature]), skin)
+    played = play_on_body(path)
+    assert (played.fps, len(played)) == (motion.fps, len(motion))
+    assert angle(limbs(body, played), limbs(body, motion)) < 1e-5
+    np.testing.assert_allclose(hip_path(body, played), hip_path(body, motion), atol=1e-5)
 
 
 @pytest.mark.parametrize("heading", [0, 170])
-def test_a_skin_knows_the_rest_pose_whatever_the_nodes_say(heading, rigged, body, motion, tmp_path):
-    """Nodes that stand in some frame of another motion, below an armature that is turned by no right angle."""
+def test_rest_pose_comes_from_inverse_bind_matrices_not_from_nodes(heading, rigged, body, motion, tmp_path):
+    """Node transforms are those of another pose, below an armature that is not rotated by a right angle."""
 
-    def change(gltf):
+    def modify(gltf):
         for channel in gltf["animations"][0]["channels"]:
             node = gltf["nodes"][channel["target"]["node"]]
             if channel["target"]["path"] == "rotation":
-                turn, own = (
+                rotation, rest = (
                     Rotation.from_euler("xyz", [20, -15, 10], degrees=True),
                     Rotation.from_quat(node["rotation"]),
                 )
-                turned = Rotation.from_euler("y", heading, degrees=True) * own if node["name"] == "Hips" else own * turn
-                node["rotation"] = turned.as_quat().tolist()
-        hang(gltf, rotation=TURN)
+                rotated = (
+                    Rotation.from_euler("y", heading, degrees=True) * rest
+                    if node["name"] == "Hips"
+                    else rest * rotation
+                )
+                node["rotation"] = rotated.as_quat().tolist()
+        add_armature(gltf, rotation=QUATERNION_30_DEGREES)
 
-    got = on_ours(stripped(rigged, tmp_path / "a.glb", change, skin=True))
-    turn = Rotation.from_quat(TURN).as_matrix()
-    assert angle(limbs(body, got), limbs(body, motion) @ turn.T) < 1e-5
-    np.testing.assert_allclose(way(body, got), way(body, motion) @ turn.T, atol=1e-5)
+    played = play_on_body(joints_only(rigged, tmp_path / "a.glb", modify, skin=True))
+    rotation = Rotation.from_quat(QUATERNION_30_DEGREES).as_matrix()
+    assert angle(limbs(body, played), limbs(body, motion) @ rotation.T) < 1e-5
+    np.testing.assert_allclose(hip_path(body, played), hip_path(body, motion) @ rotation.T, atol=1e-5)
 
 
-def test_joints_come_back_under_other_names_and_beside_other_nodes(rigged, body, motion, tmp_path):
-    """Several roots (a camera that moves), and a node between two joints that neither moves nor is listed."""
+def test_motion_joints_are_found_under_other_names_and_among_other_nodes(rigged, body, motion, tmp_path):
+    """There are several roots (an animated camera), and between two joints a node that is not a joint."""
 
-    def change(gltf):
+    def modify(gltf):
         gltf["nodes"].append({"name": "Eye"})
         gltf["scenes"][0]["nodes"].append(len(gltf["nodes"]) - 1)
-        key(gltf, "Eye", "translation", np.random.default_rng(1).normal(size=(len(motion), 3)))
+        add_channel(gltf, "Eye", "translation", np.random.default_rng(1).normal(size=(len(motion), 3)))
         elbow = joint_node(gltf, "LeftForeArm")
         holder = gltf["nodes"][joint_node(gltf, "LeftArm")]
         gltf["nodes"].append({"name": "Twist", "children": [elbow]})
@@ -167,31 +171,31 @@ def test_joints_come_back_under_other_names_and_beside_other_nodes(rigged, body,
         for node in gltf["nodes"]:
             node["name"] = renamed("mixamo")(node["name"]) if node["name"] in body.joint_names else node["name"]
 
-    path = stripped(rigged, tmp_path / "a.glb", change)
-    assert angle(limbs(body, on_ours(path)), limbs(body, motion)) < 1e-5
+    path = joints_only(rigged, tmp_path / "a.glb", modify)
+    assert angle(limbs(body, play_on_body(path)), limbs(body, motion)) < 1e-5
     assert gltf_joints(open_document(path)) == len(body.parents) + 2
     source = read_skeleton(open_document(path))
     assert (source.joint_names[0], source.parents.count(-1)) == ("world", 1)
 
 
-def test_scales_are_not_played_and_mirrored_joints_are_no_matter(rigged, body, motion, tmp_path):
-    def change(gltf):
-        key(gltf, "Hips", "scale", np.linspace(0, 2, len(motion))[:, None] * np.ones(3))
-        hang(gltf, scale=[-2, -2, -2], rotation=[1, 0, 0, 0])
+def test_motion_ignores_animated_scales_and_mirrored_joints(rigged, body, motion, tmp_path):
+    def modify(gltf):
+        add_channel(gltf, "Hips", "scale", np.linspace(0, 2, len(motion))[:, None] * np.ones(3))
+        add_armature(gltf, scale=[-2, -2, -2], rotation=[1, 0, 0, 0])
 
-    got = on_ours(stripped(rigged, tmp_path / "a.glb", change))
-    assert np.isfinite(got.rotmat).all()
-    np.testing.assert_allclose(np.linalg.det(got.rotmat), 1)
-    lengths = np.linalg.norm(way(body, got), axis=1)
-    np.testing.assert_allclose(lengths, np.linalg.norm(way(body, motion), axis=1), atol=1e-5)
+    played = play_on_body(joints_only(rigged, tmp_path / "a.glb", modify))
+    assert np.isfinite(played.rotmat).all()
+    np.testing.assert_allclose(np.linalg.det(played.rotmat), 1)
+    lengths = np.linalg.norm(hip_path(body, played), axis=1)
+    np.testing.assert_allclose(lengths, np.linalg.norm(hip_path(body, motion), axis=1), atol=1e-5)
 
 
-def test_a_file_is_the_clip_of_its_motion(rigged, body, motion, tmp_path):
-    path = stripped(rigged, tmp_path / "leap.glb")
-    told: list[tuple[int, int]] = []
-    clip = load_clip(path, progress=lambda done, count: told.append((done, count)))
+def test_motion_file_loads_as_a_clip_of_the_shipped_body(rigged, body, motion, tmp_path):
+    path = joints_only(rigged, tmp_path / "leap.glb")
+    progress_calls: list[tuple[int, int]] = []
+    clip = load_clip(path, progress=lambda done, count: progress_calls.append((done, count)))
     assert (clip.mesh.name, clip.fps, len(clip)) == ("leap", 30.0, len(motion))
-    assert told == [(k + 1, len(motion)) for k in range(len(motion))]
+    assert progress_calls == [(k + 1, len(motion)) for k in range(len(motion))]
     assert clip.vertices.shape[1] == len(body.vertices)
     np.testing.assert_array_equal(load_mesh(path).vertices.astype(np.float32), clip.vertices[0])
     np.testing.assert_array_equal(clip.mesh.vertices.astype(np.float32), clip.vertices[0])
@@ -200,20 +204,20 @@ def test_a_file_is_the_clip_of_its_motion(rigged, body, motion, tmp_path):
     np.testing.assert_allclose(np.ptp(twice.vertices[::2] - clip.vertices, axis=(0, 1)), 0.0, atol=1e-5)
 
 
-def test_long_animations_lie_on_disk(rigged, tmp_path, monkeypatch):
+def test_clip_of_a_long_motion_is_stored_on_disk(rigged, tmp_path, monkeypatch):
     monkeypatch.setattr(paging, "LARGE", 2**20)
-    clip = load_clip(stripped(rigged, tmp_path / "a.glb"))
+    clip = load_clip(joints_only(rigged, tmp_path / "a.glb"))
     assert isinstance(clip.vertices, np.memmap)
     assert clip.vertices.dtype == np.float32
 
 
-def test_one_of_several_animations_is_chosen_by_name(rigged, tmp_path):
-    def change(gltf):
+def test_motion_is_selected_by_animation_name(rigged, tmp_path):
+    def modify(gltf):
         first = gltf["animations"][0]
         still = {"name": "Rig|Lean", "samplers": first["samplers"], "channels": first["channels"][:3]}
         gltf["animations"] = [{**first, "name": "Rig|Leap"}, still]
 
-    path = stripped(rigged, tmp_path / "a.glb", change)
+    path = joints_only(rigged, tmp_path / "a.glb", modify)
     leap, lean = load_clip(path, animation="Leap"), load_clip(path, animation="Lean")
     np.testing.assert_array_equal(leap.vertices, load_clip(path).vertices)
     assert np.abs(leap.vertices - lean.vertices).max() > 0.1
@@ -225,39 +229,39 @@ def test_one_of_several_animations_is_chosen_by_name(rigged, tmp_path):
     assert ("animation", "Rig|Lean, 0.67 s") in facts.details
 
 
-def test_what_is_no_motion_of_a_person_is_refused(rigged, tmp_path):
+def test_motion_of_other_joints_than_a_persons_is_refused(rigged, tmp_path):
     def rename(gltf):
         for node in gltf["nodes"]:
             node["name"] = node["name"].replace("Left", "Port")
 
-    fox = stripped(rigged, tmp_path / "fox.glb", rename)
+    fox = joints_only(rigged, tmp_path / "fox.glb", rename)
     with pytest.raises(InputError, match=r"fox\.glb: expected hips .* found none for LeftUpLeg, .* among Hips, "):
         load_clip(fox)
-    still = stripped(rigged, tmp_path / "still.glb", lambda gltf: gltf.pop("animations"))
+    still = joints_only(rigged, tmp_path / "still.glb", lambda gltf: gltf.pop("animations"))
     with pytest.raises(InputError, match="expected a scene with triangles"):
         load_mesh(still)
     with pytest.raises(InputError, match="expected a rigged mesh"):
-        read_skin(stripped(rigged, tmp_path / "leap.glb"))
-    stripped(rigged, tmp_path / "a1.glb")
+        read_skin(joints_only(rigged, tmp_path / "leap.glb"))
+    joints_only(rigged, tmp_path / "a1.glb")
     with pytest.raises(InputError, match=r"a1\.glb: expected a mesh as a frame of a clip, found joints that move"):
         load_clip(tmp_path)
 
 
-def test_limbs_without_a_length_are_refused(rigged, tmp_path):
-    def change(gltf):
+def test_motion_with_limbs_of_no_length_is_refused(rigged, tmp_path):
+    def modify(gltf):
         for node in gltf["nodes"]:
             node["translation"] = [0, 0, 0]
 
     with pytest.raises(InputError, match=r"a\.glb: expected limbs with a length at rest, found none for LeftUpLeg, "):
-        load_clip(stripped(rigged, tmp_path / "a.glb", change))
+        load_clip(joints_only(rigged, tmp_path / "a.glb", modify))
 
 
-def test_numbers_that_are_none_are_refused(rigged, motion, tmp_path):
-    def change(gltf):
+def test_motion_with_nan_is_refused(rigged, motion, tmp_path):
+    def modify(gltf):
         values = np.zeros((len(motion), 3))
         values[4, 1] = np.nan
-        key(gltf, "LeftLeg", "translation", values)
+        add_channel(gltf, "LeftLeg", "translation", values)
 
-    path = stripped(rigged, tmp_path / "a.glb", change)
+    path = joints_only(rigged, tmp_path / "a.glb", modify)
     with pytest.raises(InputError, match=r"found NaN or infinity in frame [34]"):
         load_clip(path)

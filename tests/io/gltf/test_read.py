@@ -1,4 +1,4 @@
-"""Reading glTF: the rest state against a naive second reader and trimesh, and every way an array can be stored."""
+"""Reading glTF: the rest state against a reference reader and trimesh, and every way an array can be stored."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 import gltf_samples as samples
 import numpy as np
 import pytest
-from gltf_twin import Twin
+from gltf_reference import ReferenceReader
 
 from mimesh.io.gltf import read_gltf, write_gltf
 from mimesh.io.gltf.edit import GltfSource
@@ -18,27 +18,27 @@ def sample(request: pytest.FixtureRequest) -> samples.Sample:
     return getattr(samples, request.param)()
 
 
-def test_rest_is_what_a_naive_reader_finds(sample, tmp_path):
+def test_rest_positions_match_the_reference_reader(sample, tmp_path):
     path = sample.glb(tmp_path / "a.glb")
-    mesh, twin = read_gltf(path), Twin(path)
-    for run in mesh.source.rest.runs:
-        for primitive in run.primitives:
-            found = mesh.vertices[run.start : run.stop]
-            np.testing.assert_allclose(found, twin.points(run.node, primitive), atol=1e-12)
+    mesh, reference = read_gltf(path), ReferenceReader(path)
+    for span in mesh.source.rest.vertex_ranges:
+        for primitive in span.primitives:
+            found = mesh.vertices[span.start : span.stop]
+            np.testing.assert_allclose(found, reference.points(span.node, primitive), atol=1e-12)
 
 
-def test_normals_are_what_a_naive_reader_finds(sample, tmp_path):
+def test_rest_normals_match_the_reference_reader(sample, tmp_path):
     path = sample.glb(tmp_path / "a.glb")
-    mesh, twin = read_gltf(path), Twin(path)
-    for run in mesh.source.rest.runs:
-        for primitive in run.primitives:
-            start, stop = mesh.source.rest.faces.get((run.node, primitive), (0, 0))
-            if twin.attribute(run.node, primitive, "NORMAL") is not None and stop > start:
-                expected = twin.normals(run.node, primitive)[mesh.faces[start:stop] - run.start]
+    mesh, reference = read_gltf(path), ReferenceReader(path)
+    for span in mesh.source.rest.vertex_ranges:
+        for primitive in span.primitives:
+            start, stop = mesh.source.rest.faces.get((span.node, primitive), (0, 0))
+            if reference.attribute(span.node, primitive, "NORMAL") is not None and stop > start:
+                expected = reference.normals(span.node, primitive)[mesh.faces[start:stop] - span.start]
                 np.testing.assert_allclose(mesh.corner_normals[start:stop], expected, atol=1e-12)
 
 
-def test_triangles_are_where_trimesh_puts_them(tmp_path):
+def test_triangles_match_trimesh(tmp_path):
     trimesh = pytest.importorskip("trimesh")
     path = samples.props().glb(tmp_path / "a.glb")
     mesh = read_gltf(path)
@@ -49,12 +49,12 @@ def test_triangles_are_where_trimesh_puts_them(tmp_path):
         centres = triangles.mean(axis=1).round(6)
         return centres[np.lexsort(centres.T)]
 
-    ours, theirs = (sheets_left_out(m.vertices[m.faces]) for m in (mesh, other))
-    assert len(ours) == 24
-    np.testing.assert_allclose(ours, theirs, atol=1e-6)
+    triangles, trimesh_triangles = (sheets_left_out(m.vertices[m.faces]) for m in (mesh, other))
+    assert len(triangles) == 24
+    np.testing.assert_allclose(triangles, trimesh_triangles, atol=1e-6)
 
 
-def test_all_containers_give_one_mesh(sample, tmp_path):
+def test_glb_and_gltf_containers_give_the_same_mesh(sample, tmp_path):
     first = read_gltf(sample.glb(tmp_path / "a.glb"))
     for path in (sample.text(tmp_path / "b.gltf"), sample.text(tmp_path / "c.gltf", outside=True)):
         mesh = read_gltf(path)
@@ -65,7 +65,7 @@ def test_all_containers_give_one_mesh(sample, tmp_path):
     assert (first.name, first.source.suffix) == ("a", ".glb")
 
 
-def test_parts_and_materials(tmp_path):
+def test_parts_have_the_names_and_materials_of_primitives(tmp_path):
     mesh = read_gltf(samples.hero().glb(tmp_path / "a.glb"))
     assert [(part.name, part.start, part.stop) for part in mesh.parts] == [
         ("face", 0, 4),
@@ -78,11 +78,11 @@ def test_parts_and_materials(tmp_path):
     assert mesh.parts[0].material is skin
 
 
-def test_shared_vertices_come_once_and_instances_twice(tmp_path):
+def test_shared_vertices_are_read_once_and_instances_twice(tmp_path):
     hero, props = (read_gltf(sample.glb(tmp_path / "a.glb")) for sample in (samples.hero(), samples.props()))
-    assert len(hero.vertices) == 12 + 24  # the loose points of the body are no part of the mesh
+    assert len(hero.vertices) == 12 + 24  # the points of the body are not part of the mesh
     assert len(props.vertices) == 24 + 24 + 6 + 4
-    assert [(run.node, run.start, run.stop) for run in props.source.rest.runs] == [
+    assert [(span.node, span.start, span.stop) for span in props.source.rest.vertex_ranges] == [
         (1, 0, 24),
         (2, 24, 48),
         (3, 48, 54),
@@ -90,7 +90,7 @@ def test_shared_vertices_come_once_and_instances_twice(tmp_path):
     ]
 
 
-def test_faces_of_a_mirrored_node_still_look_outward(tmp_path):
+def test_faces_of_a_mirrored_node_face_outward(tmp_path):
     mesh = read_gltf(samples.props().glb(tmp_path / "a.glb"))
     for start, stop in ((0, 12), (12, 24)):
         corners = mesh.vertices[mesh.faces[start:stop]]
@@ -106,31 +106,31 @@ def test_strips_and_fans_become_triangles(tmp_path):
     strip, fan = mesh.faces[24:28] - 48, mesh.faces[28:30] - 54
     assert strip.tolist() == [[0, 1, 2], [1, 3, 2], [2, 3, 4], [3, 5, 4]]
     assert fan.tolist() == [[1, 2, 0], [2, 3, 0]]
-    assert (mesh.corner_normals[24:28] == mesh.corner_normals[24:28, :1]).all()  # none given: flat
+    assert (mesh.corner_normals[24:28] == mesh.corner_normals[24:28, :1]).all()  # no normals in the file: face normals
 
 
-def test_repeats_in_a_strip_are_no_faces(tmp_path):
+def test_degenerate_triangles_of_a_strip_are_left_out(tmp_path):
     sample = samples.props()
     sample.gltf["meshes"][1]["primitives"][0]["indices"] = sample.indices([0, 1, 2, 2, 3, 3, 4, 5])
     mesh = read_gltf(sample.glb(tmp_path / "a.glb"))
     assert (mesh.faces[24:-2] - 48).tolist() == [[0, 1, 2], [3, 5, 4]]
 
 
-def test_uv_is_turned_up(tmp_path):
+def test_uv_is_flipped_to_v_up(tmp_path):
     path = samples.hero().glb(tmp_path / "a.glb")
-    mesh, twin = read_gltf(path), Twin(path)
-    u, v = twin.attribute(3, 0, "TEXCOORD_0")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
+    mesh, reference = read_gltf(path), ReferenceReader(path)
+    u, v = reference.attribute(3, 0, "TEXCOORD_0")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
     np.testing.assert_allclose(mesh.corner_uv[4:11], np.stack([u, 1 - v], axis=-1), atol=1e-12)
 
 
 def test_uv_follows_the_base_texture(tmp_path):
-    """Its set, and its transform: half the size, moved, turned by 90 degrees."""
+    """Its TEXCOORD set and its KHR_texture_transform: scale, offset, and rotation by 90 degrees."""
     sample = samples.hero()
     texture = sample.gltf["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
     texture |= {"extensions": {"KHR_texture_transform": {"scale": [0.5, 0.25], "offset": [0.1, 0.2], "texCoord": 1}}}
     path = sample.glb(tmp_path / "a.glb")
-    mesh, twin = read_gltf(path), Twin(path)
-    u, v = twin.attribute(3, 0, "TEXCOORD_1")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
+    mesh, reference = read_gltf(path), ReferenceReader(path)
+    u, v = reference.attribute(3, 0, "TEXCOORD_1")[mesh.faces[4:11] - 12].transpose(2, 0, 1)
     expected = np.stack([0.1 + 0.5 * u, 1 - (0.2 + 0.25 * v)], axis=-1)
     np.testing.assert_allclose(mesh.corner_uv[4:11], expected, atol=1e-12)
     texture["extensions"]["KHR_texture_transform"]["rotation"] = np.pi / 2
@@ -142,7 +142,7 @@ def test_uv_follows_the_base_texture(tmp_path):
 @pytest.mark.parametrize(
     ("dtype", "normalized"), [("i1", True), ("u1", True), ("i2", True), ("u2", True), ("i2", False)]
 )
-def test_quantized_positions(dtype, normalized, tmp_path):
+def test_quantized_positions_equal_float_positions(dtype, normalized, tmp_path):
     sample, whole = samples.props(), samples.props()
     steps = np.random.default_rng(0).integers(0, 100, (24, 3))
     accessor = sample.accessor(steps, dtype, **({"normalized": True} if normalized else {}))
@@ -155,7 +155,7 @@ def test_quantized_positions(dtype, normalized, tmp_path):
     np.testing.assert_allclose(quantized.vertices, plain.vertices, rtol=1e-6, atol=1e-6)
 
 
-def test_most_negative_integer_is_minus_one(tmp_path):
+def test_most_negative_normalized_integer_is_minus_one(tmp_path):
     sample = samples.props()
     rows = np.tile([-128, 127, 0], (24, 1))
     normals = sample.accessor(rows, "i1", normalized=True)
@@ -167,7 +167,7 @@ def test_most_negative_integer_is_minus_one(tmp_path):
 
 
 def _with_influences(sets: list[tuple[list[float], list[float]]]) -> samples.Sample:
-    """The hero with the same joints and weights at every vertex of its body, in as many sets as given."""
+    """The hero with the same joints and weights at every vertex of its body, one set for each pair."""
     sample = samples.hero()
     for primitive in sample.gltf["meshes"][0]["primitives"][:3]:
         for number, (joints, weights) in enumerate(sets):
@@ -184,13 +184,13 @@ def _with_influences(sets: list[tuple[list[float], list[float]]]) -> samples.Sam
         [([0, 0, 0, 0], [0.0, 0.0, 0.0, 0.0]), ([0, 1, 0, 0], [0.0, 0.7, 0.0, 0.0])],  # all weight in the second set
     ],
 )
-def test_odd_influences_mean_the_chest(sets, tmp_path):
+def test_invalid_influences_are_normalized(sets, tmp_path):
     odd = read_gltf(_with_influences(sets).glb(tmp_path / "a.glb"))
     plain = read_gltf(_with_influences([([1, 0, 0, 0], [1.0, 0.0, 0.0, 0.0])]).glb(tmp_path / "b.glb"))
     np.testing.assert_allclose(odd.vertices, plain.vertices, atol=1e-12)
 
 
-def test_scene_of_points_is_a_point_cloud(tmp_path):
+def test_scene_of_points_is_read_as_a_point_cloud(tmp_path):
     sample = samples.props()
     points = np.random.default_rng(0).normal(size=(7, 3))
     sample.gltf["meshes"][1]["primitives"] = [{"attributes": {"POSITION": sample.accessor(points)}, "mode": 0}]
@@ -200,13 +200,20 @@ def test_scene_of_points_is_a_point_cloud(tmp_path):
     np.testing.assert_allclose(mesh.vertices, points + [0, 9, 0], atol=1e-6)
 
 
-def test_without_scenes_all_nodes_are_shown(tmp_path):
+def test_file_without_scenes_shows_all_nodes(tmp_path):
     sample = samples.props()
     del sample.gltf["scene"], sample.gltf["scenes"]
-    assert [run.node for run in read_gltf(sample.glb(tmp_path / "a.glb")).source.rest.runs] == [1, 2, 3, 3, 4, 4]
+    assert [span.node for span in read_gltf(sample.glb(tmp_path / "a.glb")).source.rest.vertex_ranges] == [
+        1,
+        2,
+        3,
+        3,
+        4,
+        4,
+    ]
 
 
-def test_notes_say_what_will_be_left_out(tmp_path):
+def test_notes_list_what_a_written_file_lacks(tmp_path):
     sample = samples.hero()
     sample.gltf["animations"] *= 3
     sample.gltf["extensionsUsed"] += ["ACME_fur"]
@@ -223,7 +230,7 @@ def test_notes_say_what_will_be_left_out(tmp_path):
     )
 
 
-def test_a_file_that_is_no_image_is_not_taken_along(tmp_path: Path):
+def test_image_reference_to_another_kind_of_file_is_not_read(tmp_path: Path):
     (tmp_path / "secret.txt").write_text("not an image")
     (tmp_path / "red one.png").write_bytes(samples.png())
     sample = samples.hero()
@@ -232,7 +239,7 @@ def test_a_file_that_is_no_image_is_not_taken_along(tmp_path: Path):
     assert document.images == (None, samples.png())
 
 
-def test_empty_primitives_are_passed_over(tmp_path):
+def test_empty_primitives_are_skipped(tmp_path):
     sample = samples.props()
     nothing = sample.entry(np.zeros((1, 3), "<f4"), "f4", count=0)
     sample.gltf["meshes"][0]["primitives"] += [{"attributes": {"POSITION": nothing}}, {"attributes": {}}]
@@ -243,17 +250,17 @@ def test_empty_primitives_are_passed_over(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_large_files_are_the_same_when_paged_in(suffix, tmp_path, monkeypatch):
+def test_memory_mapped_files_give_the_same_mesh(suffix, tmp_path, monkeypatch):
     sample = samples.hero()
     path = sample.glb(tmp_path / "a.glb")
     write_gltf(read_gltf(path), tmp_path / f"b{suffix}")
     whole = read_gltf(tmp_path / f"b{suffix}")
-    monkeypatch.setattr("mimesh.io.gltf.pages.LARGE", 100)
-    monkeypatch.setattr("mimesh.io.gltf.pages._PIECE", 8)
+    monkeypatch.setattr("mimesh.io.gltf.mapped_files.LARGE", 100)
+    monkeypatch.setattr("mimesh.io.gltf.mapped_files.DECODE_BLOCK", 8)
     paged = read_gltf(tmp_path / f"b{suffix}")
-    assert paged.source.document.pages.maps
-    assert not whole.source.document.pages.maps
-    paged.source.document.let_go()
+    assert paged.source.document.mapped_files.maps
+    assert not whole.source.document.mapped_files.maps
+    paged.source.document.release_pages()
     np.testing.assert_array_equal(paged.vertices, whole.vertices)
     assert bytes(paged.source.document.binary) == bytes(whole.source.document.binary)
     write_gltf(paged, tmp_path / f"c{suffix}")

@@ -1,4 +1,4 @@
-"""Skeletons of glTF files: joints, influences and their places against a naive second reader."""
+"""Rigged characters: joints, influences and their positions against a reference reader."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import gltf_samples as samples
 import numpy as np
 import pytest
 import zoo
-from gltf_twin import Twin
+from gltf_reference import ReferenceReader
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_mesh
@@ -17,15 +17,15 @@ def body_of(sample: samples.Sample) -> dict:
     return sample.gltf["meshes"][0]["primitives"]
 
 
-def test_joints_are_where_a_naive_reader_finds_them(tmp_path):
+def test_joint_transforms_match_the_reference_reader(tmp_path):
     path = samples.hero().glb(tmp_path / "a.glb")
-    skin, twin = read_skin(path), Twin(path)
+    skin, reference = read_skin(path), ReferenceReader(path)
     assert (skin.joint_names, skin.parents) == (("hip", "chest"), (-1, 0))
     for j, node in enumerate((1, 2)):
-        np.testing.assert_allclose(skin.T_world_joint[j], twin.world(node), atol=1e-12)
+        np.testing.assert_allclose(skin.T_world_joint[j], reference.world(node), atol=1e-12)
 
 
-def test_vertices_are_the_weighted_mean_of_their_places(tmp_path):
+def test_vertices_are_the_weighted_mean_of_their_influence_positions(tmp_path):
     path = samples.hero().glb(tmp_path / "a.glb")
     skin, mesh = read_skin(path), load_mesh(path)
     np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), mesh.vertices, atol=1e-12)
@@ -33,30 +33,30 @@ def test_vertices_are_the_weighted_mean_of_their_places(tmp_path):
     np.testing.assert_array_equal(skin.mesh.faces, mesh.faces)
 
 
-def test_each_place_is_where_its_joint_takes_the_vertex(tmp_path):
+def test_influence_positions_match_the_reference_reader(tmp_path):
     """Weights are normalised bytes here, and the scale of the armature is 100."""
     path = samples.hero().glb(tmp_path / "a.glb")
-    skin, twin = read_skin(path), Twin(path)
-    bind = [row.reshape(4, 4, order="F") for row in twin.values(twin.file.skins[0].inverseBindMatrices)]
-    positions, weights = twin.attribute(3, 0, "POSITION"), twin.attribute(3, 0, "WEIGHTS_0")
+    skin, reference = read_skin(path), ReferenceReader(path)
+    bind = [row.reshape(4, 4, order="F") for row in reference.values(reference.file.skins[0].inverseBindMatrices)]
+    positions, weights = reference.attribute(3, 0, "POSITION"), reference.attribute(3, 0, "WEIGHTS_0")
     for v in range(24):
         np.testing.assert_allclose(skin.weights[12 + v], weights[v], atol=1e-12)
         assert skin.joint_of[12 + v, weights[v] > 0].tolist() == np.array([0, 1, 0, 0])[weights[v] > 0].tolist()
         for k in np.flatnonzero(weights[v]):
-            expected = twin.world(1 + k) @ bind[k] @ [*positions[v], 1]
+            expected = reference.world(1 + k) @ bind[k] @ [*positions[v], 1]
             np.testing.assert_allclose(skin.points[12 + v, k], expected[:3], atol=1e-12)
 
 
-def test_an_unskinned_mesh_follows_the_bone_above_it(tmp_path):
-    """The face hangs on the chest, with its morph targets at their default."""
+def test_unskinned_mesh_follows_the_joint_above_it(tmp_path):
+    """The face is below the chest, with its morph targets at their default weights."""
     path = samples.hero().glb(tmp_path / "a.glb")
     skin = read_skin(path)
     assert (skin.joint_of[:12, 0] == 1).all()
     assert (skin.weights[:12] == [1, 0, 0, 0]).all()
-    np.testing.assert_allclose(skin.points[:12, 0], Twin(path).points(4, 0), atol=1e-12)
+    np.testing.assert_allclose(skin.points[:12, 0], ReferenceReader(path).points(4, 0), atol=1e-12)
 
 
-def test_an_unskinned_mesh_of_nobody_follows_the_world(tmp_path):
+def test_unskinned_mesh_without_a_joint_above_follows_the_world(tmp_path):
     sample = samples.hero()
     sample.gltf["nodes"].append({"name": "floor", "mesh": 1})
     sample.gltf["scenes"][0]["nodes"].append(7)
@@ -65,10 +65,10 @@ def test_an_unskinned_mesh_of_nobody_follows_the_world(tmp_path):
     assert (skin.weights[36:, 0] == 1).all()
 
 
-def test_skins_of_a_character_in_pieces_become_one(tmp_path):
-    """A second piece has its own skin with the same joints in another order: the same joints hold it."""
+def test_skins_with_the_same_joints_are_merged(tmp_path):
+    """A second mesh has its own skin with the same joints in another order, and the same influences result."""
     sample = samples.hero()
-    bind = [np.linalg.inv(matrix).T.ravel() for matrix in samples._bind_matrices()]
+    bind = [np.linalg.inv(matrix).T.ravel() for matrix in samples.bind_matrices()]
     sample.gltf["skins"].append({"joints": [2, 1], "inverseBindMatrices": sample.accessor(bind[::-1])})
     attributes = dict(body_of(sample)[0]["attributes"])
     attributes["JOINTS_0"] = sample.accessor(np.tile([1, 0, 0, 0], (24, 1)), "u1")
@@ -78,12 +78,12 @@ def test_skins_of_a_character_in_pieces_become_one(tmp_path):
     skin = read_skin(sample.glb(tmp_path / "a.glb"))
     assert skin.joint_names == ("hip", "chest")
     body, coat = slice(12, 36), slice(36, 60)
-    held = skin.weights > 0
-    np.testing.assert_array_equal(np.where(held, skin.joint_of, 9)[body], np.where(held, skin.joint_of, 9)[coat])
-    np.testing.assert_allclose(skin.points[body][held[body]], skin.points[coat][held[coat]], atol=1e-12)
+    used = skin.weights > 0
+    np.testing.assert_array_equal(np.where(used, skin.joint_of, 9)[body], np.where(used, skin.joint_of, 9)[coat])
+    np.testing.assert_allclose(skin.points[body][used[body]], skin.points[coat][used[coat]], atol=1e-12)
 
 
-def test_several_sets_of_influences(tmp_path):
+def test_several_sets_of_influences_are_read(tmp_path):
     sample = samples.hero()
     for primitive in body_of(sample)[:3]:
         for number, joints in enumerate(([0, 0, 0, 0], [1, 0, 0, 0])):
@@ -97,7 +97,7 @@ def test_several_sets_of_influences(tmp_path):
     np.testing.assert_allclose((skin.weights[..., None] * skin.points).sum(axis=1), skin.mesh.vertices, atol=1e-12)
 
 
-def test_nodes_between_joints_are_passed_over(tmp_path):
+def test_nodes_between_joints_are_skipped(tmp_path):
     sample = samples.hero()
     sample.gltf["skins"][0]["joints"] = [2, 0]
     del sample.gltf["nodes"][2]["name"]
@@ -105,19 +105,19 @@ def test_nodes_between_joints_are_passed_over(tmp_path):
     assert (skin.joint_names, skin.parents) == (("armature", "node2"), (-1, 0))
 
 
-def test_skins_that_nobody_wears_are_not_read(tmp_path):
+def test_unused_skins_are_not_read(tmp_path):
     sample = samples.hero()
     sample.gltf["skins"].append({"joints": [5, 6]})
     assert read_skin(sample.glb(tmp_path / "a.glb")).joint_names == ("hip", "chest")
 
 
-def test_a_scene_without_a_skin_is_refused(tmp_path):
+def test_scene_without_a_skin_is_refused(tmp_path):
     path = samples.props().glb(tmp_path / "a.glb")
     with pytest.raises(InputError, match=r"a\.glb: expected a mesh with a skin, found none; "):
         read_skin(path)
 
 
-def test_a_skin_without_influences_is_none(tmp_path):
+def test_skin_without_influences_is_refused(tmp_path):
     sample = samples.hero()
     for primitive in body_of(sample):
         primitive["attributes"] = {
@@ -127,7 +127,7 @@ def test_a_skin_without_influences_is_none(tmp_path):
         read_skin(sample.glb(tmp_path / "a.glb"))
 
 
-def test_another_format_is_refused(tmp_path):
+def test_skin_of_another_format_is_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
     with pytest.raises(
         InputError, match=r"a\.obj: expected a rigged mesh in a \.glb, \.gltf or \.vrm, found none in this \.obj; "

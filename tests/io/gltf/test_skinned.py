@@ -1,4 +1,4 @@
-"""Meshes with joints: at rest as they stood, and in every frame of the animation where the skeleton puts them."""
+"""Skinned results: at rest as in the source file, and in every frame of the animation as in the clip."""
 
 import copy
 import dataclasses
@@ -25,7 +25,7 @@ def result(tmp_path_factory):
 
 
 def frame_of(path, t):
-    """The file's vertices in frame t: its joints are put where the animation has them, and it is read at rest."""
+    """The file's vertices in frame t, read at rest after the values of frame t were written into the joint nodes."""
     document = open_document(path)
     gltf = copy.deepcopy(document.gltf)
     animation = gltf["animations"][0]
@@ -36,7 +36,7 @@ def frame_of(path, t):
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_every_frame_is_where_the_skeleton_puts_it(result, tmp_path, suffix):
+def test_skinned_frames_equal_the_frames_of_the_result(result, tmp_path, suffix):
     path = result.save_skinned(tmp_path / f"hero{suffix}")
     assert result.report["skinned_deviation"] < 1e-5  # three joints are fewer than four
     assert np.allclose(load_mesh(path).vertices, person(0).vertices, atol=1e-5)
@@ -44,19 +44,19 @@ def test_every_frame_is_where_the_skeleton_puts_it(result, tmp_path, suffix):
         assert np.allclose(frame_of(path, t), result.clip.vertices[t], atol=1e-4)
 
 
-def test_a_glb_keeps_what_it_had(result, tmp_path):
+def test_skinned_file_keeps_the_materials_of_its_source(result, tmp_path):
     save_mesh(person(0), tmp_path / "hero.glb")
     network = write_mime_network(tmp_path / "mime.onnx")
-    again = animate(tmp_path / "hero.glb", walk(faces=600), str(network))
-    path = again.save_skinned(tmp_path / "moved.glb")
+    loaded = animate(tmp_path / "hero.glb", walk(faces=600), str(network))
+    path = loaded.save_skinned(tmp_path / "moved.glb")
     gltf = open_document(path).gltf
     assert [skin["joints"] for skin in gltf["skins"]] == [gltf["skins"][0]["joints"]]
     assert gltf["materials"] == open_document(tmp_path / "hero.glb").gltf["materials"]
     assert np.allclose(load_mesh(path).vertices, load_mesh(tmp_path / "hero.glb").vertices, atol=1e-5)
-    assert np.allclose(frame_of(path, 2), again.clip.vertices[2], atol=1e-4)
+    assert np.allclose(frame_of(path, 2), loaded.clip.vertices[2], atol=1e-4)
 
 
-def test_weights_and_turns_are_sound(result, tmp_path):
+def test_skinned_weights_sum_to_1_and_quaternions_are_continuous(result, tmp_path):
     document = open_document(result.save_skinned(tmp_path / "hero.glb"))
     attributes = document.gltf["meshes"][0]["primitives"][0]["attributes"]
     joints, weights = (read_accessor(document, attributes[name]) for name in ("JOINTS_0", "WEIGHTS_0"))
@@ -64,17 +64,17 @@ def test_weights_and_turns_are_sound(result, tmp_path):
     assert (joints[weights == 0] == 0).all()
     animation = document.gltf["animations"][0]
     for sampler in animation["samplers"][:-1]:
-        turns = read_accessor(document, sampler["output"])
-        assert np.allclose(np.linalg.norm(turns, axis=1), 1, atol=1e-6)
-        assert ((turns[1:] * turns[:-1]).sum(axis=1) > 0).all()
+        quaternions = read_accessor(document, sampler["output"])
+        assert np.allclose(np.linalg.norm(quaternions, axis=1), 1, atol=1e-6)
+        assert ((quaternions[1:] * quaternions[:-1]).sum(axis=1) > 0).all()
 
 
-def test_only_models_with_joints_can(tmp_path):
+def test_skinned_result_of_a_model_without_joints_is_refused(tmp_path):
     result = animate(person(0), Clip.still(person(1, pose=0)), "copy")
     with pytest.raises(InputError, match=r"--skinned: expected a model with joints \(mime\), found copy"):
         result.save_skinned(tmp_path / "hero.glb")
 
 
-def test_only_gltf_holds_joints(result, tmp_path):
+def test_skinned_result_in_another_format_is_refused(result, tmp_path):
     with pytest.raises(InputError, match=r"expected \.glb or \.gltf for joints, found '\.obj'"):
         save_skinned(result.skeleton, 30.0, tmp_path / "hero.obj")

@@ -1,10 +1,12 @@
-"""glTF 2.0 in and out (.glb, .vrm, .gltf): a character at rest, the same file with its points moved, an animated one.
+"""Reads and writes glTF 2.0 (.glb, .vrm, .gltf): meshes at rest, baked animations, and files with changed vertices.
 
-gltf_check -> gltf_document -> gltf_scene -> gltf_read          a file becomes a Mesh
-gltf_draft -> gltf_move -> gltf_primitives -> gltf_edit         its source, written back
-gltf_animation -> gltf_bake                                     its animations as points
-              gltf_motion                                       joints without a mesh, on the shipped body
-              gltf_build, gltf_clip                             a Mesh from elsewhere, frames as morph targets
+mapped_files -> document (with check) -> scene -> read      opens a file and reads its scene at rest as a Mesh
+draft, deformed_attributes -> primitives -> edit            writes the file of a Mesh again, with other vertices
+build                                                       builds a new file for a Mesh without a glTF source
+blend_shapes -> clip                                        writes a clip as morph targets with an animation
+animation -> bake                                           bakes animations to vertex positions
+motion                                                      plays animated joints without a mesh on the shipped body
+skin, skinned                                               reads rigged characters; writes a mesh with joints
 """
 
 from __future__ import annotations
@@ -17,16 +19,16 @@ import numpy as np
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, played_channels
-from .bake import baked_frames
-from .blend_shapes import fit_blend
+from .animation import frame_rate, select_channels
+from .bake import bake_frames
+from .blend_shapes import fit_blend_shapes
 from .build import build_document
-from .check import is_understood
-from .clip import add_frames
+from .check import is_supported
+from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import is_motion, read_motion_clip, read_motion_mesh
-from .read import Rest, read_rest
+from .read import RestScene, read_rest
 
 
 def read_gltf(path: Path) -> Mesh:
@@ -34,11 +36,11 @@ def read_gltf(path: Path) -> Mesh:
 
     Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
     the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
-    default are not read; they stay in `Mesh.source`, whose `notes` say what writing the file again leaves out. Of a
-    file with animations and no mesh it is the shipped body in the first frame (see `gltf_motion`), without a source.
+    default are not read; they stay in `Mesh.source`, whose `notes` say what is lost when the file is written again. A
+    file with animations and no mesh gives the shipped body in the first frame (see `gltf.motion`), without a source.
 
     Raises:
-        InputError: the file is damaged, compressed, not glTF 2.0, or shows no triangles and no person's joints move.
+        InputError: the file is damaged, compressed, not glTF 2.0, or shows neither triangles nor a person's joints.
     """
     document = open_document(path)
     return read_motion_mesh(document) if is_motion(document) else _read_mesh(document)
@@ -48,21 +50,22 @@ def _read_mesh(document: Document) -> Mesh:
     path = document.path
     mesh, rest = read_rest(document)
     check_mesh(mesh, path)
-    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _notes(document, rest))
+    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _list_notes(document, rest))
     return dataclasses.replace(mesh, source=source)
 
 
 def read_gltf_clip(
     path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
 ) -> Clip:
-    """An animation of a .glb, .vrm or .gltf file, baked to points; one frame where it has none and none is wanted.
+    """Read an animation of a .glb, .vrm or .gltf file, baked to vertex positions.
 
-    Joints without a mesh are played by the shipped body (see `gltf_motion`).
+    A file without animations gives one frame, unless `animation` is given. Joints without a mesh are played by the
+    shipped body (see `gltf.motion`).
 
     Args:
-        fps: frames a second; None: those that the file's keys lie on, else 30. Frame k is at k / fps seconds.
-        animation: its name, the name behind its last "|", or its number; None: the first, and with it those that move
-            other nodes.
+        fps: frames a second; None: the rate that the file's keys lie on, else 30. Frame k is at k / fps seconds.
+        animation: its name, the part of its name after the last "|", or its index; None: the first animation, together
+            with those that move other nodes.
 
     Raises:
         InputError: as `read_gltf`, no such animation, or a damaged one.
@@ -74,18 +77,19 @@ def read_gltf_clip(
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
         return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
-    channels = played_channels(document, animation)
+    channels = select_channels(document, animation)
     fps = fps or frame_rate(channels) or DEFAULT_FPS
-    count, frames = baked_frames(document, mesh.source.rest, channels, fps)
+    count, frames = bake_frames(document, mesh.source.rest, channels, fps)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:
-    """Write a mesh as .glb or as .gltf with everything inside: the file it came from, points moved, if it has one.
+    """Write a mesh as .glb, or as .gltf with embedded buffers.
 
-    A mesh from elsewhere gets a document of its own, with smooth normals if it has none (viewers show a mesh without
-    normals faceted). Skin and animations are not written; see `gltf_edit`.
+    A mesh with a glTF source gives that file with its vertices changed, without skins and animations (see `gltf.edit`).
+    Another mesh gives a new document, with smooth normals if it has none, because viewers show a mesh without normals
+    faceted.
     """
     if isinstance(mesh.source, GltfSource):
         mesh.source.write(mesh, path)
@@ -97,40 +101,40 @@ def write_gltf(mesh: Mesh, path: Path) -> None:
 def write_gltf_clip(
     clip: Clip, path: Path, progress: Progress | None = None, blendshapes: int | None = None
 ) -> float | None:
-    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf_clip`).
+    """Write a clip as .glb or .gltf: the mesh at frame 0 and one morph target for each later frame (see `gltf.clip`).
 
-    A mesh that came from a glTF file keeps all of it but skin, animations and morph targets of its own. One frame
-    gives a file without animation. The size is about 24 bytes a vertex and frame (normals included).
+    A mesh with a glTF source keeps all of that file but its skins, animations and morph targets. One frame gives a file
+    without animation. The size is about 24 bytes a vertex and frame: positions and normals in float32.
 
     Args:
-        blendshapes: so many morph targets in all, mixed to show every frame as well as they can (see `blend_shapes`).
+        blendshapes: number of morph targets to fit to the clip instead (see `gltf.blend_shapes`).
 
     Returns:
-        How far a vertex is then from its frame at most, in the mesh's unit; None without `blendshapes`.
+        The largest distance of a vertex from its position in the clip, in the mesh's unit; None without `blendshapes`.
     """
     mesh = with_normals(clip.mesh)
-    blend = None if blendshapes is None or len(clip) == 1 else fit_blend(clip, blendshapes, progress)
-    first = np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base
-    shown = mesh.with_vertices(first)
+    blend = None if blendshapes is None or len(clip) == 1 else fit_blend_shapes(clip, blendshapes, progress)
+    base = mesh.with_vertices(np.asarray(clip.vertices[0], np.float64) if blend is None else blend.base)
     if isinstance(mesh.source, GltfSource):
-        draft, placed = edit_document(mesh.source, shown, keep_targets=False)
+        draft, groups = edit_document(mesh.source, base, keep_targets=False)
     else:
-        draft, placed = build_document(mesh, shown)
+        draft, groups = build_document(mesh, base)
     if len(clip) > 1:
-        add_frames(draft, placed, mesh, clip, progress, blend)
+        add_morph_animation(draft, groups, mesh, clip, progress, blend)
     draft.save(path)
-    return None if blend is None else blend.error
+    return None if blend is None else blend.max_error
 
 
-def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
-    """What a written file does not have, or has in another way, one line each."""
+def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
+    """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
     notes = []
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
-        found = [_count(skins, "skin"), _count(animations, "animation")]
-        notes.append(f"dropped {' and '.join(text for text in found if text)} that the file had")
-    nodes = list(dict.fromkeys(run.node for run in rest.runs))
+        dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]
+        notes.append(f"dropped {' and '.join(text for text in dropped if text)} that the file had")
+    # Instances of one mesh get copies when written, because each is deformed on its own.
+    nodes = list(dict.fromkeys(span.node for span in rest.vertex_ranges))
     meshes = {gltf["nodes"][node]["mesh"] for node in nodes}
     if len(meshes) < len(nodes):
         notes.append(
@@ -140,10 +144,10 @@ def _notes(document: Document, rest: Rest) -> tuple[str, ...]:
         if content is None:
             notes.append(f"kept the reference to image {image.get('uri', '')[:80]!r}, which is not there")
     for name in gltf.get("extensionsUsed", []):
-        if not is_understood(str(name)):
+        if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")
     return tuple(notes)
 
 
-def _count(number: int, name: str) -> str:
+def _count_text(number: int, name: str) -> str:
     return "" if not number else f"the {name}" if number == 1 else f"{number} {name}s"

@@ -1,7 +1,7 @@
-"""Animations of a glTF file: what moves, and its values at any time.
+"""Reads animations of a glTF file and samples their channels at any time (glTF 2.0, 3.11 Animations and Appendix C).
 
-Keys are read as the standard has them: STEP, LINEAR (rotations along the great arc) and CUBICSPLINE; before the first
-key and after the last one a channel holds its value. Animated pointers of extensions are not read.
+Interpolation is STEP, LINEAR (slerp for rotations) or CUBICSPLINE. Before its first key and after its last one, a
+channel keeps the value of that key. KHR_animation_pointer is not read.
 """
 
 from __future__ import annotations
@@ -15,137 +15,152 @@ from jaxtyping import Float, Int
 from ...core.errors import InputError
 from ..timing import RATES, lie_on, sample_rate, usual_rate
 from .document import Document, read_floats
-from .scene import dots, quaternions_of_unit
+from .scene import inner_products, normalized_quaternions
 
-PATHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
-"""What moves, and how many numbers that is; as many as there are targets for weights."""
+LINEAR_COSINE = 0.9995
+"""Cosine of the angle between two quaternions (1.8 degrees) from which on they are interpolated linearly."""
+
+PATH_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
+"""Target paths and the numbers in one value of each; 0 for weights, which have one number for each morph target."""
 
 
 @dataclass(frozen=True, eq=False)
-class Channel:
-    """What one node's translation, rotation, scale or weights do."""
+class AnimationChannel:
+    """A channel with its sampler: the keys of one node's translation, rotation, scale or weights."""
 
     node: int
     path: str
+    """Target path: a key of `PATH_WIDTHS`."""
     times: Float[np.ndarray, " K"]
+    """Times of the keys in seconds, strictly increasing."""
     values: Float[np.ndarray, "K C"]
-    """At the keys; three times as wide with in- and out-tangents around them if cubic."""
+    """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
     interpolation: str
+    """STEP, LINEAR or CUBICSPLINE."""
 
-    def at(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
-        """The values at times in seconds."""
+    def sample(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
+        """Return the values at times in seconds; quaternions (x, y, z, w) have length 1."""
         width = self.values.shape[1] // (3 if self.interpolation == "CUBICSPLINE" else 1)
-        middle = slice(width, 2 * width) if self.interpolation == "CUBICSPLINE" else slice(0, width)
-        after = np.searchsorted(self.times, times, side="right")
-        values = self.values[np.minimum(after, len(self.times) - 1), middle]
-        inside = (after > 0) & (after < len(self.times))
-        values[inside] = self._between(after[inside], times[inside], middle)
-        return quaternions_of_unit(values) if self.path == "rotation" else values
+        value_columns = slice(width, 2 * width) if self.interpolation == "CUBICSPLINE" else slice(0, width)
+        next_key = np.searchsorted(self.times, times, side="right")
+        # Clamped to the first and last key; times between two keys are overwritten.
+        values = self.values[np.minimum(next_key, len(self.times) - 1), value_columns]
+        inside = (next_key > 0) & (next_key < len(self.times))
+        values[inside] = self._interpolate(next_key[inside], times[inside], value_columns)
+        return normalized_quaternions(values) if self.path == "rotation" else values
 
-    def _between(
-        self, after: Int[np.ndarray, " T"], times: Float[np.ndarray, " T"], middle: slice
+    def _interpolate(
+        self, next_key: Int[np.ndarray, " T"], times: Float[np.ndarray, " T"], value_columns: slice
     ) -> Float[np.ndarray, "T C"]:
-        a, b = self.values[after - 1], self.values[after]
+        """Interpolate between the keys before `next_key` and `next_key`, by the equations of Appendix C."""
+        a, b = self.values[next_key - 1], self.values[next_key]
         if self.interpolation == "STEP":
-            return a[:, middle]
-        span = (self.times[after] - self.times[after - 1])[:, None]
-        s = (times - self.times[after - 1])[:, None] / span
+            return a[:, value_columns]
+        duration = (self.times[next_key] - self.times[next_key - 1])[:, None]
+        s = (times - self.times[next_key - 1])[:, None] / duration
         if self.interpolation == "CUBICSPLINE":
-            width = middle.stop - middle.start
-            leaving, arriving = span * a[:, 2 * width :], span * b[:, :width]
-            hermite = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
-            return hermite[0] * a[:, middle] + hermite[1] * leaving + hermite[2] * b[:, middle] + hermite[3] * arriving
+            # Cubic Hermite spline: tangents are stored per second and scaled by the time between the keys.
+            width = value_columns.stop - value_columns.start
+            out_tangent, in_tangent = duration * a[:, 2 * width :], duration * b[:, :width]
+            h = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
+            return h[0] * a[:, value_columns] + h[1] * out_tangent + h[2] * b[:, value_columns] + h[3] * in_tangent
         return _slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
-    """Of all animations, by their numbers where they have no name."""
+    """Return the names of all animations; the index stands for a missing name."""
     return tuple(str(entry.get("name") or i) for i, entry in enumerate(document.gltf.get("animations", [])))
 
 
 def document_details(document: Document) -> tuple[tuple[str, str], ...]:
-    """Unit, joints of the skins, blend shapes and length of the animations, as text; only what there is."""
+    """Describe unit, skins, blend shapes and animations as (name, text); entries that a file lacks are left out."""
     gltf = document.gltf
-    found = [("unit", "metre, y up (all glTF files)")]
-    if skins := [len(skin["joints"]) for skin in gltf.get("skins", [])]:
-        found.append(("skins", f"{len(skins)}, of {', '.join(map(str, skins))} joints"))
-    shapes = [
+    details = [("unit", "metre, y up (all glTF files)")]
+    if joint_counts := [len(skin["joints"]) for skin in gltf.get("skins", [])]:
+        details.append(("skins", f"{len(joint_counts)}, of {', '.join(map(str, joint_counts))} joints"))
+    target_counts = [
         max((len(primitive.get("targets", [])) for primitive in mesh["primitives"]), default=0)
         for mesh in gltf.get("meshes", [])
     ]
-    if any(shapes):
-        found.append(("blend shapes", ", ".join(str(count) for count in shapes if count)))
+    if any(target_counts):
+        details.append(("blend shapes", ", ".join(str(count) for count in target_counts if count)))
     for number, name in enumerate(animation_names(document)):
         times = [channel.times[-1] for channel in read_channels(document, number)]
-        found.append(("animation", f"{name}, {max(times, default=0.0):.2f} s"))
-    return tuple(found)
+        details.append(("animation", f"{name}, {max(times, default=0.0):.2f} s"))
+    return tuple(details)
 
 
-def find_animation(document: Document, wanted: str) -> int:
-    """Number of the animation of a name or number.
+def find_animation(document: Document, selector: str) -> int:
+    """Return the index of an animation by its name, the part of its name after the last "|", or its index.
+
+    Blender exports names such as "Armature|Walk".
 
     Raises:
-        InputError: there is none of that name, with the names there are.
+        InputError: no animation matches; the message lists their names.
     """
     names = animation_names(document)
-    if wanted in names:
-        return names.index(wanted)
-    endings = [i for i, name in enumerate(names) if name.rpartition("|")[2] == wanted]
-    if len(endings) == 1:
-        return endings[0]
-    if wanted.isdecimal() and int(wanted) < len(names):
-        return int(wanted)
+    if selector in names:
+        return names.index(selector)
+    by_last_part = [i for i, name in enumerate(names) if name.rpartition("|")[2] == selector]
+    if len(by_last_part) == 1:
+        return by_last_part[0]
+    if selector.isdecimal() and int(selector) < len(names):
+        return int(selector)
     raise InputError(
-        f"{document.path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {wanted!r}; "
+        f"{document.path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {selector!r}; "
         "check --animation"
     )
 
 
-def read_channels(document: Document, animation: int) -> list[Channel]:
-    """What moves in an animation; channels of extensions and of nodes that are not named are left out.
+def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
+    """Read the channels of an animation.
+
+    Channels without a target node and those of extensions are left out, as 3.11 Animations recommends.
 
     Raises:
-        InputError: keys without values, times that do not rise, an interpolation that is not of the standard.
+        InputError: keys without values, times that do not increase, or an unknown interpolation.
     """
-    found = []
+    channels = []
     try:
         entry = document.gltf["animations"][animation]
         for channel in entry["channels"]:
             target = channel["target"]
-            if target["path"] in PATHS and target.get("node") is not None:
-                found.append(_channel(document, target, entry["samplers"][channel["sampler"]]))
+            if target["path"] in PATH_WIDTHS and target.get("node") is not None:
+                channels.append(_read_channel(document, target, entry["samplers"][channel["sampler"]]))
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"{document.path}: expected channels with samplers in animation {animation}, found a gap ({error!r}); "
             "the file is damaged, export it again"
         ) from error
-    return found
+    return channels
 
 
-def played_channels(document: Document, wanted: str | None) -> list[Channel]:
-    """What moves in the animation of a name or number; if none is wanted, in the first and in all that go with it.
+def select_channels(document: Document, selector: str | None) -> list[AnimationChannel]:
+    """Read the channels of the selected animation; with None, of the first one and of those that complement it.
 
-    With it go, in order, those that move nothing which is moved already: exporters that write an animation for each
-    object mean them all at once, while other ways for the same joints to move are there to choose from.
+    Complementing animations are those, in file order, whose targets no chosen animation has. Blender writes one
+    animation for each object that moves, and all of them belong together; animations of the same targets are
+    alternatives (measured with Blender 4.5 and 5.0, docs/LOG.md).
 
     Raises:
         InputError: as `find_animation` and `read_channels`.
     """
-    if wanted is not None:
-        return read_channels(document, find_animation(document, wanted))
-    chosen: list[Channel] = []
+    if selector is not None:
+        return read_channels(document, find_animation(document, selector))
+    selected: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
-        moved = {(channel.node, channel.path) for channel in chosen}
+        targets = {(channel.node, channel.path) for channel in selected}
         channels = read_channels(document, number)
-        if not any((channel.node, channel.path) in moved for channel in channels):
-            chosen += channels
-    return chosen
+        if not any((channel.node, channel.path) in targets for channel in channels):
+            selected += channels
+    return selected
 
 
-def frame_rate(channels: list[Channel]) -> float | None:
-    """The frames a second whose frames all keys lie on; None if they lie on those of no usual rate.
+def frame_rate(channels: list[AnimationChannel]) -> float | None:
+    """Estimate the frames a second of an animation from its key times; None where they fit no usual rate.
 
-    Keys as close and even as frames are the frames. Sparser ones are a curve, of which frames lie in between.
+    Evenly spaced keys of at least the lowest usual rate are taken as one key a frame. Sparser keys are those of a curve
+    that was drawn at a usual rate: then all keys lie on whole frames of it.
     """
     times = np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)]))
     rate = sample_rate(times)
@@ -154,7 +169,8 @@ def frame_rate(channels: list[Channel]) -> float | None:
     return usual_rate(times)
 
 
-def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> Channel:
+def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> AnimationChannel:
+    """Read and check the keys of a sampler for one target."""
     times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
     interpolation = sampler.get("interpolation", "LINEAR")
     if interpolation not in ("STEP", "LINEAR", "CUBICSPLINE"):
@@ -164,25 +180,30 @@ def _channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]
     times = times[:, 0]
     keys = len(times)
     per_key = values.size // keys if keys else 0
-    cubic = 3 if interpolation == "CUBICSPLINE" else 1
-    fits = per_key == cubic * PATHS[target["path"]] or (target["path"] == "weights" and per_key and not per_key % cubic)
-    known = 0 <= target["node"] < len(document.gltf.get("nodes", []))
-    if not (fits and known and values.size == keys * per_key and (np.diff(times) > 0).all()):
+    rows_per_key = 3 if interpolation == "CUBICSPLINE" else 1  # in-tangent, value, out-tangent
+    width = rows_per_key * PATH_WIDTHS[target["path"]]
+    fits = per_key == width or (target["path"] == "weights" and per_key and not per_key % rows_per_key)
+    node_exists = 0 <= target["node"] < len(document.gltf.get("nodes", []))
+    if not (fits and node_exists and values.size == keys * per_key and (np.diff(times) > 0).all()):
         raise InputError(
             f"{document.path}: expected rising times with a value each, found {keys} times and {values.size} numbers; "
             "the file is damaged, export it again"
         )
-    return Channel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
+    return AnimationChannel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
 
 
 def _slerp(
     a: Float[np.ndarray, "T 4"], b: Float[np.ndarray, "T 4"], s: Float[np.ndarray, "T 1"]
 ) -> Float[np.ndarray, "T 4"]:
-    """Along the shorter arc between unit quaternions; between near ones along the chord."""
-    cosine = dots(a, b)
+    """Interpolate between unit quaternions along the shorter arc (Appendix C, spherical linear interpolation).
+
+    Nearly equal ones are interpolated linearly, because the formula divides by the sine of their angle; the caller
+    normalizes.
+    """
+    cosine = inner_products(a, b)
     b, cosine = np.where(cosine < 0, -b, b), np.abs(cosine)
     values = (1 - s) * a + s * b
-    far = cosine[:, 0] <= 0.9995
+    far = cosine[:, 0] <= LINEAR_COSINE
     angle, s = np.arccos(cosine[far]), s[far]
     values[far] = (np.sin((1 - s) * angle) * a[far] + np.sin(s * angle) * b[far]) / np.sin(angle)
     return values

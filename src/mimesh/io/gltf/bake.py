@@ -1,6 +1,7 @@
-"""Animations of a glTF file, baked: node transforms, skins and morph weights become points, frame by frame.
+"""Bakes glTF animations to vertex positions: node transforms, skins and morph weights are evaluated frame by frame.
 
-What no frame changes is read once (`Held`). Of the vertices that a file splits at seams one is posed for all.
+What is the same in all frames is read once (`UnposedVertices`). Files split a vertex at texture and normal seams; such
+duplicates are posed once and copied.
 """
 
 from __future__ import annotations
@@ -14,91 +15,110 @@ from jaxtyping import Float, Int
 
 from ...core.errors import InputError
 from ..timing import LONGEST, frame_count
-from .animation import Channel
+from .animation import AnimationChannel
 from .document import Document
-from .read import Rest, Run, primitive_of
-from .scene import Binding, binding, morph_weights, morphed, moved_matrices, transform, world_matrices
+from .read import RestScene, VertexRange, get_primitive
+from .scene import (
+    SkinBinding,
+    animated_matrices,
+    read_morph_weights,
+    read_morphed_attribute,
+    read_skin_binding,
+    transform_points,
+    world_matrices,
+)
 
-BLOCK = 64
-"""Frames whose node transforms are found at once."""
-Moved = dict[tuple[int, str], Float[np.ndarray, "T C"]]
-"""Values of what moves in some frames, by node and name."""
+FRAMES_PER_BLOCK = 64
+"""Frames whose node transforms are computed at once: bounds memory at 64 matrices a node."""
+AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T C"]]
+"""Values of the animated properties in T frames, by (node, target path)."""
 
 
 @dataclass(frozen=True, eq=False)
-class Held:
-    """The vertices of a run of primitives, as no frame changes them."""
+class UnposedVertices:
+    """The distinct vertices of a `VertexRange` before skinning, and the data that no frame changes."""
 
     node: int
     primitive: dict[str, Any]
-    points: Float[np.ndarray, "U 3"] | None
-    """Each distinct vertex before its skin; None where morph targets move in the animation."""
-    bound: Binding | None
-    """What holds these vertices; None where the node does."""
-    vertex: Int[np.ndarray, " V"]
-    """Which of them each vertex of the run is."""
+    positions: Float[np.ndarray, "U 3"] | None
+    """Positions of the distinct vertices before skinning; None where morph weights are animated."""
+    binding: SkinBinding | None
+    """Joints and weights of the distinct vertices; None where the primitive is not skinned."""
+    distinct_of: Int[np.ndarray, " V"]
+    """Index of the distinct vertex that each vertex of the range equals."""
 
 
-def baked_frames(
-    document: Document, rest: Rest, channels: list[Channel], fps: float
+def bake_frames(
+    document: Document, rest: RestScene, channels: list[AnimationChannel], fps: float
 ) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
-    """How many frames an animation has, and the vertices of the Mesh in each: frame k is at k / fps seconds."""
+    """Return the number of frames of an animation and the Mesh's vertices in each; frame k is at k / fps seconds."""
     times = frame_times(document, channels, fps)
-    return len(times), _frames(document, rest, channels, times)
+    return len(times), _pose_frames(document, rest, channels, times)
 
 
-def frame_times(document: Document, channels: list[Channel], fps: float) -> Float[np.ndarray, " T"]:
-    """Seconds of the frames of an animation, from zero to its last key."""
+def frame_times(document: Document, channels: list[AnimationChannel], fps: float) -> Float[np.ndarray, " T"]:
+    """Return the times of an animation's frames in seconds, from zero to its last key.
+
+    Raises:
+        InputError: the last key is later than an hour, which only damaged times are.
+    """
     last = max((float(channel.times[-1]) for channel in channels), default=0.0)
     if last > LONGEST:
         raise InputError(f"{document.path}: expected an animation of up to an hour, found {last:.0f} s; cut it")
     return np.arange(frame_count(last, fps)) / fps
 
 
-def node_blocks(
-    document: Document, channels: list[Channel], times: Float[np.ndarray, " T"]
-) -> Iterator[tuple[Moved, Float[np.ndarray, "B N 4 4"]]]:
-    """What moves and the world transforms of all nodes, for some frames at a time."""
-    for start in range(0, len(times), BLOCK):
-        some = times[start : start + BLOCK]
-        values = {(channel.node, channel.path): channel.at(some) for channel in channels}
-        yield values, world_matrices(document, moved_matrices(document, values, len(some)))
-        document.let_go()
+def sample_nodes(
+    document: Document, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
+) -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
+    """Yield the animated values and the world transforms of all nodes, for blocks of B frames."""
+    for start in range(0, len(times), FRAMES_PER_BLOCK):
+        block_times = times[start : start + FRAMES_PER_BLOCK]
+        values = {(channel.node, channel.path): channel.sample(block_times) for channel in channels}
+        yield values, world_matrices(document, animated_matrices(document, values, len(block_times)))
+        document.release_pages()
 
 
-def _frames(
-    document: Document, rest: Rest, channels: list[Channel], times: Float[np.ndarray, " T"]
+def _pose_frames(
+    document: Document, rest: RestScene, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     morphing = {channel.node for channel in channels if channel.path == "weights"}
-    runs = [_hold(document, run, run.node in morphing) for run in rest.runs]
-    for values, T_world_node in node_blocks(document, channels, times):
-        weights = {node: value for (node, path), value in values.items() if path == "weights"}
+    parts = [_prepare_vertices(document, span, span.node in morphing) for span in rest.vertex_ranges]
+    for values, T_world_node in sample_nodes(document, channels, times):
+        morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
+        # Positions of one frame at a time: only node transforms are computed for a whole block.
         for t in range(len(T_world_node)):
-            now = {node: value[t].tolist() for node, value in weights.items()}
-            yield np.concatenate([_posed(document, held, T_world_node[t], now) for held in runs])
+            frame_weights = {node: value[t].tolist() for node, value in morph_weights.items()}
+            yield np.concatenate([_pose_vertices(document, part, T_world_node[t], frame_weights) for part in parts])
 
 
-def _hold(document: Document, run: Run, morphs: bool) -> Held:
-    primitive = primitive_of(document, (run.node, run.primitives[0]))
-    bound = binding(document, run.node, primitive)
+def _prepare_vertices(document: Document, span: VertexRange, morphs: bool) -> UnposedVertices:
+    """Read the distinct vertices of a range; all of them where their morph weights are animated."""
+    primitive = get_primitive(document, (span.node, span.primitives[0]))
+    binding = read_skin_binding(document, span.node, primitive)
     if morphs:
-        return Held(run.node, primitive, None, bound, np.arange(run.stop - run.start))
-    points = morphed(document, primitive, "POSITION", morph_weights(document, run.node))
-    assert points is not None
-    held = points if bound is None else np.concatenate([points, bound.joints, bound.weights], axis=1)
-    _, first, vertex = np.unique(held, axis=0, return_index=True, return_inverse=True)
-    if bound is not None:
-        bound = Binding(bound.nodes, bound.T_joint_bind, bound.joints[first], bound.weights[first])
-    return Held(run.node, primitive, points[first], bound, vertex.reshape(-1))
+        return UnposedVertices(span.node, primitive, None, binding, np.arange(span.stop - span.start))
+    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+    assert positions is not None
+    # Vertices with one position and one set of influences stay together in all frames.
+    keys = positions if binding is None else np.concatenate([positions, binding.joints, binding.weights], axis=1)
+    _, first, distinct_of = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    if binding is not None:
+        binding = SkinBinding(binding.nodes, binding.T_joint_bind, binding.joints[first], binding.weights[first])
+    return UnposedVertices(span.node, primitive, positions[first], binding, distinct_of.reshape(-1))
 
 
-def _posed(
-    document: Document, held: Held, T_world_node: Float[np.ndarray, "N 4 4"], weights: Mapping[int, list[float]]
+def _pose_vertices(
+    document: Document,
+    part: UnposedVertices,
+    T_world_node: Float[np.ndarray, "N 4 4"],
+    morph_weights: Mapping[int, list[float]],
 ) -> Float[np.ndarray, "V 3"]:
-    """The vertices of a run in one frame."""
-    points = held.points
-    if points is None:
-        points = morphed(document, held.primitive, "POSITION", weights[held.node])
-    assert points is not None
-    matrices = T_world_node[held.node][None, :3] if held.bound is None else held.bound.matrices(T_world_node)
-    return transform(matrices, points)[held.vertex]
+    """Return the world positions of a range's vertices in one frame; `morph_weights` are the animated ones by node."""
+    positions = part.positions
+    if positions is None:
+        positions = read_morphed_attribute(document, part.primitive, "POSITION", morph_weights[part.node])
+    assert positions is not None
+    # glTF 2.0, 3.7.3.2 Joint Hierarchy: a skinned mesh ignores the transform of its own node.
+    matrices = T_world_node[part.node][None, :3] if part.binding is None else part.binding.matrices(T_world_node)
+    return transform_points(matrices, positions)[part.distinct_of]

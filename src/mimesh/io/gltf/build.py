@@ -1,4 +1,4 @@
-"""A glTF document for a Mesh that came from elsewhere: one node, one primitive for each part."""
+"""Builds a glTF document for a Mesh without a glTF source: one node, one primitive for each part."""
 
 from __future__ import annotations
 
@@ -10,50 +10,56 @@ from jaxtyping import Float, Int
 from ...core.mesh import Material, Mesh, Part
 from ..usd import stage_axes
 from .document import image_type
-from .draft import VERTEX_DATA, Draft
-from .primitives import Placed
-from .read import BARE, POINTS
+from .draft import ARRAY_BUFFER, Draft
+from .primitives import PrimitiveGroup
+from .read import DEFAULT_MATERIAL, POINTS
 
-WHITE = Material("default", (1.0, 1.0, 1.0, 1.0))
-"""BARE where vertices have colours, which it multiplies."""
+WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))
+"""Written instead of DEFAULT_MATERIAL where vertices have colours, which the base colour multiplies: it is white."""
 
 
-def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[Placed]]:
-    """A document that shows `moved`, with its vertices split where the uv or the normal of `mesh` changes.
+def build_document(mesh: Mesh, moved: Mesh) -> tuple[Draft, list[PrimitiveGroup]]:
+    """Build a document that shows `moved`, and describe its primitives.
 
+    Vertices are split where the uv or the normal of `mesh` changes: glTF has one set of attributes for each vertex.
     `moved` is `mesh` with other vertices (or itself); both have corner normals. Within a part the vertices keep their
-    order, so a part without seams keeps its numbering. Vertices that no face uses come with the first part; a mesh
-    without faces becomes POINTS.
+    order, so a part without seams keeps its numbering. Vertices that no face uses are written with the first part; a
+    mesh without faces becomes POINTS.
     """
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
-    primitives, placed = [], []
+    primitives, groups = [], []
     materials: dict[Material, int] = {}
-    bare = BARE if mesh.vertex_colors is None else WHITE
+    default = DEFAULT_MATERIAL if mesh.vertex_colors is None else WHITE_MATERIAL
     for part, vertex_of, corner_of, indices in _split_parts(mesh):
-        primitive = _primitive(draft, moved, vertex_of, corner_of)
+        primitive = _add_primitive(draft, moved, vertex_of, corner_of)
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
-            primitive["material"] = materials.setdefault(part.material or bare, len(materials))
+            primitive["material"] = materials.setdefault(part.material or default, len(materials))
         primitives.append(primitive)
-        placed.append(Placed(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"]))
-    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **standing(mesh)}]
+        groups.append(
+            PrimitiveGroup(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
+        )
+    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **stage_transform(mesh)}]
     draft.gltf["meshes"] = [{"name": mesh.name, "primitives": primitives}]
     _add_materials(draft, list(materials), textured=mesh.corner_uv is not None)
-    return draft, placed
+    return draft, groups
 
 
-def standing(mesh: Mesh) -> dict[str, list[float]]:
-    """The turn and scale of a node that stands a mesh up as glTF wants it: y up, in metres.
+def stage_transform(mesh: Mesh) -> dict[str, list[float]]:
+    """Return the rotation and scale of a node that make a mesh y up and in metres (glTF 2.0, 3.4).
 
-    Only files that say other axes and units (USD) need one. Vertices stay as they are, below the node.
+    Only files that declare other axes or units (USD) need them. Vertices stay as they are, below the node.
     """
     z_up, unit = stage_axes(mesh)
-    found = {"rotation": [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]} if z_up else {}
-    return found | ({"scale": [unit] * 3} if unit != 1 else {})
+    rotation = {"rotation": [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]} if z_up else {}  # -90 degrees about x
+    return rotation | ({"scale": [unit] * 3} if unit != 1 else {})
 
 
 def _split_parts(mesh: Mesh) -> list[tuple[Part, Int[np.ndarray, " N"], Int[np.ndarray, " N"], Int[np.ndarray, " I"]]]:
-    """For each part that has faces: the Mesh vertex and a corner of each element, and the triangles of elements."""
+    """Split each part that has faces into elements: returns (part, vertex_of, corner_of, triangles of elements).
+
+    `vertex_of` and `corner_of` are the Mesh vertex and one corner (3 * face + k, or -1) of each element.
+    """
     loose = np.setdiff1d(np.arange(len(mesh.vertices)), mesh.faces)
     if not len(mesh.faces):
         return [(Part(mesh.name, 0, 0), loose, np.full(len(loose), -1), np.zeros(0, np.int64))]
@@ -61,11 +67,16 @@ def _split_parts(mesh: Mesh) -> list[tuple[Part, Int[np.ndarray, " N"], Int[np.n
     for part in mesh.parts or (Part(mesh.name, 0, len(mesh.faces)),):
         if part.stop > part.start:
             result.append((part, *_split_corners(mesh, part, loose)))
-            loose = loose[:0]
+            loose = loose[:0]  # written once, with the first part
     return result
 
 
 def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Merge the corners of a part that agree in vertex, uv and normal into elements, sorted by vertex.
+
+    `loose` vertices, which no face uses, become elements without a corner.
+    """
+    # One row of keys for each corner: vertex index, uv, normal. Equal rows are one element.
     corner = np.arange(3 * part.start, 3 * part.stop)
     vertex = mesh.faces.ravel()[corner]
     columns = [vertex[:, None].astype(np.float64)]
@@ -80,37 +91,41 @@ def _split_corners(mesh: Mesh, part: Part, loose: Int[np.ndarray, " L"]) -> tupl
         np.concatenate([vertex[first], loose]),
         np.concatenate([corner[first], np.full(len(loose), -1)]),
     )
+    # np.unique sorts by all keys; sort by vertex alone, so that a part without seams keeps its numbering.
     order = np.argsort(vertex_of, kind="stable")
-    place = np.argsort(order)
-    return vertex_of[order], corner_of[order], place[element.reshape(-1)]
+    new_index = np.argsort(order)
+    return vertex_of[order], corner_of[order], new_index[element.reshape(-1)]
 
 
-def _primitive(
+def _add_primitive(
     draft: Draft, moved: Mesh, vertex_of: Int[np.ndarray, " N"], corner_of: Int[np.ndarray, " N"]
 ) -> dict[str, Any]:
-    """Positions and colours of all elements; normals and uv too where there are faces."""
-    attributes = {"POSITION": draft.add_floats(moved.vertices[vertex_of], VERTEX_DATA, bounds=True)}
+    """Add a primitive with positions and colours of all elements, and with normals and uv where there are faces."""
+    attributes = {"POSITION": draft.add_floats(moved.vertices[vertex_of], ARRAY_BUFFER, bounds=True)}
     if moved.vertex_colors is not None:
-        attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], VERTEX_DATA)
+        attributes["COLOR_0"] = draft.add_floats(moved.vertex_colors[vertex_of], ARRAY_BUFFER)
     if not (corner_of >= 0).any():
         return {"attributes": attributes, "mode": POINTS}
+    # Elements without a corner are in no triangle; their normal only has to be a valid unit vector.
     if moved.corner_normals is not None:
-        normals = _at_corners(moved.corner_normals, corner_of, [0.0, 1.0, 0.0])
-        attributes["NORMAL"] = draft.add_floats(normals, VERTEX_DATA)
+        normals = _gather_corners(moved.corner_normals, corner_of, [0.0, 1.0, 0.0])
+        attributes["NORMAL"] = draft.add_floats(normals, ARRAY_BUFFER)
     if moved.corner_uv is not None:
-        u, v = _at_corners(moved.corner_uv, corner_of, [0.0, 0.0]).T
-        attributes["TEXCOORD_0"] = draft.add_floats(np.stack([u, 1.0 - v], axis=1), VERTEX_DATA)
+        # glTF has v down (3.8.3 Images: the origin is the upper left corner), a Mesh has v up.
+        u, v = _gather_corners(moved.corner_uv, corner_of, [0.0, 0.0]).T
+        attributes["TEXCOORD_0"] = draft.add_floats(np.stack([u, 1.0 - v], axis=1), ARRAY_BUFFER)
     return {"attributes": attributes}
 
 
-def _at_corners(
+def _gather_corners(
     values: Float[np.ndarray, "F 3 C"], corner_of: Int[np.ndarray, " N"], default: list[float]
 ) -> Float[np.ndarray, "N C"]:
+    """Return the value at the corner of each element; `default` where it has none."""
     return np.where(corner_of[:, None] >= 0, values.reshape(-1, values.shape[2])[corner_of], default)
 
 
 def _add_materials(draft: Draft, materials: list[Material], textured: bool) -> None:
-    """Rough, non-metallic materials, seen from both sides as formats without such a switch show them."""
+    """Add rough, non-metallic materials with textures; double sided, as formats without back-face culling show them."""
     textures: dict[bytes, int] = {}
     entries = []
     for material in materials:

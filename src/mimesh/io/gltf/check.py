@@ -1,7 +1,8 @@
-"""What a glTF document must look like before any of it is used: versions, extensions, types, references.
+"""Checks the JSON of a glTF document before any of it is used: version, extensions, types and references.
 
-The tables name places in the JSON tree: `[]` stands for each item of a list, `{}` for each value of an object, and a
-place that is absent is skipped. After `check_document` the rest of the reader follows indices without looking.
+The tables name locations in the JSON tree: `[]` stands for each item of a list, `{}` for each value of an object; a
+location that a file does not have is skipped. After `check_document`, the reader uses indices without further checks.
+Numbers in comments are sections of the glTF 2.0 specification; the tables follow 5 Properties Reference.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ from typing import Any
 
 from ...core.errors import InputError
 
-TRANSFORM, GLOSS = "extensions KHR_texture_transform", "extensions KHR_materials_pbrSpecularGlossiness"
+TEXTURE_TRANSFORM = "extensions KHR_texture_transform"
+SPECULAR_GLOSSINESS = "extensions KHR_materials_pbrSpecularGlossiness"
 
 REQUIRED = {
     "accessors []": ("componentType", "count", "type"),
@@ -25,8 +27,9 @@ REQUIRED = {
     "meshes [] primitives []": ("attributes",),
     "skins []": ("joints",),
 }
+"""Properties that objects must have."""
 
-NATURAL_NUMBERS = (
+NON_NEGATIVE_INTEGERS = (
     "accessors [] componentType",
     "accessors [] count",
     "accessors [] byteOffset",
@@ -40,6 +43,7 @@ NATURAL_NUMBERS = (
     "buffers [] byteLength",
     "meshes [] primitives [] mode",
 )
+"""Locations of integers of 0 or more."""
 
 NUMBER_LISTS = {
     "nodes [] matrix": 16,
@@ -49,14 +53,15 @@ NUMBER_LISTS = {
     "nodes [] weights": None,
     "meshes [] weights": None,
     "materials [] pbrMetallicRoughness baseColorFactor": 4,
-    f"materials [] pbrMetallicRoughness baseColorTexture {TRANSFORM} offset": 2,
-    f"materials [] pbrMetallicRoughness baseColorTexture {TRANSFORM} scale": 2,
-    f"materials [] {GLOSS} diffuseFactor": 4,
-    f"materials [] {GLOSS} diffuseTexture {TRANSFORM} offset": 2,
-    f"materials [] {GLOSS} diffuseTexture {TRANSFORM} scale": 2,
+    f"materials [] pbrMetallicRoughness baseColorTexture {TEXTURE_TRANSFORM} offset": 2,
+    f"materials [] pbrMetallicRoughness baseColorTexture {TEXTURE_TRANSFORM} scale": 2,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseFactor": 4,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture {TEXTURE_TRANSFORM} offset": 2,
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture {TEXTURE_TRANSFORM} scale": 2,
 }
+"""Locations of lists of numbers, with their length; None for any."""
 
-TEXTS = (
+STRINGS = (
     "extensionsUsed []",
     "extensionsRequired []",
     "accessors [] type",
@@ -66,6 +71,7 @@ TEXTS = (
     "meshes [] name",
     "materials [] name",
 )
+"""Locations of strings."""
 
 OBJECTS = (
     "animations []",
@@ -78,6 +84,7 @@ OBJECTS = (
     "meshes [] primitives [] extensions",
     "bufferViews [] extensions",
 )
+"""Locations of JSON objects that the reader looks into, besides those above."""
 
 REFERENCES = {
     "scenes [] nodes []": "nodes",
@@ -93,21 +100,22 @@ REFERENCES = {
     "meshes [] primitives [] material": "materials",
     "textures [] source": "images",
     "materials [] pbrMetallicRoughness baseColorTexture index": "textures",
-    f"materials [] {GLOSS} diffuseTexture index": "textures",
+    f"materials [] {SPECULAR_GLOSSINESS} diffuseTexture index": "textures",
     "images [] bufferView": "bufferViews",
     "accessors [] bufferView": "bufferViews",
     "accessors [] sparse indices bufferView": "bufferViews",
     "accessors [] sparse values bufferView": "bufferViews",
     "bufferViews [] buffer": "buffers",
 }
+"""Locations of indices, with the top-level list that they point into (3.3 Indices and Names)."""
 
-COMPRESSION = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
-"""Extensions that hide the vertices from us where they are required; elsewhere the file has plain data beside them."""
+COMPRESSION_EXTENSIONS = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
+"""Compressed vertex data, which is not supported. Where it is not required, the file has uncompressed data too."""
 
-PICTURES = {"KHR_texture_basisu"}
-"""Extensions that hide the pictures from us where they are required; elsewhere the file has PNG or JPEG beside them."""
+IMAGE_EXTENSIONS = {"KHR_texture_basisu"}
+"""Image formats that are not supported. Where they are not required, the file has PNG or JPEG too."""
 
-HARMLESS = (
+APPEARANCE_PREFIXES = (
     "KHR_materials_",
     "KHR_texture_",
     "EXT_texture_",
@@ -117,17 +125,13 @@ HARMLESS = (
     "VRM",
     "MSFT_texture",
 )
-"""Beginnings of the names of extensions that say how things look and hold no vertex data."""
+"""First characters of the names of extensions that describe appearance only and refer to no accessors."""
 
-UNDERSTOOD = ("KHR_mesh_quantization", "KHR_animation_pointer")
-
-
-def is_understood(extension: str) -> bool:
-    """Whether a file with this extension is read rightly, and its buffers may be repacked, by the rest of `io.gltf`."""
-    return extension in UNDERSTOOD or extension.startswith(HARMLESS)
+SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer")
+"""Quantized attributes are read. Animation pointers are dropped on opening, so they cannot dangle in a written file."""
 
 
-VERTEX_KINDS = {
+ATTRIBUTE_TYPES = {
     "POSITION": "VEC3",
     "NORMAL": "VEC3",
     "TANGENT": "VEC4",
@@ -135,15 +139,23 @@ VERTEX_KINDS = {
     "JOINTS": "VEC4",
     "WEIGHTS": "VEC4",
 }
-DELTA_KINDS = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
+"""Accessor type of each attribute; of TEXCOORD_n, JOINTS_n, WEIGHTS_n by the part before the underscore (3.7.2.1)."""
+MORPH_TARGET_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
+"""Accessor type of each attribute that a morph target may have (3.7.2.2 Morph Targets)."""
 INDEX_TYPES = (5121, 5123, 5125)
+"""Component types of an index accessor: unsigned byte, short, int (5.24 Mesh Primitive)."""
+
+
+def is_supported(extension: str) -> bool:
+    """Return whether a file with this extension is read correctly and its accessors can be renumbered on writing."""
+    return extension in SUPPORTED_EXTENSIONS or extension.startswith(APPEARANCE_PREFIXES)
 
 
 def check_document(gltf: Any, path: Path) -> None:
     """Check the JSON of a glTF file.
 
     Raises:
-        InputError: not glTF 2, an extension that cannot be done without, or a missing, mistyped or dangling entry.
+        InputError: not glTF 2, a required extension that is not supported, or a missing, mistyped or dangling entry.
     """
     if not isinstance(gltf, dict):
         raise InputError(
@@ -151,31 +163,33 @@ def check_document(gltf: Any, path: Path) -> None:
         )
     _check_version(gltf, path)
     _check_extensions(gltf, path)
-    for place, names in REQUIRED.items():
-        for item in _find(gltf, place, path):
+    # In this order: required properties first, so that the checks after them need not ask whether these are there.
+    for location, names in REQUIRED.items():
+        for item in _values_at(gltf, location, path):
             for name in names:
-                _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{place}'", item)
-    for place in NATURAL_NUMBERS:
-        for value in _find(gltf, place, path):
-            _expect(_is_index(value), path, f"a count in '{place}'", value)
-    for place in TEXTS:
-        for value in _find(gltf, place, path):
-            _expect(isinstance(value, str), path, f"text in '{place}'", value)
-    for place in OBJECTS:
-        for value in _find(gltf, place, path):
-            _expect(isinstance(value, dict), path, f"an object in '{place}'", value)
-    for place, length in NUMBER_LISTS.items():
-        for value in _find(gltf, place, path):
-            _expect(_is_numbers(value, length), path, f"{length or 'some'} numbers in '{place}'", value)
-    for place, name in REFERENCES.items():
-        for value in _find(gltf, place, path):
+                _expect(isinstance(item, dict) and name in item, path, f"'{name}' in each of '{location}'", item)
+    for location in NON_NEGATIVE_INTEGERS:
+        for value in _values_at(gltf, location, path):
+            _expect(_is_index(value), path, f"a count in '{location}'", value)
+    for location in STRINGS:
+        for value in _values_at(gltf, location, path):
+            _expect(isinstance(value, str), path, f"text in '{location}'", value)
+    for location in OBJECTS:
+        for value in _values_at(gltf, location, path):
+            _expect(isinstance(value, dict), path, f"an object in '{location}'", value)
+    for location, length in NUMBER_LISTS.items():
+        for value in _values_at(gltf, location, path):
+            _expect(_is_numbers(value, length), path, f"{length or 'some'} numbers in '{location}'", value)
+    for location, name in REFERENCES.items():
+        for value in _values_at(gltf, location, path):
             count = len(gltf.get(name, ()))
-            _expect(_is_index(value) and value < count, path, f"'{place}' to be one of {count} {name}", value)
-    for primitive in _find(gltf, "meshes [] primitives []", path):
+            _expect(_is_index(value) and value < count, path, f"'{location}' to be one of {count} {name}", value)
+    for primitive in _values_at(gltf, "meshes [] primitives []", path):
         _check_primitive(gltf, primitive, path)
 
 
 def _check_version(gltf: dict[str, Any], path: Path) -> None:
+    # A reader of 2.0 may open any later 2.x: minor versions are compatible (3.2 Asset).
     asset = gltf.get("asset")
     version = asset.get("version") if isinstance(asset, dict) else None
     if not str(version).startswith("2."):
@@ -183,30 +197,31 @@ def _check_version(gltf: dict[str, Any], path: Path) -> None:
 
 
 def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
-    for name in _find(gltf, "extensionsRequired []", path):
-        if str(name) in COMPRESSION:
+    """Check that every extension in `extensionsRequired` is supported (3.12 Specifying Extensions)."""
+    for name in _values_at(gltf, "extensionsRequired []", path):
+        if str(name) in COMPRESSION_EXTENSIONS:
             raise InputError(
                 f"{path}: expected plain vertex data, found {name}; export without compression (Blender: untick "
                 "'Compression'; gltf-transform: 'copy' after removing it)"
             )
-        if str(name) in PICTURES:
+        if str(name) in IMAGE_EXTENSIONS:
             raise InputError(
                 f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "
                 "(gltf-transform: 'png' or 'jpeg')"
             )
-        if not is_understood(str(name)):
+        if not is_supported(str(name)):
             raise InputError(
                 f"{path}: expected no extension that changes the geometry, found required {name}; export without it"
             )
 
 
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
-    """Attributes and targets of the right kind, one element for each vertex; indices that can count."""
+    """Check the types of a primitive's attributes, morph targets and indices, and that attributes have one count."""
     attributes, accessors = primitive["attributes"], gltf.get("accessors", [])
     if "POSITION" not in attributes:
-        return  # nothing to draw; such a primitive is carried along unread
+        return  # nothing to draw without positions (3.7.2.1); the primitive is copied unread
     count = accessors[attributes["POSITION"]]["count"]
-    owners = [(attributes, VERTEX_KINDS), *((target, DELTA_KINDS) for target in primitive.get("targets", []))]
+    owners = [(attributes, ATTRIBUTE_TYPES), *((target, MORPH_TARGET_TYPES) for target in primitive.get("targets", []))]
     for name, index, kinds in ((name, index, kinds) for owner, kinds in owners for name, index in owner.items()):
         accessor = accessors[index]
         kind = kinds.get(name.partition("_")[0], accessor["type"])
@@ -218,23 +233,28 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
         _expect(good, path, "unsigned indices", f"{accessor['componentType']} {accessor['type']}")
 
 
-def _find(value: Any, place: str, path: Path) -> Iterator[Any]:
-    """Everything at a place of the tree; lists and objects on the way must be lists and objects."""
-    step, _, rest = place.partition(" ")
+def _values_at(value: Any, location: str, path: Path) -> Iterator[Any]:
+    """Yield all values at a location of the JSON tree.
+
+    Raises:
+        InputError: a list or an object on the way is something else.
+    """
+    step, _, rest = location.partition(" ")
     if step == "[]":
-        _expect(isinstance(value, list), path, f"a list before '{place}'", value)
+        _expect(isinstance(value, list), path, f"a list before '{location}'", value)
         inner = value
     else:
-        _expect(isinstance(value, dict), path, f"an object around '{place}'", value)
+        _expect(isinstance(value, dict), path, f"an object around '{location}'", value)
         inner = value.values() if step == "{}" else [value[step]] if step in value else []
     for item in inner:
         if rest:
-            yield from _find(item, rest, path)
+            yield from _values_at(item, rest, path)
         else:
             yield item
 
 
 def _is_index(value: Any) -> bool:
+    # A bool is an int in Python, but not in JSON.
     return isinstance(value, int) and not isinstance(value, bool) and value >= 0
 
 

@@ -1,11 +1,12 @@
-"""A clip as morph targets: the mesh is frame 0, and target k - 1 takes it to frame k at time k / fps.
+"""Writes a clip as morph targets: the mesh is frame 0, and target k - 1 takes it to frame k at time k / fps.
 
-One target for each frame after the first, its weight 1 at its own key and 0 at all others, linear in between: at a key
-exactly one target is active, between two keys two, and what is shown there is the straight line between both frames.
-Clients may limit how many targets act at once (glTF promises eight), which never touches this layout. Frame 0 is the
-mesh itself, so that a client that ignores morph targets shows the beginning of the clip.
+One target for each frame after the first: its weight is 1 at its own key and 0 at all others, linear in between. At a
+key one target is active, between two keys two, and the positions in between are linear between both frames. Clients may
+limit the active targets (glTF 2.0, 3.7.2.2 Morph Targets, recommends support of eight attributes), which two never
+reach. A client without morph targets shows frame 0.
 
-Long clips may have a few blend shapes instead (`blend_shapes`), all active at once, whose weights at rest show frame 0.
+Long clips may have a few blend shapes instead (`blend_shapes`): all are active at once, and their default weights show
+frame 0.
 """
 
 from __future__ import annotations
@@ -20,125 +21,141 @@ from jaxtyping import Float, Float32
 from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Clip, Mesh
-from .blend_shapes import Blend
-from .draft import VERTEX_DATA, Draft, Spool
-from .primitives import Placed
+from .blend_shapes import BlendShapes
+from .draft import ARRAY_BUFFER, Draft, Spool
+from .primitives import PrimitiveGroup
+
+Deltas = dict[str, Float[np.ndarray, "N 3"]]
+"""What a morph target adds to the attributes of one primitive group, by attribute name."""
 
 
-def add_frames(
+def add_morph_animation(
     draft: Draft,
-    placed: list[Placed],
+    groups: list[PrimitiveGroup],
     mesh: Mesh,
     clip: Clip,
     progress: Progress | None = None,
-    blend: Blend | None = None,
+    blend: BlendShapes | None = None,
 ) -> None:
-    """Add the frames of `clip` to a document that shows its frame 0 or, with `blend`, the base of that.
+    """Add morph targets and an animation of their weights to a document that shows frame 0 of `clip`.
 
-    `mesh` is the clip's, with corner normals. What goes into the file waits on disk: memory does not grow with the
-    number of frames.
+    Args:
+        groups: the primitives of the document that show vertices of the mesh.
+        mesh: the clip's, with corner normals.
+        blend: shapes to write instead of one target a frame; the document then shows the base of these.
+
+    Targets of all frames wait in a temporary file: memory does not grow with the number of frames.
     """
     if blend is None:
+        # Target k - 1 has weight 1 at key k and 0 at all others; frame 0 has no target.
         first = np.asarray(clip.vertices[0], np.float64)
-        deltas = _frame_deltas(placed, mesh, clip, first, progress)
-        attributes = _one_each(itertools.islice(deltas, 1, None), placed)
+        deltas = _frame_deltas(groups, mesh, clip, first, progress)
+        attributes = _one_target_per_frame(itertools.islice(deltas, 1, None), groups)
         weights, kind = np.eye(len(clip), dtype=np.float32)[:, 1:], "frame"
     else:
-        deltas = _frame_deltas(placed, mesh, clip, blend.base, progress)
-        attributes = _blended(deltas, placed, blend.shares())
+        deltas = _frame_deltas(groups, mesh, clip, blend.base, progress)
+        attributes = _blend_targets(deltas, groups, blend.frame_coefficients())
         weights, kind = blend.weights, "shape"
-    for one, spools in zip(placed, attributes, strict=True):
+    for group, spools in zip(groups, attributes, strict=True):
         targets = _add_targets(draft, spools)
-        for primitive in one.primitives:
+        for primitive in group.primitives:
             primitive["targets"] = [dict(target) for target in targets]
-    nodes = list(dict.fromkeys(one.node for one in placed))
+    # A node appears once, although several groups may be primitives of its mesh.
+    nodes = list(dict.fromkeys(group.node for group in groups))
     names = [f"{kind} {number}" for number in range(1, weights.shape[1] + 1)]
     for node in nodes:
-        _complete_mesh(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
-    draft.gltf["animations"] = [_animation(draft, nodes, clip, weights)]
+        _complete_targets(draft, draft.gltf["meshes"][draft.gltf["nodes"][node]["mesh"]], names, weights[0].tolist())
+    draft.gltf["animations"] = [_morph_animation(draft, nodes, clip, weights)]
 
 
 def _frame_deltas(
-    placed: list[Placed], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
-) -> Iterator[list[dict[str, Float[np.ndarray, "N 3"]]]]:
-    """What each frame adds to the float32 attributes of the base, for each placed group."""
-    turned = None
-    if any(one.has_normals for one in placed):
+    groups: list[PrimitiveGroup], mesh: Mesh, clip: Clip, base: Float[np.ndarray, "V 3"], progress: Progress | None
+) -> Iterator[list[Deltas]]:
+    """Yield for each frame the differences of its attributes from those of `base`, one entry a group.
+
+    Attributes of the base are rounded to float32 first, as the file has them, so that rounding errors do not add up.
+    """
+    normals_of = None
+    if any(group.has_normals for group in groups):
         assert mesh.corner_normals is not None
-        turned = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
+        normals_of = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
 
-    def shown(vertices: Float[np.ndarray, "V 3"]) -> list[dict[str, Float[np.ndarray, "N 3"]]]:
-        normals = turned(vertices).reshape(-1, 3) if turned else None
-        return [_local(one, vertices, normals) for one in placed]
+    def attributes_of(vertices: Float[np.ndarray, "V 3"]) -> list[Deltas]:
+        normals = normals_of(vertices).reshape(-1, 3) if normals_of else None
+        return [_local_attributes(group, vertices, normals) for group in groups]
 
-    start = [{name: values.astype(np.float32) for name, values in group.items()} for group in shown(base)]
+    base_attributes = [
+        {name: values.astype(np.float32) for name, values in attributes.items()} for attributes in attributes_of(base)
+    ]
     for vertices in each_frame(clip.vertices, progress):
         yield [
-            {name: values - before[name] for name, values in group.items()}
-            for group, before in zip(shown(vertices), start, strict=True)
+            {name: values - of_base[name] for name, values in attributes.items()}
+            for attributes, of_base in zip(attributes_of(vertices), base_attributes, strict=True)
         ]
 
 
-def _one_each(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed]
-) -> list[dict[str, Spool]]:
-    """For each group and attribute, one target a frame."""
-    spools: list[dict[str, Spool]] = [{} for _ in placed]
-    for groups in deltas:
-        for group, spool in zip(groups, spools, strict=True):
-            for name, values in group.items():
+def _one_target_per_frame(frames: Iterable[list[Deltas]], groups: list[PrimitiveGroup]) -> list[dict[str, Spool]]:
+    """Store the deltas of each frame as one morph target; returns a spool for each group and attribute."""
+    spools: list[dict[str, Spool]] = [{} for _ in groups]
+    for frame in frames:
+        for deltas, spool in zip(frame, spools, strict=True):
+            for name, values in deltas.items():
                 spool.setdefault(name, Spool()).append(values)
     return spools
 
 
-def _blended(
-    deltas: Iterable[list[dict[str, Float[np.ndarray, "N 3"]]]], placed: list[Placed], shares: Float[np.ndarray, "K T"]
+def _blend_targets(
+    frames: Iterable[list[Deltas]], groups: list[PrimitiveGroup], frame_coefficients: Float[np.ndarray, "K T"]
 ) -> list[dict[str, Spool]]:
-    """For each group and attribute, targets that are mixed from all frames."""
-    sums: list[dict[str, np.ndarray]] = [{} for _ in placed]
-    for groups, share in zip(deltas, shares.T, strict=True):
-        for group, total in zip(groups, sums, strict=True):
-            for name, values in group.items():
-                mixed = total.setdefault(name, np.zeros((len(share), *values.shape)))
-                for shape, part in zip(mixed, share, strict=True):
-                    shape += part * values
-    spools: list[dict[str, Spool]] = [{} for _ in placed]
-    for total, spool in zip(sums, spools, strict=True):
-        for name, shapes in total.items():
+    """Mix the deltas of all frames into K morph targets; returns a spool for each group and attribute."""
+    sums: list[dict[str, np.ndarray]] = [{} for _ in groups]
+    for frame, coefficients in zip(frames, frame_coefficients.T, strict=True):
+        for deltas, totals in zip(frame, sums, strict=True):
+            for name, values in deltas.items():
+                shapes = totals.setdefault(name, np.zeros((len(coefficients), *values.shape)))
+                for shape, coefficient in zip(shapes, coefficients, strict=True):
+                    shape += coefficient * values
+    spools: list[dict[str, Spool]] = [{} for _ in groups]
+    for totals, spool in zip(sums, spools, strict=True):
+        for name, shapes in totals.items():
             spool[name] = Spool()
             for shape in shapes:
                 spool[name].append(shape)
     return spools
 
 
-def _local(
-    one: Placed, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
-) -> dict[str, Float[np.ndarray, "N 3"]]:
-    """Positions and normals of a group's elements in the frame of its node; without a face the normal is constant."""
-    linear, origin = one.T_world_local[:3, :3], one.T_world_local[:3, 3]
-    local = {"POSITION": (vertices[one.vertex_of] - origin) @ np.linalg.inv(linear).T}
-    if one.has_normals and normals is not None:
-        local["NORMAL"] = np.where(one.corner_of[:, None] >= 0, unit_vectors(normals[one.corner_of] @ linear), 0.0)
+def _local_attributes(
+    group: PrimitiveGroup, vertices: Float[np.ndarray, "V 3"], normals: Float[np.ndarray, "C 3"] | None
+) -> Deltas:
+    """Return positions and normals of a group's elements in the frame of its node, from world ones of the Mesh.
+
+    Elements that no face uses get a zero normal, so that their delta is zero.
+    """
+    linear, origin = group.T_world_local[:3, :3], group.T_world_local[:3, 3]
+    local = {"POSITION": (vertices[group.vertex_of] - origin) @ np.linalg.inv(linear).T}
+    if group.has_normals and normals is not None:
+        local["NORMAL"] = np.where(group.corner_of[:, None] >= 0, unit_vectors(normals[group.corner_of] @ linear), 0.0)
     return local
 
 
-def _add_targets(draft: Draft, deltas: dict[str, Spool]) -> list[dict[str, int]]:
-    """One view for all frames of an attribute, one accessor for each frame."""
-    targets: list[dict[str, int]] = [{} for _ in next(iter(deltas.values())).bounds]
-    for name, frames in deltas.items():
-        view = draft.add_view(frames, target=VERTEX_DATA, byteStride=12)
-        size = frames.nbytes // max(len(frames.bounds), 1)
-        for number, bounds in enumerate(frames.bounds):
+def _add_targets(draft: Draft, spools: dict[str, Spool]) -> list[dict[str, int]]:
+    """Add one buffer view for each attribute and one accessor for each morph target; returns the targets' JSON."""
+    targets: list[dict[str, int]] = [{} for _ in next(iter(spools.values())).bounds]
+    for name, spool in spools.items():
+        view = draft.add_view(spool, target=ARRAY_BUFFER, byteStride=12)
+        size = spool.nbytes // max(len(spool.bounds), 1)  # bytes of one target: 12 an element
+        for number, bounds in enumerate(spool.bounds):
             accessor: dict[str, Any] = {"bufferView": view, "byteOffset": number * size, "componentType": 5126}
             accessor |= {"count": size // 12, "type": "VEC3"} | (bounds if name == "POSITION" else {})
             targets[number][name] = draft.add_accessor(accessor)
     return targets
 
 
-def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str], weights: list[float]) -> None:
-    """Weights and names for the targets, and targets that do nothing for the lines and points of the mesh.
+def _complete_targets(draft: Draft, mesh: dict[str, Any], names: list[str], weights: list[float]) -> None:
+    """Set the default weights and names of a mesh's targets, and add zero targets to its lines and points.
 
-    glTF wants one number of targets for all primitives of a mesh. An accessor without a view is all zeros.
+    All primitives of a mesh must have the same number of targets (glTF 2.0, 3.7.2.2). An accessor without a buffer view
+    is all zeros (3.6.2.3 Sparse Accessors). Names in `extras.targetNames` are a convention of most tools.
     """
     for primitive in mesh["primitives"]:
         if "targets" not in primitive:
@@ -150,8 +167,10 @@ def _complete_mesh(draft: Draft, mesh: dict[str, Any], names: list[str], weights
         mesh["extras"]["targetNames"] = names
 
 
-def _animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
+def _morph_animation(draft: Draft, nodes: list[int], clip: Clip, weights: Float32[np.ndarray, "T K"]) -> dict[str, Any]:
+    """Return an animation of the morph weights with one key a frame; its channels share one sampler."""
     times = draft.add_floats(np.arange(len(clip))[:, None] / clip.fps, bounds=True)
+    # The weights of all targets at one key lie next to each other (3.11 Animations).
     values = draft.add_floats(weights.reshape(-1, 1))
     return {
         "name": clip.mesh.name,

@@ -1,6 +1,7 @@
-"""The glTF 2.0 container: the JSON and the bytes of a .glb or .gltf file, and the arrays (accessors) inside them.
+"""Opens glTF 2.0 files: the JSON and the buffers of a .glb or .gltf, and the arrays (accessors) inside them.
 
-All buffers, embedded or beside the file, are joined into one on opening, so that a `Document` stands on its own.
+All buffers, embedded or in files beside it, are joined into one on opening, so that a `Document` needs no other file.
+Numbers in comments are sections of the glTF 2.0 specification.
 """
 
 from __future__ import annotations
@@ -15,68 +16,73 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ...core.errors import InputError
-from .check import COMPRESSION, check_document
-from .pages import Pages
+from .check import COMPRESSION_EXTENSIONS, check_document
+from .mapped_files import MappedFiles
 
-COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-LANES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+"""NumPy dtype of each `componentType` (3.6.2.2 Accessor Data Types); buffers are little endian."""
+COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+"""Components of an element of each accessor `type` (3.6.2.2)."""
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
-MOST_ZEROS = 2**30
-"""Bytes of an accessor without data: it stands for zeros, and a few letters could ask for any amount of memory."""
+"""Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
+MAX_ZERO_BYTES = 2**30
+"""Largest accessor without a buffer view, in bytes: it stands for zeros, so a damaged or malicious count of a few
+characters could otherwise allocate any amount of memory."""
 IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
+"""MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A glTF file in memory: its JSON, whose buffer views all point into `binary`, and the contents of its images."""
+    """An open glTF file: its JSON, whose buffer views all point into `binary`, and the contents of its images."""
 
     path: Path
     gltf: dict[str, Any] = field(repr=False)
     binary: bytes | memoryview = field(repr=False)
-    """In memory, or a large file that the system pages in."""
+    """All buffers, joined: bytes in memory, or a memory-mapped file where they are large."""
     images: tuple[bytes | None, ...] = field(repr=False)
-    """Content of each image; None where it could not be had (a file that is not there, or is no image)."""
-    pages: Pages = field(default_factory=Pages, repr=False)
+    """Content of each image; None where its file does not exist or is not an image."""
+    mapped_files: MappedFiles = field(default_factory=MappedFiles, repr=False)
 
-    def let_go(self) -> None:
-        """Give back the memory that pages of a large file have taken."""
-        self.pages.let_go()
+    def release_pages(self) -> None:
+        """Release the memory of the pages that have been read from mapped files; the data stays readable."""
+        self.mapped_files.release_pages()
 
 
 def open_document(path: Path) -> Document:
-    """Read a .glb, .vrm or .gltf file with everything it refers to.
+    """Read and check a .glb, .vrm or .gltf file with all buffers and images it refers to.
 
     Raises:
-        InputError: the file is truncated, inconsistent, not glTF 2.0, or needs an extension that is not understood.
+        InputError: the file is truncated, inconsistent, not glTF 2.0, or requires an extension that is not supported.
     """
-    pages = Pages()
-    content = pages.read(path)
+    mapped_files = MappedFiles()
+    content = mapped_files.read(path)
     magic = bytes(content[:4])
-    text, chunk = _split_glb(content, path) if magic == b"glTF" else (pages.without_large_data(content), b"")
+    text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
-    gltf, binary = _join_buffers(_without_compression(gltf), chunk, path, pages)
-    images = tuple(_read_image(image, gltf, binary, path, pages) for image in gltf.get("images", []))
-    document = Document(path, gltf, binary, images, pages)
+    gltf, binary = _join_buffers(_drop_compression(gltf), chunk, path, mapped_files)
+    images = tuple(_read_image(image, gltf, binary, path, mapped_files) for image in gltf.get("images", []))
+    document = Document(path, gltf, binary, images, mapped_files)
     for index in sorted(_used_accessors(gltf)):
-        element_bytes(document, index)  # so that what is wrong with one is said now and not when the file is written
+        element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document
 
 
 def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
-    """The bytes of each element of an accessor, one element a row: strides undone and sparse entries filled in.
+    """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values.
 
     Raises:
-        InputError: the accessor has an unknown type, reaches beyond its data, or is large and has none.
+        InputError: the accessor has an unknown type, reaches beyond its buffer view, or is large without having one.
     """
     accessor = document.gltf["accessors"][index]
     count, size = accessor["count"], element_size(accessor, index, document.path)
     if "bufferView" in accessor:
-        rows = _view_rows(document, accessor, count, size, f"accessor {index}")
+        rows = _read_rows(document, accessor, count, size, f"accessor {index}")
     else:
-        if count * size > MOST_ZEROS:
+        if count * size > MAX_ZERO_BYTES:
             raise InputError(
                 f"{document.path}: expected data behind accessor {index}, found {count:,} elements without any; "
                 "the file is damaged, export it again"
@@ -84,48 +90,54 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
         rows = np.zeros((count, size), np.uint8)
     if "sparse" not in accessor:
         return rows
+    # Sparse values replace elements of the dense array, or of zeros where there is none (3.6.2.3 Sparse Accessors).
     sparse, rows = accessor["sparse"], rows.copy()
-    places = _sparse_places(document, sparse, index, count)
-    rows[places] = _view_rows(document, sparse["values"], len(places), size, f"sparse accessor {index}")
+    indices = _read_sparse_indices(document, sparse, index, count)
+    rows[indices] = _read_rows(document, sparse["values"], len(indices), size, f"sparse accessor {index}")
     return rows
 
 
 def read_accessor(document: Document, index: int) -> Shaped[np.ndarray, "N C"]:
-    """The values of an accessor as stored, one a row (with the padding that matrices of small integers get)."""
+    """Return the values of an accessor as stored, one element a row, with the padding of small integer matrices."""
     rows = np.ascontiguousarray(element_bytes(document, index))
-    dtype = np.dtype(COMPONENTS[document.gltf["accessors"][index]["componentType"]])
+    dtype = np.dtype(COMPONENT_TYPES[document.gltf["accessors"][index]["componentType"]])
     return rows.view(dtype).reshape(len(rows), rows.shape[1] // dtype.itemsize)
 
 
 def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
-    """The values of an accessor in float64; integers marked as normalized come in -1..1 or 0..1."""
+    """Return the values of an accessor in float64; normalized integers are scaled to -1..1 or 0..1."""
     values = read_accessor(document, index)
     if not document.gltf["accessors"][index].get("normalized") or values.dtype.kind == "f":
         return values.astype(np.float64)
+    # 3.11 Animations, equations for normalized integers: f = max(c / 127.0, -1.0) and likewise for other widths.
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
 
 
 def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
-    """Bytes of one element; columns of matrices start at multiples of four bytes."""
+    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).
+
+    Raises:
+        InputError: the component type or the type is not one of glTF 2.0.
+    """
     component, kind = accessor["componentType"], accessor["type"]
-    if component not in COMPONENTS or kind not in LANES:
+    if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
         raise InputError(
             f"{path}: expected a glTF 2.0 type in accessor {index}, found {component} {kind}; export it again"
         )
-    width = np.dtype(COMPONENTS[component]).itemsize
+    width = np.dtype(COMPONENT_TYPES[component]).itemsize
     if not kind.startswith("MAT"):
-        return LANES[kind] * width
+        return COMPONENT_COUNTS[kind] * width
     columns = int(kind[3])
     return columns * (-(-columns * width // 4) * 4)
 
 
 def image_type(content: bytes) -> str | None:
-    """The MIME type of an image that glTF can hold, told by its first bytes."""
+    """Return the MIME type of an image from its first bytes; None where no glTF image starts like this."""
     return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
 
 
 def _used_accessors(gltf: dict[str, Any]) -> set[int]:
-    """The accessors of all primitives and skins; those of animations are never read here."""
+    """List the accessors of all primitives and skins; those of animations are checked when an animation is read."""
     used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
     for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
         used |= {
@@ -135,27 +147,29 @@ def _used_accessors(gltf: dict[str, Any]) -> set[int]:
     return used
 
 
-def _sparse_places(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
+def _read_sparse_indices(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
+    """Read the element indices of a sparse accessor and check that they are below `count`."""
     component = sparse["indices"]["componentType"]
     if component not in (5121, 5123, 5125):
         raise InputError(
             f"{document.path}: expected unsigned sparse indices in accessor {index}, found {component}; export it again"
         )
-    dtype = np.dtype(COMPONENTS[component])
-    rows = _view_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
-    places = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
-    if len(places) and places.max() >= count:
+    dtype = np.dtype(COMPONENT_TYPES[component])
+    rows = _read_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
+    indices = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
+    if len(indices) and indices.max() >= count:
         raise InputError(
-            f"{document.path}: expected sparse indices below {count} in accessor {index}, found {places.max()}; "
+            f"{document.path}: expected sparse indices below {count} in accessor {index}, found {indices.max()}; "
             "the file is damaged, export it again"
         )
-    return places
+    return indices
 
 
-def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int, name: str) -> np.ndarray:
-    """`count` rows of `size` bytes from the buffer view that `owner` names, without a copy."""
+def _read_rows(document: Document, owner: dict[str, Any], count: int, size: int, name: str) -> np.ndarray:
+    """Return `count` rows of `size` bytes from the buffer view that `owner` refers to, without a copy."""
     view = document.gltf["bufferViews"][owner["bufferView"]]
     start, stride = owner.get("byteOffset", 0), view.get("byteStride") or size
+    # An accessor must fit its buffer view, by the formula of 3.6.2.4 Data Alignment; the checks keep as_strided safe.
     end = start + (count - 1) * stride + size
     if count and end > view["byteLength"]:
         raise InputError(
@@ -167,7 +181,7 @@ def _view_rows(document: Document, owner: dict[str, Any], count: int, size: int,
 
 
 def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | bytes]:
-    """The JSON and the binary chunk of a GLB file."""
+    """Split a GLB file into its JSON and its binary chunk, which may be missing (4.4 Binary glTF Layout)."""
     if len(content) < 20:
         raise InputError(f"{path}: expected a GLB header of 20 bytes, found {len(content)}; the file is truncated")
     version, length, json_length, kind = struct.unpack_from("<IIII", content, 4)
@@ -193,55 +207,59 @@ def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | byt
 
 
 def _parse_json(text: bytes, path: Path) -> Any:
-    def refuse(constant: str) -> None:
-        raise ValueError(f"{constant} is not a JSON number")
+    def reject_constant(constant: str) -> None:
+        raise ValueError(f"{constant} is not a JSON number")  # json.loads accepts NaN and Infinity by default
 
     try:
-        return json.loads(text.decode("utf-8-sig"), parse_constant=refuse)
+        return json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: expected glTF JSON, found text that does not parse ({error}); export it again"
         ) from error
 
 
-def _without_compression(gltf: dict[str, Any]) -> dict[str, Any]:
-    """The JSON without the optional compressed twins of the data, which will not be what the data is when written."""
-    gone = (*COMPRESSION, "KHR_animation_pointer")
+def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
+    """Return the JSON without optional compressed copies of the data, which would be stale in a file we write."""
+    dropped = (*COMPRESSION_EXTENSIONS, "KHR_animation_pointer")
     gltf = {**gltf}
     for key in gltf.keys() & {"extensionsUsed", "extensionsRequired"}:
-        gltf[key] = [name for name in gltf[key] if name not in gone]
+        gltf[key] = [name for name in gltf[key] if name not in dropped]
     primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
     for owner in [*gltf.get("bufferViews", []), *primitives]:
-        if COMPRESSION & owner.get("extensions", {}).keys():
-            owner["extensions"] = {key: value for key, value in owner["extensions"].items() if key not in COMPRESSION}
+        if COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():
+            owner["extensions"] = {
+                key: value for key, value in owner["extensions"].items() if key not in COMPRESSION_EXTENSIONS
+            }
             if not owner["extensions"]:
                 del owner["extensions"]
     return gltf
 
 
 def _join_buffers(
-    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, pages: Pages
+    gltf: dict[str, Any], chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> tuple[dict[str, Any], bytes | memoryview]:
-    """The JSON with every view pointing into one joined buffer, and that buffer; a single one is not copied."""
+    """Join all buffers into one: returns the JSON with views into it, and the buffer. A single buffer is not copied."""
     starts, parts, total = [], [], 0
     for index, buffer in enumerate(gltf.get("buffers", [])):
-        content = _read_buffer(buffer, index, chunk, path, pages)
+        content = _read_buffer(buffer, index, chunk, path, mapped_files)
         padding = bytes(-len(content) % 4)
         starts.append(total)
         parts += [content, padding]
         total += len(content) + len(padding)
     views = [
-        _moved_view(view, index, gltf["buffers"], starts, path)
+        _rebase_view(view, index, gltf["buffers"], starts, path)
         for index, view in enumerate(gltf.get("bufferViews", []))
     ]
     return {**gltf, "bufferViews": views}, parts[0] if len(starts) == 1 else b"".join(parts)
 
 
 def _read_buffer(
-    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, pages: Pages
+    buffer: dict[str, Any], index: int, chunk: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> bytes | memoryview:
+    """Return the bytes of a buffer: the GLB's binary chunk, a data: URI, or a file beside the document."""
     uri = buffer.get("uri")
-    content = (chunk if index == 0 else None) if uri is None else pages.fetch(uri, path)
+    # Only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer).
+    content = (chunk if index == 0 else None) if uri is None else mapped_files.fetch(uri, path)
     if content is None:
         raise InputError(
             f"{path}: expected the data of buffer {index}, found no file {str(uri or 'inside')[:80]!r}; keep the files "
@@ -255,9 +273,10 @@ def _read_buffer(
     return content[: buffer["byteLength"]]
 
 
-def _moved_view(
+def _rebase_view(
     view: dict[str, Any], index: int, buffers: list[dict[str, Any]], starts: list[int], path: Path
 ) -> dict[str, Any]:
+    """Return a buffer view with its offset in the joined buffer; `starts` are the offsets of the buffers in it."""
     offset, size = view.get("byteOffset", 0), buffers[view["buffer"]]["byteLength"]
     if offset + view["byteLength"] > size:
         raise InputError(
@@ -268,11 +287,12 @@ def _moved_view(
 
 
 def _read_image(
-    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, pages: Pages
+    image: dict[str, Any], gltf: dict[str, Any], binary: bytes | memoryview, path: Path, mapped_files: MappedFiles
 ) -> bytes | None:
+    """Return the bytes of an image; None where its file does not exist or is not an image."""
     if "bufferView" in image:
         view = gltf["bufferViews"][image["bufferView"]]
         return bytes(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
-    content = bytes(pages.fetch(image.get("uri", ""), path) or b"")
-    # A file that is no image must not travel into the file we write, whatever a stranger's glTF points at.
+    content = bytes(mapped_files.fetch(image.get("uri", ""), path) or b"")
+    # A document may refer to any file of the machine: one that is not an image must not be copied into our output.
     return content if content and image_type(content) else None

@@ -1,4 +1,4 @@
-"""A glTF document while it is written: JSON that grows, byte chunks that are never joined, and saving both."""
+"""Builds and saves glTF documents: a `Draft` collects JSON and byte chunks, which are never joined in memory."""
 
 from __future__ import annotations
 
@@ -16,85 +16,104 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from .check import is_understood
+from .check import is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type
 
-VERTEX_DATA, INDEX_DATA = 34962, 34963
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
-
-
-_PIECE = 3 * 2**20
-"""Bytes that are encoded at once; a multiple of three."""
-_PLACE = "\ue000buffer\ue000"
-"""Where the buffer goes in the text of a .gltf; these characters are for private use."""
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+"""Values of `bufferView.target`: vertex attributes and indices (glTF 2.0, 5.11 Buffer View)."""
+ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
+"""Accessor `type` by number of components."""
+ENCODE_BLOCK = 3 * 2**20
+"""Bytes that are base64-encoded at once; a multiple of three, so that only the last block is padded."""
+BUFFER_MARK = "\ue000buffer\ue000"
+"""Stands for the base64 buffer in the JSON of a .gltf while it is serialized; U+E000 is a private-use character."""
 
 
 class Spool:
-    """Arrays of one shape, one after the other on disk: a clip's frames on their way into a file, never in memory."""
+    """Arrays of one shape in a temporary file, one after the other: a clip's frames need no memory while they wait."""
 
     def __init__(self) -> None:
-        self.file = tempfile.TemporaryFile()  # noqa: SIM115 (closed with this)
+        self.file = tempfile.TemporaryFile()  # noqa: SIM115 (closed together with this object)
         weakref.finalize(self, self.file.close)
         self.nbytes = 0
+        """Bytes of all arrays together."""
         self.bounds: list[dict[str, list[float]]] = []
-        """`min` and `max` of each array."""
+        """Accessor properties `min` and `max` of each array."""
 
     def append(self, values: Float[np.ndarray, "N C"]) -> None:
-        """Write one more array, as float32."""
+        """Append an array, as float32."""
         values = np.ascontiguousarray(values, "<f4")
-        self.bounds.append(bounds_of(values))
+        self.bounds.append(accessor_bounds(values))
         self.nbytes += self.file.write(values.data)
 
     def copy_to(self, file: io.BufferedIOBase) -> None:
-        """Write all arrays into a file."""
+        """Copy all arrays into an open file."""
         self.file.seek(0)
         shutil.copyfileobj(self.file, file)
 
 
 class Draft:
-    """JSON and byte chunks of a file to be; accessors and views are only ever appended."""
+    """A glTF document under construction: its JSON and the chunks of its one buffer. Entries are only appended."""
 
     def __init__(self, gltf: dict[str, Any]) -> None:
         self.gltf: dict[str, Any] = {**gltf, "accessors": [], "bufferViews": [], "buffers": []}
         self.chunks: list[memoryview | Spool] = []
+        """Contents of the buffer views, each followed by its padding."""
         self.size = 0
+        """Bytes of all chunks."""
 
     def add_view(self, content: bytes | memoryview | np.ndarray | Spool, **properties: int | None) -> int:
-        """Append bytes, an array (not copied) or a spool, and a buffer view of them; each starts at a multiple of 4."""
-        chunk = content if isinstance(content, Spool) else _bytes(content)
-        given = {name: value for name, value in properties.items() if value is not None}
-        self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **given})
+        """Append bytes, an array (not copied) or a spool, and a buffer view of them; returns the index of the view.
+
+        Views start at multiples of 4 bytes (glTF 2.0, 3.6.2.4 Data Alignment). `properties` that are None are left out.
+        """
+        chunk = content if isinstance(content, Spool) else _as_bytes(content)
+        present = {name: value for name, value in properties.items() if value is not None}
+        self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": self.size, "byteLength": chunk.nbytes, **present})
+        # The chunk itself is written when the document is saved.
         self.chunks += [chunk, memoryview(bytes(-chunk.nbytes % 4))]
         self.size += chunk.nbytes + -chunk.nbytes % 4
         return len(self.gltf["bufferViews"]) - 1
 
     def add_accessor(self, accessor: dict[str, Any]) -> int:
-        """Append an accessor as it is."""
+        """Append an accessor as it is; returns its index."""
         self.gltf["accessors"].append(accessor)
         return len(self.gltf["accessors"]) - 1
 
     def add_floats(self, values: Float[np.ndarray, "N C"], target: int | None = None, bounds: bool = False) -> int:
-        """Append an accessor of float32 values, with `min` and `max` if asked (a must for positions and times)."""
+        """Append an accessor of float32 values; returns its index.
+
+        `bounds` adds `min` and `max`, which positions and animation times must have (3.6.2.5 Accessors Bounds).
+        """
         values = np.asarray(values, "<f4")
         view = self.add_view(values, target=target)
-        accessor = {"bufferView": view, "componentType": 5126, "count": len(values), "type": KINDS[values.shape[1]]}
-        return self.add_accessor({**accessor, **(bounds_of(values) if bounds else {})})
+        accessor = {
+            "bufferView": view,
+            "componentType": 5126,
+            "count": len(values),
+            "type": ACCESSOR_TYPES[values.shape[1]],
+        }
+        return self.add_accessor({**accessor, **(accessor_bounds(values) if bounds else {})})
 
     def add_indices(self, indices: np.ndarray) -> int:
-        """Append an index accessor, 16 bits wide where that is enough (65535 itself is not an index in glTF)."""
+        """Append an index accessor, 16 bits wide where that is enough; returns its index.
+
+        The largest value of a component type, 65535, is not allowed as an index (3.7.2.1).
+        """
         small = indices.max(initial=0) < 65535
-        view = self.add_view(indices.astype("<u2" if small else "<u4").ravel(), target=INDEX_DATA)
+        view = self.add_view(indices.astype("<u2" if small else "<u4").ravel(), target=ELEMENT_ARRAY_BUFFER)
         kind = {"componentType": 5123 if small else 5125, "count": indices.size, "type": "SCALAR"}
         return self.add_accessor({"bufferView": view, **kind})
 
     def save(self, path: Path) -> None:
-        """Write a .gltf with the buffer inside as base64, or a .glb for any other suffix."""
+        """Write a .gltf with the buffer as a base64 data: URI; for any other suffix a .glb (4.4 Binary glTF Layout)."""
         gltf = {**self.gltf, "buffers": [{"byteLength": self.size}] if self.size else []}
         if path.suffix.lower() == ".gltf":
             self._save_text(gltf, path)
             return
-        text = _dump(gltf)
-        text += b" " * (-len(text) % 4)
+        text = _to_json(gltf)
+        text += b" " * (-len(text) % 4)  # the JSON chunk is padded with spaces (4.4.3.2)
+        # A header of 12 bytes and two chunks with headers of 8 bytes; an empty binary chunk is left out.
         total = 12 + 8 + len(text) + (8 + self.size if self.size else 0)
         with path.open("wb") as file:
             file.write(struct.pack("<4sIIII", b"glTF", 2, total, len(text), JSON_CHUNK) + text)
@@ -103,17 +122,18 @@ class Draft:
                 self._write(file)
 
     def _save_text(self, gltf: dict[str, Any], path: Path) -> None:
-        """Write JSON with the buffer in it, piece by piece."""
+        """Write the JSON with the buffer as base64 in the place of `BUFFER_MARK`, block by block."""
         for buffer in gltf["buffers"]:
-            buffer["uri"] = f"data:application/octet-stream;base64,{_PLACE}"
-        head, _, tail = _dump(gltf).partition(_PLACE.encode())
-        with path.open("wb") as file, tempfile.TemporaryFile() as whole:
+            buffer["uri"] = f"data:application/octet-stream;base64,{BUFFER_MARK}"
+        head, _, tail = _to_json(gltf).partition(BUFFER_MARK.encode())
+        # Chunks have any length, base64 needs multiples of three bytes: join the chunks on disk first.
+        with path.open("wb") as file, tempfile.TemporaryFile() as joined:
             file.write(head)
             if self.size:
-                self._write(whole)
-                whole.seek(0)
-            while piece := whole.read(_PIECE):
-                file.write(base64.b64encode(piece))
+                self._write(joined)
+                joined.seek(0)
+            while block := joined.read(ENCODE_BLOCK):
+                file.write(base64.b64encode(block))
             file.write(tail)
 
     def _write(self, file: io.BufferedIOBase) -> None:
@@ -124,70 +144,77 @@ class Draft:
                 file.write(chunk)
 
 
-class Carrier:
-    """Takes accessors of an opened document over into a draft, each once, and nothing that is not asked for.
+class AccessorCopier:
+    """Copies accessors of an opened document into a new draft, each at most once.
 
-    A file with an extension we do not know may point at accessors and views from places we do not know either: there,
-    everything is taken over under its old number, and the parts that are replaced stay behind as dead weight.
+    Extensions that are not supported may refer to accessors and buffer views in unknown places. A document that uses
+    one is copied as a whole, with all indices unchanged; data that is replaced then stays in the file unused.
     """
 
     def __init__(self, document: Document) -> None:
         self.document = document
         gltf = copy.deepcopy(document.gltf)
         self.draft = Draft(gltf)
-        self.keeps_all = not all(is_understood(name) for name in gltf.get("extensionsUsed", []))
-        self.moved: dict[int, int] = {}
-        if self.keeps_all:
+        self.copies_all = not all(is_supported(name) for name in gltf.get("extensionsUsed", []))
+        self.new_index: dict[int, int] = {}
+        """Index in the draft of each copied accessor."""
+        if self.copies_all:
             self.draft.add_view(document.binary)
             self.draft.gltf |= {"bufferViews": gltf["bufferViews"], "accessors": gltf.get("accessors", [])}
-        self._carry_images()
+        self._copy_images()
 
-    def carry(self, index: int, target: int | None = VERTEX_DATA) -> int:
-        """The number in the draft of an accessor of the document; vertex data gets its elements at multiples of 4."""
-        if self.keeps_all:
+    def copy_accessor(self, index: int, target: int | None = ARRAY_BUFFER) -> int:
+        """Copy an accessor with its data, unless that is done already; returns its index in the draft.
+
+        Elements of vertex attributes are padded to multiples of 4 bytes (3.6.2.4 Data Alignment).
+        """
+        if self.copies_all:
             return index
-        if index not in self.moved:
-            self.moved[index] = self._copy(index, target)
-        return self.moved[index]
+        if index not in self.new_index:
+            self.new_index[index] = self._copy(index, target)
+        return self.new_index[index]
 
     def _copy(self, index: int, target: int | None) -> int:
         accessor = self.document.gltf["accessors"][index]
-        kept = {key: value for key, value in accessor.items() if key not in ("bufferView", "byteOffset", "sparse")}
+        properties = {
+            key: value for key, value in accessor.items() if key not in ("bufferView", "byteOffset", "sparse")
+        }
         if "bufferView" not in accessor and "sparse" not in accessor:
-            return self.draft.add_accessor(kept)
+            return self.draft.add_accessor(properties)
         rows = element_bytes(self.document, index)
-        padding = -rows.shape[1] % 4 if target == VERTEX_DATA else 0
+        padding = -rows.shape[1] % 4 if target == ARRAY_BUFFER else 0
         rows = np.pad(rows, ((0, 0), (0, padding)))
         view = self.draft.add_view(rows, target=target, byteStride=rows.shape[1] if padding else None)
-        return self.draft.add_accessor({"bufferView": view, **kept})
+        return self.draft.add_accessor({"bufferView": view, **properties})
 
-    def _carry_images(self) -> None:
-        """Images move into the buffer, from files beside the document and from data: URIs too."""
+    def _copy_images(self) -> None:
+        """Copy all images into the buffer, those of files beside the document and of data: URIs too."""
         images = []
         for image, content in zip(self.document.gltf.get("images", []), self.document.images, strict=True):
-            if content is None or (self.keeps_all and "bufferView" in image):
+            if content is None or (self.copies_all and "bufferView" in image):
                 images.append(image)
                 continue
-            kept = {key: value for key, value in image.items() if key != "uri"}
+            properties = {key: value for key, value in image.items() if key != "uri"}
             mime = image.get("mimeType") or image_type(content) or "image/png"
-            images.append({**kept, "mimeType": mime, "bufferView": self.draft.add_view(content)})
+            images.append({**properties, "mimeType": mime, "bufferView": self.draft.add_view(content)})
         if images:
             self.draft.gltf["images"] = images
 
 
-def _bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
+def _as_bytes(content: bytes | memoryview | np.ndarray) -> memoryview:
+    """Return a view of the bytes of `content`, without a copy where it is contiguous."""
     chunk = np.ascontiguousarray(content).data if isinstance(content, np.ndarray) else memoryview(content)
     return chunk.cast("B") if chunk.nbytes else memoryview(b"")
 
 
-def bounds_of(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
-    """`min` and `max` of an accessor, exactly as its float32 values are."""
+def accessor_bounds(values: Float[np.ndarray, "N C"]) -> dict[str, list[float]]:
+    """Return the properties `min` and `max` of an accessor; they must equal its float32 values (3.6.2.5)."""
     if not len(values):
         return {}
     return {"min": values.min(axis=0).astype(float).tolist(), "max": values.max(axis=0).astype(float).tolist()}
 
 
-def _dump(gltf: dict[str, Any]) -> bytes:
-    """Compact JSON; top-level lists that ended up empty are left out, as glTF forbids them."""
-    kept = {key: value for key, value in gltf.items() if value != []}
-    return json.dumps(kept, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()
+def _to_json(gltf: dict[str, Any]) -> bytes:
+    """Serialize to compact JSON without empty top-level lists, which the glTF JSON schema does not allow."""
+    without_empty = {key: value for key, value in gltf.items() if value != []}
+    return json.dumps(without_empty, ensure_ascii=False, separators=(",", ":"), allow_nan=False).encode()

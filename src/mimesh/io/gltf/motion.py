@@ -1,9 +1,10 @@
-"""Animations of a glTF file that shows no mesh: its joints in motion, played by the shipped body.
+"""Reads animated joints of a glTF file without a mesh, and plays them on the shipped body.
 
-Joints are the nodes that an animation moves or a skin lists, and those between them. They rest as the largest skin was
-bound, where its inverse bind matrices say so, else as the nodes stand in the file: exporters often leave these in the
-first frame of something. Node scales and mirrored joints are spent on the way: rotations are those of the world.
-Animated scales are not played, because a body has its size: what pops up out of nothing stands there at once.
+Joints are the nodes that an animation moves or a skin lists, and those between them. Their rest pose is the bind pose
+of the largest skin, where its inverse bind matrices define one, else the nodes' transforms in the file: exporters often
+leave these in some frame of an animation. Rotations are world rotations, so node scales and mirrored joints cancel out.
+Animated scales are not played, because a body has a fixed size: joints that a file scales up from zero are there from
+the first frame.
 """
 
 from __future__ import annotations
@@ -20,35 +21,36 @@ from ...motions.bvh import Bvh
 from ...motions.on_body import first_frame, on_body, played
 from ...motions.retarget import to_local
 from ..timing import DEFAULT_FPS
-from .animation import Channel, frame_rate, played_channels, read_channels
-from .bake import frame_times, node_blocks
+from .animation import AnimationChannel, frame_rate, read_channels, select_channels
+from .bake import frame_times, sample_nodes
 from .document import Document
-from .scene import joint_matrices, node_matrices, parents_first, parents_of, shown_nodes, world_matrices
+from .scene import joint_matrices, local_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
 
-PLAYED = ("translation", "rotation")
-WORLD = -1
-"""Holds the joints of a file with several roots; counted as a node, it is the last one and never moves."""
-FLAT = 1e-6
-"""Of the largest: bind matrices that shrink more than this say nothing."""
-UPRIGHT = 0.7
-"""Cosine of the angle (45 degrees) up to which two ways up are one."""
+PLAYED_PATHS = ("translation", "rotation")
+"""Target paths of the channels that are played."""
+WORLD_NODE = -1
+"""Index of an added root joint in files with several roots. It never moves; as an index it is the last node."""
+NEGLIGIBLE = 1e-6
+"""Relative size below which the scale of a bind matrix or the change of a bone counts as zero."""
+SAME_UP_COSINE = 0.7
+"""Cosine of the largest angle (about 45 degrees) between two up axes that count as the same."""
 
 
 def is_motion(document: Document) -> bool:
-    """Whether a file has animations and its default scene no mesh."""
+    """Return whether a file has animations, and no mesh in its default scene."""
     nodes = document.gltf.get("nodes", [])
-    return bool(document.gltf.get("animations")) and not any("mesh" in nodes[n] for n in shown_nodes(document))
+    return bool(document.gltf.get("animations")) and not any("mesh" in nodes[n] for n in scene_nodes(document))
 
 
 def gltf_joints(document: Document) -> int:
-    """How many joints such a file has."""
-    return len([node for node in _find_joints(document)[0] if node != WORLD])
+    """Return the number of joints of such a file."""
+    return len([node for node in _find_joints(document)[0] if node != WORLD_NODE])
 
 
 def read_motion_clip(
     document: Document, fps: float | None, animation: str | None, progress: Progress | None = None
 ) -> Clip:
-    """An animation on the shipped body; see `gltf.read_gltf_clip` for the arguments and `motions.on_body` for the body.
+    """Read an animation and play it on the shipped body (see `motions.on_body`); arguments as in `read_gltf_clip`.
 
     Raises:
         InputError: no such animation, a damaged one, or joints that do not fit a person by name.
@@ -57,132 +59,147 @@ def read_motion_clip(
 
 
 def read_motion_mesh(document: Document) -> Mesh:
-    """The shipped body in the first frame of what `read_motion_clip` plays by default."""
+    """Return the shipped body in the first frame of the clip that `read_motion_clip` returns by default."""
     return first_frame(on_body(read_skeleton(document), document.path))
 
 
 def read_skeleton(document: Document, fps: float | None = None, animation: str | None = None) -> Bvh:
-    """The joints and an animation of them, in the world's axes and unit; joints that stretch do so in `Bvh.moved`.
+    """Read the joints and an animation of them, in the file's axes and unit.
+
+    Joints that do not keep their distance from their parent get their translations in `Bvh.moved`.
 
     Raises:
-        InputError: no such animation, a damaged one, or one that is not of finite numbers.
+        InputError: no such animation, a damaged one, or one with NaN or infinity.
     """
-    channels = [channel for channel in played_channels(document, animation) if channel.path in PLAYED]
+    channels = [channel for channel in select_channels(document, animation) if channel.path in PLAYED_PATHS]
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     nodes, parents = _find_joints(document)
-    T_world_rest = _with_world(rest_matrices(document))[nodes]
-    rotation, place = _world_motion(document, channels, frame_times(document, channels, fps), nodes, T_world_rest)
-    above = np.maximum(parents, 0)
+    T_world_rest = _append_world(rest_matrices(document))[nodes]
+    times = frame_times(document, channels, fps)
+    rotation, position = _joint_motion(document, channels, times, nodes, T_world_rest)
+    parent = np.maximum(parents, 0)
     rest = T_world_rest[:, :3, 3]
-    offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[above], 0.0)
-    bones = (np.swapaxes(rotation[:, above], -1, -2) @ (place - place[:, above])[..., None])[..., 0]
-    stretch = np.abs(bones - offsets).max(axis=(0, 2)) > FLAT * np.ptp(rest, axis=0).max()
-    moved = {j: bones[:, j] for j in np.flatnonzero(stretch).tolist() if j > 0}
-    names = tuple("world" if n == WORLD else str(document.gltf["nodes"][n].get("name", f"node{n}")) for n in nodes)
+    offsets = rest - np.where(np.array(parents)[:, None] >= 0, rest[parent], 0.0)
+    # Offsets from the parent joint, in its frame, per frame: equal to `offsets` where a bone keeps its length.
+    bones = (np.swapaxes(rotation[:, parent], -1, -2) @ (position - position[:, parent])[..., None])[..., 0]
+    stretches = np.abs(bones - offsets).max(axis=(0, 2)) > NEGLIGIBLE * np.ptp(rest, axis=0).max()
+    moved = {j: bones[:, j] for j in np.flatnonzero(stretches).tolist() if j > 0}
+    names = tuple("world" if n == WORLD_NODE else str(document.gltf["nodes"][n].get("name", f"node{n}")) for n in nodes)
     local = to_local(rotation, parents)
-    return Bvh(document.path.stem, names, parents, offsets, {}, local, place[:, 0], float(fps), moved)
+    return Bvh(document.path.stem, names, parents, offsets, {}, local, position[:, 0], float(fps), moved)
 
 
 def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
-    """World transforms of all nodes where the largest skin was bound; as the nodes stand if none says how.
+    """Return the world transforms of all nodes in the bind pose of the largest skin.
 
-    Bind matrices lead to the space in which the mesh was made; `_stood` says how that stands in the world. Nodes that
-    the skin does not list keep their place on the nearest one above that it does list.
+    World from bind space, through joint j in the file's pose, is node j times its inverse bind matrix. Undoing it takes
+    a node from that pose into bind space; `_bind_orientation` and the median scale take bind space back to the world.
+    Nodes that the skin does not list follow the nearest joint above them.
+
+    Without usable inverse bind matrices, these are the nodes' transforms in the file.
+
+    Raises:
+        InputError: the inverse bind matrices have NaN or infinity.
     """
-    T_world_node, skins = world_matrices(document, node_matrices(document)), document.gltf.get("skins", [])
-    telling = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
-    if not telling:
+    T_world_node, skins = world_matrices(document, local_matrices(document)), document.gltf.get("skins", [])
+    bound_skins = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
+    if not bound_skins:
         return T_world_node
-    largest = max(telling, key=lambda number: len(skins[number]["joints"]))
+    largest = max(bound_skins, key=lambda number: len(skins[number]["joints"]))
     T_world_bind = joint_matrices(document, largest, T_world_node)
     if not np.isfinite(T_world_bind).all():
         raise InputError(
             f"{document.path}: expected finite joint transforms in skin {largest}, found NaN or infinity; "
             "export it again"
         )
-    size = np.cbrt(np.abs(np.linalg.det(T_world_bind[:, :3, :3])))
-    sound = np.flatnonzero(size > FLAT * size.max(initial=0.0)).tolist()
-    if not sound:
+    scale = np.cbrt(np.abs(np.linalg.det(T_world_bind[:, :3, :3])))
+    invertible = np.flatnonzero(scale > NEGLIGIBLE * scale.max(initial=0.0)).tolist()
+    if not invertible:
         return T_world_node
-    own = {skins[largest]["joints"][joint]: joint for joint in sound}
-    parent, held = parents_of(document), {WORLD: sound[0]}
-    order = parents_first(document, parent)
-    above = parent[next(node for node in order if node in own)]
-    T_stood_bind = np.eye(4)
-    T_stood_bind[:3, :3] = _stood(T_world_bind[sound], _with_world(T_world_node)[above]) * np.median(size[sound])
-    T_stood_node = np.empty_like(T_world_node)
+    joint_of_node = {skins[largest]["joints"][joint]: joint for joint in invertible}
+    parent, nearest_joint = node_parents(document), {WORLD_NODE: invertible[0]}
+    order = sort_parents_first(document, parent)
+    above_joints = parent[next(node for node in order if node in joint_of_node)]
+    orientation = _bind_orientation(T_world_bind[invertible], _append_world(T_world_node)[above_joints])
+    T_rest_bind = np.eye(4)
+    T_rest_bind[:3, :3] = orientation * np.median(scale[invertible])
+    T_rest_node = np.empty_like(T_world_node)
     for node in order:
-        held[node] = own.get(node, held[parent[node]])
-        T_stood_node[node] = T_stood_bind @ np.linalg.inv(T_world_bind[held[node]]) @ T_world_node[node]
-    return T_stood_node
+        nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
+        T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
+    return T_rest_node
 
 
-def _stood(
+def _bind_orientation(
     T_world_bind: Float[np.ndarray, "J 4 4"], T_world_above: Float[np.ndarray, "4 4"]
 ) -> Float[np.ndarray, "3 3"]:
-    """The axis rotation by which the space of a skin stands in the world, from where each joint's node puts that space.
+    """Choose the axis-aligned rotation from bind space to the world.
 
-    It is that of the node above the joints, or none, as exporters have it, unless the nodes of the joints have another
-    way up. By how much they are turned or leant beyond that is their pose.
+    Candidates, in the order that exporters use them: the rotation of the node above the joints, and the identity. The
+    first one with about the same up axis as the mean rotation of the joints is taken; what remains is the joints' pose.
+    If none fits, it is the axis-aligned rotation nearest to that mean.
     """
     mean = nearest_rotation(nearest_rotation(T_world_bind[:, :3, :3]).sum(axis=0))
-    for way in (_nearest_axes(nearest_rotation(T_world_above[:3, :3])), np.eye(3)):
-        if (mean @ way.T)[1, 1] > UPRIGHT:
-            return way
-    return _nearest_axes(mean)
+    for candidate in (_nearest_axis_rotation(nearest_rotation(T_world_above[:3, :3])), np.eye(3)):
+        if (mean @ candidate.T)[1, 1] > SAME_UP_COSINE:
+            return candidate
+    return _nearest_axis_rotation(mean)
 
 
-def _nearest_axes(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+def _nearest_axis_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Return the axis-aligned rotation with the smallest angle to a rotation, which has the largest trace(R^T A)."""
     return ROTATIONS[np.einsum("rkl,kl->r", ROTATIONS, rotation).argmax()]
 
 
 def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
-    """The nodes that are joints, each after its parent, and which joint that is: one root, -1."""
-    above = parents_of(document)
-    order = parents_first(document, above)
+    """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
+    node_parent = node_parents(document)
+    order = sort_parents_first(document, node_parent)
     joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
     for number in range(len(document.gltf["animations"])):
-        joints |= {channel.node for channel in read_channels(document, number) if channel.path in PLAYED}
-    for node in tuple(joints):
-        between, node = [], above[node]
+        joints |= {channel.node for channel in read_channels(document, number) if channel.path in PLAYED_PATHS}
+    for node in tuple(joints):  # add the nodes between a joint and the next joint above it
+        between, node = [], node_parent[node]
         while node >= 0 and node not in joints:
             between.append(node)
-            node = above[node]
+            node = node_parent[node]
         joints.update(between if node >= 0 else ())
     nodes = [node for node in order if node in joints]
-    if sum(above[node] not in joints for node in nodes) != 1:
-        nodes.insert(0, WORLD)
-    number = {node: j for j, node in enumerate(nodes)}
-    parents = (number.get(above[node], number.get(WORLD, -1)) if node != WORLD else -1 for node in nodes)
+    if sum(node_parent[node] not in joints for node in nodes) != 1:
+        nodes.insert(0, WORLD_NODE)
+    index = {node: j for j, node in enumerate(nodes)}
+    root = index.get(WORLD_NODE, -1)
+    parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
 
 
-def _world_motion(
+def _joint_motion(
     document: Document,
-    channels: list[Channel],
+    channels: list[AnimationChannel],
     times: Float[np.ndarray, " T"],
     nodes: list[int],
     T_world_rest: Float[np.ndarray, "J 4 4"],
 ) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
-    """How joints have turned in the world since rest, and where they are."""
-    rotation, place = np.empty((len(times), len(nodes), 3, 3)), np.empty((len(times), len(nodes), 3))
-    # A joint whose scale is zero at rest has no inverse; it stays as it is.
-    back = np.linalg.pinv(T_world_rest[:, :3, :3])
+    """Return the world rotation of each joint since rest, and its world position, in every frame."""
+    rotation, position = np.empty((len(times), len(nodes), 3, 3)), np.empty((len(times), len(nodes), 3))
+    # A joint whose scale is zero at rest has no inverse; with the pseudo-inverse it does not rotate.
+    rest_inverse = np.linalg.pinv(T_world_rest[:, :3, :3])
     done = 0
-    for _, T_world_node in node_blocks(document, channels, times):
-        now = _with_world(T_world_node)[:, nodes]
-        if not np.isfinite(now).all():
-            bad = done + int(np.flatnonzero(~np.isfinite(now).all(axis=(1, 2, 3)))[0])
+    for _, T_world_node in sample_nodes(document, channels, times):
+        T_world_joint = _append_world(T_world_node)[:, nodes]
+        if not np.isfinite(T_world_joint).all():
+            frame = done + int(np.flatnonzero(~np.isfinite(T_world_joint).all(axis=(1, 2, 3)))[0])
             raise InputError(
-                f"{document.path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again"
+                f"{document.path}: expected finite numbers, found NaN or infinity in frame {frame}; export it again"
             )
-        some = slice(done, done + len(now))
-        rotation[some], place[some] = nearest_rotation(now[..., :3, :3] @ back), now[..., :3, 3]
-        done += len(now)
-    return rotation, place
+        block = slice(done, done + len(T_world_joint))
+        rotation[block] = nearest_rotation(T_world_joint[..., :3, :3] @ rest_inverse)
+        position[block] = T_world_joint[..., :3, 3]
+        done += len(T_world_joint)
+    return rotation, position
 
 
-def _with_world(T_world_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T M 4 4"]:
-    """The same with the world itself behind the last node."""
+def _append_world(T_world_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T M 4 4"]:
+    """Append an identity transform for `WORLD_NODE` after the last node (M = N + 1)."""
     world = np.broadcast_to(np.eye(4), (*T_world_node.shape[:-3], 1, 4, 4))
     return np.concatenate([T_world_node, world], axis=-3)

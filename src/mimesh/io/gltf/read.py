@@ -1,4 +1,4 @@
-"""A glTF scene at rest as one Mesh in world coordinates, and the account of which vertex came from where."""
+"""Reads a glTF scene at rest as one Mesh in world coordinates, with a record of where each vertex came from."""
 
 from __future__ import annotations
 
@@ -15,49 +15,53 @@ from ..colors import with_alpha
 from ..polygons import joined_corners, with_face_normals
 from .document import Document, image_type
 from .scene import (
-    attribute,
-    morph_weights,
-    morphed,
-    node_matrices,
+    local_matrices,
     normal_matrices,
+    read_attribute,
     read_indices,
-    shown_nodes,
-    transform,
-    turn,
+    read_morph_weights,
+    read_morphed_attribute,
+    scene_nodes,
+    transform_points,
+    transform_vectors,
     vertex_matrices,
     world_matrices,
 )
 
-POINTS, TRIANGLES, STRIP, FAN = 0, 4, 5, 6
-BARE = Material("default")
-"""Written for parts without a material, and read as none: glTF's own default is a bare metal, which looks black in most
-viewers."""
-Shown = tuple[int, int]
-"""A node and the number of one of its mesh's primitives."""
+POINTS, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 0, 4, 5, 6
+"""Values of a primitive's `mode` (glTF 2.0, 5.24 Mesh Primitive); 1 to 3 are lines."""
+DEFAULT_MATERIAL = Material("default")
+"""Written for parts without a material, and read as no material. The default of glTF 2.0 (3.9.6 Default Material) is a
+polished metal, which looks black in most viewers."""
+PrimitiveKey = tuple[int, int]
+"""A node and the index of one primitive of its mesh."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """Vertices `start:stop` of the Mesh: one POSITION accessor (with one skinning of it) as one node shows it."""
+class VertexRange:
+    """Vertices `start:stop` of the Mesh: one POSITION accessor with one skinning of it, shown by one node."""
 
     node: int
     start: int
     stop: int
     primitives: tuple[int, ...]
-    """All primitives that draw these vertices, lines and points over the surface included."""
+    """Indices, in the node's mesh, of all primitives that draw these vertices, lines and points included."""
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
-    """A scene at rest: where each node is, which vertices and faces of the Mesh each primitive has."""
+class RestScene:
+    """A scene at rest: the transform of each node, and the vertices and faces of the Mesh that each primitive has."""
 
     T_world_node: Float[np.ndarray, "N 4 4"]
-    runs: tuple[Run, ...]
-    faces: dict[Shown, tuple[int, int]]
+    """World transform of each node."""
+    vertex_ranges: tuple[VertexRange, ...]
+    """All vertices of the Mesh, in order."""
+    faces: dict[PrimitiveKey, tuple[int, int]]
+    """First face of each primitive in the Mesh, and the one after its last."""
 
 
-def read_rest(document: Document) -> tuple[Mesh, Rest]:
-    """The default scene's triangles, baked at its rest nodes: node transforms, default morph weights and skins applied.
+def read_rest(document: Document) -> tuple[Mesh, RestScene]:
+    """Read the triangles of the default scene, with node transforms, default morph weights and skins applied.
 
     Vertices are the distinct (node, POSITION) accessors in scene order, so a mesh shown by two nodes comes twice. A
     scene without any triangles gives the vertices of its POINTS. Lines are not read. The Mesh is not checked.
@@ -65,93 +69,107 @@ def read_rest(document: Document) -> tuple[Mesh, Rest]:
     Raises:
         InputError: the scene shows no triangles and no points, or an array does not fit what it is used for.
     """
-    T_world_node = world_matrices(document, node_matrices(document))
-    runs = _find_runs(document)
-    start = {(run.node, primitive): run.start for run in runs for primitive in run.primitives}
-    shown = [key for key in sorted_by_scene(runs) if _mode(document, key) >= TRIANGLES]
-    rows = [_read_faces(document, key) for key in shown]
-    rows = [
-        row[:, ::-1] if np.linalg.det(T_world_node[key[0]]) < 0 else row for key, row in zip(shown, rows, strict=True)
+    T_world_node = world_matrices(document, local_matrices(document))
+    vertex_ranges = _find_vertex_ranges(document)
+    start = {(span.node, primitive): span.start for span in vertex_ranges for primitive in span.primitives}
+    keys = [key for key in primitives_in_scene_order(vertex_ranges) if _get_mode(document, key) >= TRIANGLES]
+    triangles = [_read_faces(document, key) for key in keys]
+    # A negative determinant of the node's global transform reverses the winding order (glTF 2.0, 3.7.4 Instantiation).
+    triangles = [
+        local_faces[:, ::-1] if np.linalg.det(T_world_node[key[0]]) < 0 else local_faces
+        for key, local_faces in zip(keys, triangles, strict=True)
     ]
     faces = np.concatenate(
-        [row + start[key] for key, row in zip(shown, rows, strict=True)] or [np.zeros((0, 3), np.int64)]
+        [local_faces + start[key] for key, local_faces in zip(keys, triangles, strict=True)]
+        or [np.zeros((0, 3), np.int64)]
     )
-    ends = np.cumsum([0] + [len(row) for row in rows]).tolist()
-    rest = Rest(T_world_node, runs, {key: (ends[i], ends[i + 1]) for i, key in enumerate(shown)})
-    vertices = np.concatenate([rest_points(document, run.node, run.primitives[0], T_world_node) for run in runs])
+    # Faces of primitive i are ends[i]:ends[i + 1] of the Mesh.
+    ends = np.cumsum([0] + [len(local_faces) for local_faces in triangles]).tolist()
+    rest = RestScene(T_world_node, vertex_ranges, {key: (ends[i], ends[i + 1]) for i, key in enumerate(keys)})
+    vertices = np.concatenate(
+        [read_rest_positions(document, span.node, span.primitives[0], T_world_node) for span in vertex_ranges]
+    )
     mesh = Mesh(
         vertices,
         faces,
         name=document.path.stem,
-        corner_uv=_corner_uv(document, shown, rows),
-        corner_normals=_corner_normals(document, shown, rows, T_world_node, vertices, faces),
-        vertex_colors=_vertex_colors(document, runs, len(vertices)),
-        parts=_parts(document, rest),
+        corner_uv=_read_corner_uv(document, keys, triangles),
+        corner_normals=_read_corner_normals(document, keys, triangles, T_world_node, vertices, faces),
+        vertex_colors=_read_vertex_colors(document, vertex_ranges, len(vertices)),
+        parts=_read_parts(document, rest),
     )
     return mesh, rest
 
 
-def rest_points(
+def read_rest_positions(
     document: Document, node: int, primitive: int, T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "V 3"]:
-    """The world positions of a primitive's vertices."""
-    entry = primitive_of(document, (node, primitive))
-    points = morphed(document, entry, "POSITION", morph_weights(document, node))
-    assert points is not None
-    return transform(vertex_matrices(document, node, entry, T_world_node), points)
+    """Read the world positions of the vertices of a node's primitive."""
+    entry = get_primitive(document, (node, primitive))
+    positions = read_morphed_attribute(document, entry, "POSITION", read_morph_weights(document, node))
+    assert positions is not None
+    return transform_points(vertex_matrices(document, node, entry, T_world_node), positions)
 
 
-def rest_normals(
+def read_rest_normals(
     document: Document, node: int, primitive: int, T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "V 3"] | None:
-    """The world normals of a primitive's vertices, or None where it has none; a zero normal stays zero."""
-    entry = primitive_of(document, (node, primitive))
-    normals = morphed(document, entry, "NORMAL", morph_weights(document, node))
+    """Read the world normals of the vertices of a node's primitive; None where it has none. Zero normals stay zero."""
+    entry = get_primitive(document, (node, primitive))
+    normals = read_morphed_attribute(document, entry, "NORMAL", read_morph_weights(document, node))
     if normals is None:
         return None
     linear = vertex_matrices(document, node, entry, T_world_node)[:, :, :3]
-    return unit_vectors(turn(normal_matrices(linear), normals))
+    return unit_vectors(transform_vectors(normal_matrices(linear), normals))
 
 
-def primitive_of(document: Document, shown: Shown) -> dict[str, Any]:
-    """The JSON of a primitive that a node shows."""
-    node, primitive = shown
+def get_primitive(document: Document, key: PrimitiveKey) -> dict[str, Any]:
+    """Return the JSON of a node's primitive."""
+    node, primitive = key
     return document.gltf["meshes"][document.gltf["nodes"][node]["mesh"]]["primitives"][primitive]
 
 
-def sorted_by_scene(runs: tuple[Run, ...]) -> list[Shown]:
-    """All primitives of the runs, nodes in scene order and each node's primitives in file order."""
-    place = {node: i for i, node in enumerate(dict.fromkeys(run.node for run in runs))}
-    return sorted(((run.node, p) for run in runs for p in run.primitives), key=lambda key: (place[key[0]], key[1]))
+def primitives_in_scene_order(vertex_ranges: tuple[VertexRange, ...]) -> list[PrimitiveKey]:
+    """List all primitives of the ranges: nodes in scene order, and each node's primitives in file order."""
+    rank = {node: i for i, node in enumerate(dict.fromkeys(span.node for span in vertex_ranges))}
+    keys = ((span.node, p) for span in vertex_ranges for p in span.primitives)
+    return sorted(keys, key=lambda key: (rank[key[0]], key[1]))
 
 
-def _find_runs(document: Document) -> tuple[Run, ...]:
-    groups: dict[tuple[Any, ...], list[Shown]] = {}
-    for node in shown_nodes(document):
+def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
+    """Group the primitives of the scene by the vertices that they draw, and number these vertices.
+
+    Ranges that no triangle uses are left out, unless the scene has no triangles at all: then POINTS are kept.
+    """
+    # Dictionaries keep insertion order, so the vertices follow the scene.
+    groups: dict[tuple[Any, ...], list[PrimitiveKey]] = {}
+    for node in scene_nodes(document):
         mesh = document.gltf["nodes"][node].get("mesh")
         primitives = document.gltf["meshes"][mesh]["primitives"] if mesh is not None else []
         for index, primitive in enumerate(primitives):
             position = primitive["attributes"].get("POSITION")
             if position is not None and document.gltf["accessors"][position]["count"]:
-                groups.setdefault((node, *_deformation(primitive)), []).append((node, index))
-    wanted = [group for group in groups.values() if any(_mode(document, key) >= TRIANGLES for key in group)]
-    wanted = wanted or [group for group in groups.values() if any(_mode(document, key) == POINTS for key in group)]
-    if not wanted:
+                groups.setdefault((node, *_deformation_key(primitive)), []).append((node, index))
+    drawn_groups = [group for group in groups.values() if any(_get_mode(document, key) >= TRIANGLES for key in group)]
+    drawn_groups = drawn_groups or [
+        group for group in groups.values() if any(_get_mode(document, key) == POINTS for key in group)
+    ]
+    if not drawn_groups:
         raise InputError(
             f"{document.path}: expected a scene with triangles, found none "
             f"({len(document.gltf.get('meshes', []))} meshes, {len(document.gltf.get('animations', []))} animations); "
             "give the file that holds the character"
         )
-    runs, start = [], 0
-    for group in wanted:
-        count = document.gltf["accessors"][primitive_of(document, group[0])["attributes"]["POSITION"]]["count"]
-        runs.append(Run(group[0][0], start, start + count, tuple(index for _, index in group)))
+    vertex_ranges, start = [], 0
+    for group in drawn_groups:
+        count = document.gltf["accessors"][get_primitive(document, group[0])["attributes"]["POSITION"]]["count"]
+        vertex_ranges.append(VertexRange(group[0][0], start, start + count, tuple(index for _, index in group)))
         start += count
-    return tuple(runs)
+    return tuple(vertex_ranges)
 
 
-def _deformation(primitive: dict[str, Any]) -> tuple[Any, ...]:
-    """All that decides where a primitive's vertices are: two that agree in it share their vertices."""
+def _deformation_key(primitive: dict[str, Any]) -> tuple[Any, ...]:
+    """Return the accessors that decide a primitive's vertex positions: primitives with equal keys share vertices."""
     attributes = primitive["attributes"]
     skinning = sorted(item for item in attributes.items() if item[0].startswith(("JOINTS_", "WEIGHTS_")))
     return (
@@ -161,85 +179,109 @@ def _deformation(primitive: dict[str, Any]) -> tuple[Any, ...]:
     )
 
 
-def _mode(document: Document, shown: Shown) -> int:
-    return primitive_of(document, shown).get("mode", TRIANGLES)
+def _get_mode(document: Document, key: PrimitiveKey) -> int:
+    return get_primitive(document, key).get("mode", TRIANGLES)
 
 
-def _read_faces(document: Document, shown: Shown) -> Int[np.ndarray, "F 3"]:
-    """Triangles of a primitive, counted from its first vertex; what strips repeat to turn a corner is left out."""
-    indices, mode = read_indices(document, primitive_of(document, shown)), _mode(document, shown)
+def _read_faces(document: Document, key: PrimitiveKey) -> Int[np.ndarray, "F 3"]:
+    """Read the triangles of a primitive, with vertices counted from its first one.
+
+    Strips and fans become triangles by the equations of glTF 2.0, 3.7.2.1. Degenerate triangles, which strips contain
+    where they change direction, are left out.
+    """
+    indices, mode = read_indices(document, get_primitive(document, key)), _get_mode(document, key)
     if mode == TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)  # as in OpenGL, an incomplete triangle is not drawn
-    if mode == FAN:
-        rows = np.stack([indices[1:-1], indices[2:], np.broadcast_to(indices[:1], max(len(indices) - 2, 0))], axis=1)
+    if mode == TRIANGLE_FAN:
+        # Triangle i is (v[i + 1], v[i + 2], v[0]).
+        centre = np.broadcast_to(indices[:1], max(len(indices) - 2, 0))
+        triangles = np.stack([indices[1:-1], indices[2:], centre], axis=1)
     else:
-        rows = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
-        rows[1::2, 1:] = rows[1::2, :0:-1]
-    return rows[(rows[:, 0] != rows[:, 1]) & (rows[:, 1] != rows[:, 2]) & (rows[:, 2] != rows[:, 0])]
+        # Triangle i is (v[i], v[i + 1], v[i + 2]); every second one has the last two exchanged, to keep the winding.
+        triangles = np.stack([indices[:-2], indices[1:-1], indices[2:]], axis=1)
+        triangles[1::2, 1:] = triangles[1::2, :0:-1]
+    a, b, c = triangles.T
+    return triangles[(a != b) & (b != c) & (c != a)]
 
 
-def _corner_normals(
+def _read_corner_normals(
     document: Document,
-    shown: list[Shown],
-    rows: list[np.ndarray],
+    keys: list[PrimitiveKey],
+    triangles: list[np.ndarray],
     T_world_node: Float[np.ndarray, "N 4 4"],
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
 ) -> Float[np.ndarray, "F 3 3"] | None:
-    """Normals of all corners, or None where no primitive has any; flat ones where one lacks them, as glTF asks."""
-    given = [rest_normals(document, node, primitive, T_world_node) for node, primitive in shown]
-    corners = [None if normals is None else normals[row] for normals, row in zip(given, rows, strict=True)]
-    normals = joined_corners(corners, list(map(len, rows)))
+    """Read the normals of all corners; None where no primitive has any.
+
+    A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
+    """
+    vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
+    corners = [
+        None if normals is None else normals[local_faces]
+        for normals, local_faces in zip(vertex_normals, triangles, strict=True)
+    ]
+    normals = joined_corners(corners, list(map(len, triangles)))
     return None if normals is None else with_face_normals(normals, vertices, faces)
 
 
-def _vertex_colors(document: Document, runs: tuple[Run, ...], count: int) -> Float[np.ndarray, "V 4"] | None:
-    """COLOR_0 of all vertices, white where a primitive has none; None where no primitive has any.
+def _read_vertex_colors(
+    document: Document, vertex_ranges: tuple[VertexRange, ...], count: int
+) -> Float[np.ndarray, "V 4"] | None:
+    """Read COLOR_0 of all vertices, white where a primitive has none; None where no primitive has any.
 
-    Of primitives that draw one vertex in several colours the last one counts.
+    Where several primitives give one vertex different colours, the last one is taken.
     """
     colors = np.ones((count, 4))
     found = False
-    for run in runs:
-        for number in run.primitives:
-            primitive = primitive_of(document, (run.node, number))
-            values = attribute(document, primitive, "COLOR_0")
+    for span in vertex_ranges:
+        for number in span.primitives:
+            primitive = get_primitive(document, (span.node, number))
+            values = read_attribute(document, primitive, "COLOR_0")
             if values is not None:
                 drawn = read_indices(document, primitive)
-                colors[run.start + drawn] = with_alpha(values)[drawn]
+                colors[span.start + drawn] = with_alpha(values)[drawn]
                 found = True
     return colors if found else None
 
 
-def _corner_uv(document: Document, shown: list[Shown], rows: list[np.ndarray]) -> Float[np.ndarray, "F 3 2"] | None:
-    """Texture coordinates of all corners as the base colour uses them, v up; zeros where a primitive lacks them."""
-    given = [_vertex_uv(document, primitive_of(document, key)) for key in shown]
+def _read_corner_uv(
+    document: Document, keys: list[PrimitiveKey], triangles: list[np.ndarray]
+) -> Float[np.ndarray, "F 3 2"] | None:
+    """Read the base colour texture coordinates of all corners, v up; zeros where a primitive has none."""
+    vertex_uv = [_read_vertex_uv(document, get_primitive(document, key)) for key in keys]
     return joined_corners(
-        [None if uv is None else uv[row] for uv, row in zip(given, rows, strict=True)], list(map(len, rows))
+        [None if uv is None else uv[local_faces] for uv, local_faces in zip(vertex_uv, triangles, strict=True)],
+        list(map(len, triangles)),
     )
 
 
-def _vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.ndarray, "V 2"] | None:
-    texture = _base_texture(_material_entry(document, primitive))
-    change = texture.get("extensions", {}).get("KHR_texture_transform", {})
-    number = change.get("texCoord", texture.get("texCoord", 0))
-    uv = attribute(document, primitive, f"TEXCOORD_{number}")
-    uv = attribute(document, primitive, "TEXCOORD_0") if uv is None else uv
+def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.ndarray, "V 2"] | None:
+    """Read the texture coordinates of the base colour texture, with its KHR_texture_transform applied and v turned up.
+
+    The extension's matrix is translation * rotation * scale, and it may name another TEXCOORD set. glTF has v down
+    (3.8.3 Images: the origin is the upper left corner), a Mesh has v up.
+    """
+    texture = _get_base_texture(_get_material(document, primitive))
+    uv_transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
+    number = uv_transform.get("texCoord", texture.get("texCoord", 0))
+    uv = read_attribute(document, primitive, f"TEXCOORD_{number}")
+    uv = read_attribute(document, primitive, "TEXCOORD_0") if uv is None else uv
     if uv is None:
         return None
-    sine, cosine = np.sin(change.get("rotation", 0.0)), np.cos(change.get("rotation", 0.0))
-    turned = (uv * change.get("scale", [1, 1])) @ np.array([[cosine, -sine], [sine, cosine]]) + change.get(
-        "offset", [0, 0]
-    )
-    return np.stack([turned[:, 0], 1.0 - turned[:, 1]], axis=1)
+    sine, cosine = np.sin(uv_transform.get("rotation", 0.0)), np.cos(uv_transform.get("rotation", 0.0))
+    scale, offset = uv_transform.get("scale", [1, 1]), uv_transform.get("offset", [0, 0])
+    transformed = (uv * scale) @ np.array([[cosine, -sine], [sine, cosine]]) + offset
+    return np.stack([transformed[:, 0], 1.0 - transformed[:, 1]], axis=1)
 
 
-def _parts(document: Document, rest: Rest) -> tuple[Part, ...]:
+def _read_parts(document: Document, rest: RestScene) -> tuple[Part, ...]:
+    """Read one Part for each primitive with faces, named after its node, else its mesh."""
     materials: dict[int | None, Material | None] = {None: None}
     parts = []
-    for shown, (start, stop) in rest.faces.items():
-        primitive, node = primitive_of(document, shown), document.gltf["nodes"][shown[0]]
-        name = node.get("name") or document.gltf["meshes"][node["mesh"]].get("name") or f"node{shown[0]}"
+    for key, (start, stop) in rest.faces.items():
+        primitive, node = get_primitive(document, key), document.gltf["nodes"][key[0]]
+        name = node.get("name") or document.gltf["meshes"][node["mesh"]].get("name") or f"node{key[0]}"
         index = primitive.get("material")
         if index is not None and index not in materials:
             materials[index] = _read_material(document, index)
@@ -248,25 +290,28 @@ def _parts(document: Document, rest: Rest) -> tuple[Part, ...]:
 
 
 def _read_material(document: Document, index: int) -> Material | None:
+    """Read name, base colour and base colour texture of a material; None for the one that stands for no material."""
     entry = document.gltf["materials"][index]
     gloss = entry.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
     color = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor") or gloss.get("diffuseFactor") or [1, 1, 1, 1]
     r, g, b, a = (float(value) for value in color)
-    material = Material(entry.get("name", f"material{index}"), (r, g, b, a), _texture(document, _base_texture(entry)))
-    return None if material == BARE else material
+    material = Material(
+        entry.get("name", f"material{index}"), (r, g, b, a), _read_texture(document, _get_base_texture(entry))
+    )
+    return None if material == DEFAULT_MATERIAL else material
 
 
-def _material_entry(document: Document, primitive: dict[str, Any]) -> dict[str, Any]:
+def _get_material(document: Document, primitive: dict[str, Any]) -> dict[str, Any]:
     return document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
 
 
-def _base_texture(material: dict[str, Any]) -> dict[str, Any]:
+def _get_base_texture(material: dict[str, Any]) -> dict[str, Any]:
     gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
     return material.get("pbrMetallicRoughness", {}).get("baseColorTexture") or gloss.get("diffuseTexture") or {}
 
 
-def _texture(document: Document, info: dict[str, Any]) -> bytes | None:
-    """The PNG or JPEG behind a texture reference; None for other kinds, which Material cannot hold."""
+def _read_texture(document: Document, info: dict[str, Any]) -> bytes | None:
+    """Return the PNG or JPEG bytes of a texture reference; None for other formats, which Material does not support."""
     if "index" not in info:
         return None
     image = document.gltf["textures"][info["index"]].get("source")

@@ -1,7 +1,7 @@
-"""Where the vertices of a glTF file are: node tree, skins and morph targets, evaluated in float64.
+"""Evaluates glTF nodes, skins and morph targets in float64: the world transform of each node, joint and vertex.
 
-Matrices act on columns, `T_world_node @ [x, y, z, 1]`. Everything takes the node transforms as an argument, so the
-same functions serve the file's rest state and any frame of its animations.
+Matrices act on column vectors, `T_world_node @ [x, y, z, 1]`. Functions take the node transforms as an argument, so the
+same code serves the file's rest state and every frame of its animations.
 """
 
 from __future__ import annotations
@@ -16,46 +16,50 @@ from jaxtyping import Float, Int
 from ...core.errors import InputError
 from .document import Document, read_accessor, read_floats
 
-REST = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
+"""Values of the properties that a node does not have (glTF 2.0, 3.5.3 Transformations); rotations are xyzw."""
 
 
-def node_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
-    """Each node's own transform, parent from node, out of its matrix or its translation, rotation and scale."""
-    return np.array([_node_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
+def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
+    """Return each node's local transform (parent from node), from its matrix or its translation, rotation, scale."""
+    return np.array([_local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
-def moved_matrices(
-    document: Document, moved: Mapping[tuple[int, str], Float[np.ndarray, "T C"]], frames: int
+def animated_matrices(
+    document: Document, animated: Mapping[tuple[int, str], Float[np.ndarray, "T C"]], frames: int
 ) -> Float[np.ndarray, "T N 4 4"]:
-    """The same in each frame, where `moved` gives the translation, rotation or scale of nodes by number and name."""
-    T_parent_node = np.tile(node_matrices(document), (frames, 1, 1, 1))
-    changes: dict[int, dict[str, Any]] = {}
-    for (node, path), values in moved.items():
-        changes.setdefault(node, {})[path] = values
-    for node, values in changes.items():
-        T_parent_node[:, node] = _node_matrix({**document.gltf["nodes"][node], **values})
+    """Return each node's local transform in T frames.
+
+    `animated` has the values of animated properties by (node, target path); other properties keep those of the file.
+    """
+    T_parent_node = np.tile(local_matrices(document), (frames, 1, 1, 1))
+    properties: dict[int, dict[str, Any]] = {}
+    for (node, path), values in animated.items():
+        properties.setdefault(node, {})[path] = values
+    for node, values in properties.items():
+        T_parent_node[:, node] = _local_matrix({**document.gltf["nodes"][node], **values})
     return T_parent_node
 
 
 def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:
-    """Each node's transform to the world: the product of the transforms from its root down.
+    """Return each node's global transform: the product of the local transforms from its root down.
 
     Raises:
         InputError: the node tree has a loop, or a node with two parents.
     """
     T_world_node = T_parent_node.copy()
-    parent = parents_of(document)
-    for node in parents_first(document, parent):
+    parent = node_parents(document)
+    for node in sort_parents_first(document, parent):
         if parent[node] >= 0:
             T_world_node[..., node, :, :] = T_world_node[..., parent[node], :, :] @ T_parent_node[..., node, :, :]
     return T_world_node
 
 
-def shown_nodes(document: Document) -> list[int]:
-    """The nodes of the default scene (else of scene 0, else all), depth first: the scene order."""
+def scene_nodes(document: Document) -> list[int]:
+    """List the nodes of the default scene (else of scene 0, else of the file), depth first: the scene order."""
     gltf = document.gltf
     scenes = gltf.get("scenes")
-    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _roots(parents_of(document))
+    roots = scenes[gltf.get("scene", 0)].get("nodes", []) if scenes else _root_nodes(node_parents(document))
     order: dict[int, None] = {}
     stack = list(reversed(roots))
     while stack:
@@ -66,17 +70,17 @@ def shown_nodes(document: Document) -> list[int]:
     return list(order)
 
 
-def attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
-    """A vertex attribute in float64, or None where the primitive has none."""
+def read_attribute(document: Document, primitive: dict[str, Any], name: str) -> Float[np.ndarray, "V C"] | None:
+    """Read a vertex attribute in float64; None where the primitive does not have it."""
     index = primitive["attributes"].get(name)
     return None if index is None else read_floats(document, index)
 
 
 def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
-    """The vertex numbers a primitive draws, in order; all of them where it has no index buffer.
+    """Read the vertex indices that a primitive draws, in order; all vertices where it has no index accessor.
 
     Raises:
-        InputError: an index points past the last vertex.
+        InputError: an index is beyond the last vertex.
     """
     count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
     if "indices" not in primitive:
@@ -90,47 +94,55 @@ def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
     return values.astype(np.int64)
 
 
-def morph_delta(
+def read_morph_delta(
     document: Document, primitive: dict[str, Any], target: int, name: str
 ) -> Float[np.ndarray, "V 3"] | None:
-    """What morph target number `target` adds to an attribute at weight 1, or None where it leaves it alone."""
+    """Read what morph target `target` adds to an attribute at weight 1; None where it does not change it."""
     index = primitive["targets"][target].get(name)
     return None if index is None else read_floats(document, index)
 
 
-def morphed(
+def read_morphed_attribute(
     document: Document, primitive: dict[str, Any], name: str, weights: list[float]
 ) -> Float[np.ndarray, "V C"] | None:
-    """A vertex attribute with its weighted morph targets added (w of a tangent has none)."""
-    values = attribute(document, primitive, name)
+    """Read a vertex attribute plus its weighted morph targets (glTF 2.0, 3.7.2.2 Morph Targets).
+
+    The w component of a tangent is its handedness and has no delta.
+    """
+    values = read_attribute(document, primitive, name)
     for target, weight in enumerate(weights[: len(primitive.get("targets", []))]):
-        delta = morph_delta(document, primitive, target, name) if weight and values is not None else None
+        delta = read_morph_delta(document, primitive, target, name) if weight and values is not None else None
         if delta is not None and values is not None:
             values[:, :3] += weight * delta
     return values
 
 
-def morph_weights(document: Document, node: int) -> list[float]:
-    """The morph weights of a node at rest: its own, else its mesh's."""
-    owner = document.gltf["nodes"][node]
-    weights = owner.get("weights") or document.gltf["meshes"][owner["mesh"]].get("weights") or []
+def read_morph_weights(document: Document, node: int) -> list[float]:
+    """Read the morph weights of a node at rest: its own, else those of its mesh (glTF 2.0, 3.7.4 Instantiation)."""
+    entry = document.gltf["nodes"][node]
+    weights = entry.get("weights") or document.gltf["meshes"][entry["mesh"]].get("weights") or []
     return [float(weight) for weight in weights]
 
 
 @dataclass(frozen=True, eq=False)
-class Binding:
-    """Which nodes hold the vertices of a primitive, and how: all that a skin says, in no particular pose."""
+class SkinBinding:
+    """Joints, inverse bind matrices and weights of a primitive's vertices, independent of any pose."""
 
     nodes: Int[np.ndarray, " J"]
-    """The joints of the skin."""
+    """Node of each joint of the skin."""
     T_joint_bind: Float[np.ndarray, "J 4 4"] | None
-    """Inverse bind matrices; None where the skin has none, that is where they do nothing."""
+    """Inverse bind matrices; None where the skin has none, which means identity matrices."""
     joints: Int[np.ndarray, "V K"]
+    """Joint of each influence, an index into `nodes`."""
     weights: Float[np.ndarray, "V K"]
-    """Rows sum to 1."""
+    """Weight of each influence; rows sum to 1."""
 
     def matrices(self, T_world_node: Float[np.ndarray, "N 4 4"]) -> Float[np.ndarray, "V 3 4"]:
-        """The blend of the joints' transforms that takes each vertex to the world."""
+        """Return each vertex's skinning matrix to the world: the weighted sum of its joints' transforms.
+
+        Linear blend skinning (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes). The loop over influences needs V x 12
+        numbers at a time, a gather of all joints K times that.
+        """
         T_world_bind = T_world_node[self.nodes]
         T_world_bind = T_world_bind if self.T_joint_bind is None else T_world_bind @ self.T_joint_bind
         blend = np.zeros((len(self.joints), 3, 4))
@@ -139,44 +151,47 @@ class Binding:
         return blend
 
 
-def binding(document: Document, node: int, primitive: dict[str, Any]) -> Binding | None:
-    """How the skin of a node holds the vertices of a primitive; None where they follow the node itself.
+def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) -> SkinBinding | None:
+    """Read the joints and weights of a primitive's vertices; None where node or primitive have no skinning.
 
-    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js.
+    Raises:
+        InputError: a joint index is beyond the joints of the skin.
     """
     skin = document.gltf["nodes"][node].get("skin")
     if skin is None or "JOINTS_0" not in primitive["attributes"]:
         return None
-    joints, weights = influences(document, primitive)
-    nodes, T_joint_bind = np.array(document.gltf["skins"][skin]["joints"], np.int64), _inverse_binds(document, skin)
+    joints, weights = read_influences(document, primitive)
+    nodes = np.array(document.gltf["skins"][skin]["joints"], np.int64)
+    T_joint_bind = _read_inverse_bind_matrices(document, skin)
     if joints.min(initial=0) < 0 or joints.max(initial=0) >= len(nodes):
         raise InputError(
             f"{document.path}: expected joints below {len(nodes)} in skin {skin}, found {joints.max()}; "
             "the file is damaged, export it again"
         )
-    return Binding(nodes, T_joint_bind, joints, weights)
+    return SkinBinding(nodes, T_joint_bind, joints, weights)
 
 
 def vertex_matrices(
     document: Document, node: int, primitive: dict[str, Any], T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "M 3 4"]:
-    """What takes each vertex of a primitive to the world: its joints' blend, or one matrix for all without a skin.
+    """Return the matrix that takes each vertex of a primitive to the world; without a skin, one matrix for all.
 
-    A skinned vertex ignores the transform of the node that shows it, as glTF has it.
+    A skinned vertex ignores the transform of the node of its mesh (glTF 2.0, 3.7.3.2 Joint Hierarchy).
     """
-    bound = binding(document, node, primitive)
-    return T_world_node[node][None, :3] if bound is None else bound.matrices(T_world_node)
+    binding = read_skin_binding(document, node, primitive)
+    return T_world_node[node][None, :3] if binding is None else binding.matrices(T_world_node)
 
 
 def joint_matrices(
     document: Document, skin: int, T_world_node: Float[np.ndarray, "N 4 4"]
 ) -> Float[np.ndarray, "J 4 4"]:
-    """World from bind space for each joint of a skin: its node's transform times its inverse bind matrix."""
-    T_world_joint, T_joint_bind = T_world_node[document.gltf["skins"][skin]["joints"]], _inverse_binds(document, skin)
+    """Return world from bind space for each joint of a skin: its node's transform times its inverse bind matrix."""
+    T_world_joint = T_world_node[document.gltf["skins"][skin]["joints"]]
+    T_joint_bind = _read_inverse_bind_matrices(document, skin)
     return T_world_joint if T_joint_bind is None else T_world_joint @ T_joint_bind
 
 
-def _inverse_binds(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] | None:
+def _read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] | None:
     entry = document.gltf["skins"][skin]
     if "inverseBindMatrices" not in entry:
         return None
@@ -186,51 +201,59 @@ def _inverse_binds(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] 
             f"{document.path}: expected {count} inverse bind matrices in skin {skin}, found "
             f"{len(columns)} x {columns.shape[1]} numbers; export it again"
         )
+    # Accessors of matrices are column-major (glTF 2.0, 3.6.2.4 Data Alignment).
     return columns[:count].reshape(-1, 4, 4).transpose(0, 2, 1)
 
 
-def transform(matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """Points taken by their own matrix each, or all by one."""
-    return turn(matrices[:, :, :3], points) + matrices[:, :, 3]
+def transform_points(
+    matrices: Float[np.ndarray, "M 3 4"], points: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """Transform points by one affine matrix each (M = V), or all by one (M = 1)."""
+    return transform_vectors(matrices[:, :, :3], points) + matrices[:, :, 3]
 
 
-def turn(matrices: Float[np.ndarray, "M 3 3"], vectors: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-    """Vectors taken by their own 3x3 matrix each, or all by one."""
+def transform_vectors(
+    matrices: Float[np.ndarray, "M 3 3"], vectors: Float[np.ndarray, "V 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """Transform vectors by one matrix each (M = V), or all by one (M = 1)."""
     return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 3 3"]:
-    """Inverse transposes up to a positive factor, through cofactors, so that flattening matrices have one too."""
+    """Return the matrices that transform normals: inverse transposes up to a positive factor.
+
+    Computed as cofactor matrices, which exist for singular (flattening) matrices too.
+    """
     a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
     return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
 
 
-def dots(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
-    """The inner product of each pair of rows."""
+def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
+    """Return the inner product of each pair of rows."""
     return (a[..., None, :] @ b[..., :, None])[..., 0]
 
 
-def quaternions_of_unit(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
-    """Quaternions at length one; zeros stay."""
-    length = np.sqrt(dots(quat_xyzw, quat_xyzw))
+def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.ndarray, "*N 4"]:
+    """Scale quaternions to length 1; zeros stay zero."""
+    length = np.sqrt(inner_products(quat_xyzw, quat_xyzw))
     return quat_xyzw / np.where(length > 0, length, 1.0)
 
 
-def _node_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
-    """Of one node, whose translation, rotation and scale may have leading axes."""
+def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+    """Return the local transform of a node, T * R * S; its translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    values = {path: np.array(node.get(path, rest), np.float64) for path, rest in REST.items()}
+    values = {path: np.array(node.get(path, default), np.float64) for path, default in DEFAULT_TRS.items()}
     matrix = np.zeros((*np.broadcast_shapes(*(value.shape[:-1] for value in values.values())), 4, 4))
-    matrix[..., :3, :3] = _rotation(values["rotation"]) * values["scale"][..., None, :]
+    matrix[..., :3, :3] = _rotation_matrix(values["rotation"]) * values["scale"][..., None, :]
     matrix[..., :3, 3] = values["translation"]
     matrix[..., 3, 3] = 1.0
     return matrix
 
 
-def _rotation(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
-    x, y, z, w = np.moveaxis(quaternions_of_unit(quat_xyzw), -1, 0)
+def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
+    x, y, z, w = np.moveaxis(normalized_quaternions(quat_xyzw), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
@@ -239,8 +262,12 @@ def _rotation(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def parents_of(document: Document) -> list[int]:
-    """The parent of each node, -1 for roots."""
+def node_parents(document: Document) -> list[int]:
+    """Return the parent of each node, -1 for roots.
+
+    Raises:
+        InputError: a node has two parents (forbidden by glTF 2.0, 3.5.2 Nodes and Hierarchy).
+    """
     nodes = document.gltf.get("nodes", [])
     parent = [-1] * len(nodes)
     for index, node in enumerate(nodes):
@@ -251,27 +278,40 @@ def parents_of(document: Document) -> list[int]:
     return parent
 
 
-def _roots(parent: list[int]) -> list[int]:
-    return [node for node, above in enumerate(parent) if above < 0]
+def _root_nodes(parent: list[int]) -> list[int]:
+    return [node for node, parent_node in enumerate(parent) if parent_node < 0]
 
 
-def parents_first(document: Document, parent: list[int]) -> list[int]:
-    """All nodes, each after its parent."""
-    order = _roots(parent)
-    for node in order:  # grows while it is walked
+def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
+    """List all nodes, each after its parent.
+
+    Raises:
+        InputError: the node tree has a loop.
+    """
+    order = _root_nodes(parent)
+    for node in order:  # breadth first: the list grows while it is iterated
         order.extend(document.gltf["nodes"][node].get("children", []))
     if len(order) < len(parent):
-        lost = min(set(range(len(parent))) - set(order))
-        raise InputError(f"{document.path}: expected a tree of nodes, found node {lost} below itself; export it again")
+        unreached = min(set(range(len(parent))) - set(order))
+        raise InputError(
+            f"{document.path}: expected a tree of nodes, found node {unreached} below itself; export it again"
+        )
     return order
 
 
-def influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
-    """Joint numbers and weights of each vertex from all sets; joints of no weight are 0, whatever the file says."""
+def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
+    """Read the joint indices and weights of each vertex from all sets JOINTS_n and WEIGHTS_n, as (V, K) arrays.
+
+    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js. Joints of
+    weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
+
+    Raises:
+        InputError: a set of joints comes without weights.
+    """
     joints, weights, number = [], [], 0
     while f"JOINTS_{number}" in primitive["attributes"]:
-        joints.append(attribute(document, primitive, f"JOINTS_{number}"))
-        weights.append(attribute(document, primitive, f"WEIGHTS_{number}"))
+        joints.append(read_attribute(document, primitive, f"JOINTS_{number}"))
+        weights.append(read_attribute(document, primitive, f"WEIGHTS_{number}"))
         number += 1
     if any(part is None for part in weights):
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")

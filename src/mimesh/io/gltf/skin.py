@@ -1,9 +1,9 @@
-"""The skeleton of a glTF file: its joints at rest, and which of them hold each vertex of its Mesh, and where.
+"""Reads rigged characters: the joints of a glTF file at rest, and the joints and weights of each vertex of its Mesh.
 
-Several skins over one set of nodes (a character in pieces), several sets of influences, and meshes that hang unskinned
-on a bone become one thing: every vertex has K influences, each a joint, a weight, and the place to which that joint
-alone would take the vertex at rest. Inverse bind matrices, node scales of 100 and z-up roots are spent on these places:
-the vertex is their weighted mean, and posing is moving each place rigidly with its joint.
+Several skins over one set of nodes (a character in pieces), several sets of influences, and unskinned meshes below a
+joint become one form: every vertex has K influences, each with a joint, a weight, and the position to which that joint
+alone would take the vertex at rest. These positions contain the inverse bind matrices, node scales (100 is common) and
+z-up roots: the vertex is their weighted mean, and a pose moves each of them rigidly with its joint.
 """
 
 from __future__ import annotations
@@ -19,29 +19,38 @@ from ...core.errors import InputError
 from .. import load_mesh
 from .document import Document
 from .edit import GltfSource
-from .read import Rest, Run, primitive_of
-from .scene import influences, joint_matrices, morph_weights, morphed, parents_first, parents_of, transform
+from .read import RestScene, VertexRange, get_primitive
+from .scene import (
+    joint_matrices,
+    node_parents,
+    read_influences,
+    read_morph_weights,
+    read_morphed_attribute,
+    sort_parents_first,
+    transform_points,
+)
 
 
 @dataclass(frozen=True, eq=False)
-class _Tree:
+class _JointTree:
     """The joints of a document among its nodes."""
 
     nodes: list[int]
-    above: list[int]
+    """Node of each joint."""
+    node_parent: list[int]
     """Parent of every node, -1 for roots."""
-    joint: dict[int, int]
+    joint_of_node: dict[int, int]
     """Index of the joint that each joint node is."""
 
-    def holder(self, node: int) -> int:
-        """The joint that a node is or hangs on; -1 where there is none."""
-        while node >= 0 and node not in self.joint:
-            node = self.above[node]
-        return self.joint.get(node, -1)
+    def nearest_joint(self, node: int) -> int:
+        """Return the joint that a node is, or the nearest one above it; -1 where there is none."""
+        while node >= 0 and node not in self.joint_of_node:
+            node = self.node_parent[node]
+        return self.joint_of_node.get(node, -1)
 
 
 def read_skin(path: str | Path) -> SkinnedCharacter:
-    """Read a .glb, .vrm or .gltf character with its skeleton: all joints of the skins that its default scene shows.
+    """Read a .glb, .vrm or .gltf character with the joints of all skins that its default scene shows.
 
     Morph targets stay at their default weights. Animations are not read.
 
@@ -55,53 +64,62 @@ def read_skin(path: str | Path) -> SkinnedCharacter:
             f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
             "export the mesh and its armature together as glTF"
         )
+    # One tree for all skins of the scene, so that their joints have one numbering.
     tree = _find_joints(source.document, source.rest)
     if not tree.nodes:
         raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
-    runs = [_run_influences(source.document, source.rest, run, tree) for run in source.rest.runs]
-    most = max(weights.shape[1] for _, weights, _ in runs)
-    joint_of, weights, points = (np.concatenate([_widened(run[k], most) for run in runs]) for k in range(3))
+    parts = [_read_range_influences(source.document, source.rest, span, tree) for span in source.rest.vertex_ranges]
+    columns = max(weights.shape[1] for _, weights, _ in parts)
+    joint_of, weights, points = (
+        np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
+    )
     names = [source.document.gltf["nodes"][node].get("name", f"node{node}") for node in tree.nodes]
-    parents = tuple(tree.holder(tree.above[node]) for node in tree.nodes)
+    parents = tuple(tree.nearest_joint(tree.node_parent[node]) for node in tree.nodes)
     return SkinnedCharacter(
         mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points
     )
 
 
-def _find_joints(document: Document, rest: Rest) -> _Tree:
-    """The joints of the shown skins, each after its parent."""
+def _find_joints(document: Document, rest: RestScene) -> _JointTree:
+    """Find the joints of the shown skins, each after its parent."""
     gltf = document.gltf
-    skins = {skin for run in rest.runs if (skin := _skin_of(document, run)) is not None}
-    wanted = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
-    above = parents_of(document)
-    nodes = [node for node in parents_first(document, above) if node in wanted]
-    return _Tree(nodes, above, {node: j for j, node in enumerate(nodes)})
+    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
+    joint_nodes = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
+    node_parent = node_parents(document)
+    nodes = [node for node in sort_parents_first(document, node_parent) if node in joint_nodes]
+    return _JointTree(nodes, node_parent, {node: j for j, node in enumerate(nodes)})
 
 
-def _skin_of(document: Document, run: Run) -> int | None:
-    """The skin that holds a run's vertices; None where they follow their node, as `vertex_matrices` has it."""
-    skinned = "JOINTS_0" in primitive_of(document, (run.node, run.primitives[0]))["attributes"]
-    return document.gltf["nodes"][run.node].get("skin") if skinned else None
+def _find_skin(document: Document, span: VertexRange) -> int | None:
+    """Return the skin of a range's vertices; None where they are unskinned, by the same rule as `vertex_matrices`."""
+    skinned = "JOINTS_0" in get_primitive(document, (span.node, span.primitives[0]))["attributes"]
+    return document.gltf["nodes"][span.node].get("skin") if skinned else None
 
 
-def _run_influences(
-    document: Document, rest: Rest, run: Run, tree: _Tree
+def _read_range_influences(
+    document: Document, rest: RestScene, span: VertexRange, tree: _JointTree
 ) -> tuple[Int[np.ndarray, "N K"], Float[np.ndarray, "N K"], Float[np.ndarray, "N K 3"]]:
-    """Joints, weights and places of the vertices of one run."""
-    primitive = primitive_of(document, (run.node, run.primitives[0]))
-    positions = morphed(document, primitive, "POSITION", morph_weights(document, run.node))
+    """Read the joints, weights and world positions of all influences on the vertices of one range.
+
+    Unskinned vertices have one influence: the nearest joint above their node, else the world (joint index J).
+    """
+    primitive = get_primitive(document, (span.node, span.primitives[0]))
+    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
     assert positions is not None
-    skin = _skin_of(document, run)
+    skin = _find_skin(document, span)
     if skin is None:
-        one = np.full((len(positions), 1), tree.holder(run.node) % (len(tree.nodes) + 1))  # -1: the world, the last
-        return one, np.ones(one.shape), transform(rest.T_world_node[run.node, None, :3], positions)[:, None]
-    number, weights = influences(document, primitive)
+        nearest = tree.nearest_joint(span.node) % (len(tree.nodes) + 1)  # -1, no joint, becomes J, the world
+        joint_of = np.full((len(positions), 1), nearest)
+        world = transform_points(rest.T_world_node[span.node, None, :3], positions)
+        return joint_of, np.ones(joint_of.shape), world[:, None]
+    skin_joints, weights = read_influences(document, primitive)
     T_world_bind = joint_matrices(document, skin, rest.T_world_node)
-    points = [transform(T_world_bind[column, :3], positions) for column in number.T]
-    joint = np.array([tree.joint[node] for node in document.gltf["skins"][skin]["joints"]])
-    return joint[number], weights, np.stack(points, axis=1)
+    points = [transform_points(T_world_bind[column, :3], positions) for column in skin_joints.T]
+    # Skins list the same nodes in different orders: count joints by node.
+    joint_of_skin = np.array([tree.joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
+    return joint_of_skin[skin_joints], weights, np.stack(points, axis=1)
 
 
-def _widened(columns: np.ndarray, most: int) -> np.ndarray:
-    """Influences padded to `most` columns with zeros: weights of zero, so it does not matter whose."""
-    return np.pad(columns, [(0, 0), (0, most - columns.shape[1]), *[(0, 0)] * (columns.ndim - 2)])
+def _pad_influences(values: np.ndarray, columns: int) -> np.ndarray:
+    """Pad influences to `columns` with zeros; with weight zero, it does not matter that their joint is 0."""
+    return np.pad(values, [(0, 0), (0, columns - values.shape[1]), *[(0, 0)] * (values.ndim - 2)])

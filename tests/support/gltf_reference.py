@@ -1,4 +1,4 @@
-"""A second reader of glTF, naive on purpose: pygltflib opens the file, loops and recursion do the rest."""
+"""A reference reader of glTF for the tests: simple and slow, with pygltflib, loops and recursion."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ def json_of(path: Path) -> dict[str, Any]:
     return json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
 
 
-class Twin:
-    """What one file shows, primitive by primitive."""
+class ReferenceReader:
+    """Evaluates one file primitive by primitive: positions, normals, indices and morph weights."""
 
     def __init__(self, path: Path) -> None:
         self.file = pygltflib.GLTF2().load(str(path))
@@ -42,10 +42,10 @@ class Twin:
         if accessor.sparse is not None:
             sparse = accessor.sparse
             kind = f"<1{FORMAT[sparse.indices.componentType]}"
-            places = self.unpack(sparse.indices.bufferView, sparse.indices.byteOffset or 0, kind, sparse.count)
+            elements = self.unpack(sparse.indices.bufferView, sparse.indices.byteOffset or 0, kind, sparse.count)
             new = self.unpack(sparse.values.bufferView, sparse.values.byteOffset or 0, code, sparse.count)
-            for (place,), row in zip(places, new, strict=True):
-                rows[place] = row
+            for (element,), row in zip(elements, new, strict=True):
+                rows[element] = row
         values = np.array(rows, float)
         return values / LARGEST[accessor.componentType] if accessor.normalized else values
 
@@ -70,16 +70,16 @@ class Twin:
         if node.matrix:
             return np.array(node.matrix).reshape(4, 4, order="F")
         x, y, z, w = node.rotation or [0, 0, 0, 1]
-        turn = np.eye(4)
+        rotation = np.eye(4)
         for column, axis in enumerate(np.eye(3)):  # q v q*, one basis vector at a time
             u = np.array([x, y, z])
-            turn[:3, column] = 2 * (u @ axis) * u + (w * w - u @ u) * axis + 2 * w * np.cross(u, axis)
-        shift, scale = np.eye(4), np.diag([*(node.scale or [1, 1, 1]), 1])
-        shift[:3, 3] = node.translation or [0, 0, 0]
-        return shift @ turn @ scale
+            rotation[:3, column] = 2 * (u @ axis) * u + (w * w - u @ u) * axis + 2 * w * np.cross(u, axis)
+        translation, scale = np.eye(4), np.diag([*(node.scale or [1, 1, 1]), 1])
+        translation[:3, 3] = node.translation or [0, 0, 0]
+        return translation @ rotation @ scale
 
-    def shown(self) -> list[tuple[int, int]]:
-        """(node, primitive) of everything in the default scene, depth first."""
+    def scene_primitives(self) -> list[tuple[int, int]]:
+        """(node, primitive) of all primitives in the default scene, depth first."""
         found = []
 
         def visit(index: int) -> None:
@@ -113,7 +113,7 @@ class Twin:
         return values
 
     def matrices(self, node: int, number: int) -> list[np.ndarray]:
-        """The 4 x 4 matrix of each vertex, joint by joint."""
+        """The 4 x 4 world matrix of each vertex: its node's, or the weighted sum of its joints'."""
         entry, joints = self.file.nodes[node], self.attribute(node, number, "JOINTS_0")
         count = len(self.attribute(node, number, "POSITION"))
         if entry.skin is None or joints is None:
