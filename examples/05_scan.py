@@ -47,9 +47,9 @@ def made_scans(rng: np.random.Generator) -> list[mimesh.Mesh]:
     pose = motion_clip(body, None, load_motion("swing")).vertices[45]
     cloud, side = points(body, 1500, rng), half(body, pose, np.random.default_rng(1))
     scans = [
-        mimesh.Mesh(cloud.at(pose), cloud.faces, name="points"),
+        mimesh.Mesh(cloud.positions(pose), cloud.faces, name="points"),
         mimesh.Mesh(pose, body.faces, name="surface"),
-        mimesh.Mesh(side.at(pose), side.faces, name="one-side"),
+        mimesh.Mesh(side.positions(pose), side.faces, name="one-side"),
     ]
     noise = (0.01, 0.02, 0.0)  # metres
     return [

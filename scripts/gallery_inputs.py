@@ -51,10 +51,10 @@ def write_poses(body: RiggedBody, folder: Path) -> None:
     upright = rotvec_to_rotmat(sample_pose(body, 5, 1, JOINT_LIMITS))
     points = body.posed(ACTOR, upright)
     half = remesh.half(body, points, np.random.default_rng(1))
-    save_mesh(Mesh(half.at(points), half.faces), folder / "half-scan.ply")
+    save_mesh(Mesh(half.positions(points), half.faces), folder / "half-scan.ply")
     save_mesh(body.mesh(body.posed(ACTOR, handstand(body))), folder / "handstand.obj")
     protocol = PROTOCOLS["human-npt"]
-    pair = protocol.whole("test", "unseen", 4, protocol.rng("test", "unseen", 4))
+    pair = protocol.unshuffled_pair("test", "unseen", 4, protocol.rng("test", "unseen", 4))
     for name, mesh in (("stander", pair.identity), ("poser", pair.driving)):
         save_mesh(mesh, folder / f"{name}.obj")
     save_mesh(pair.identity.with_vertices(pair.truth), folder / "truth.obj")
@@ -68,7 +68,7 @@ def noisy(clip: Clip, share: float) -> Clip:
 
 def replayed(clip: Clip, meshing: remesh.Remesh) -> Clip:
     """The clip of the body on other vertices."""
-    vertices = np.stack([meshing.at(frame) for frame in clip.vertices])
+    vertices = np.stack([meshing.positions(frame) for frame in clip.vertices])
     return Clip(Mesh(vertices[0], meshing.faces), vertices, clip.fps)
 
 

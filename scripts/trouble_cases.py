@@ -95,12 +95,12 @@ def shield() -> Case:
 
 def cropped() -> Case:
     part = remesh.cropped(BODY, np.random.default_rng(1))
-    return Case(hero(), Mesh(part.at(step().vertices), part.faces, name="scan"))
+    return Case(hero(), Mesh(part.positions(step().vertices), part.faces, name="scan"))
 
 
 def one_side() -> Case:
     part = remesh.half(BODY, step().vertices, np.random.default_rng(0))
-    return Case(hero(), Mesh(part.at(step().vertices), part.faces, name="scan"))
+    return Case(hero(), Mesh(part.positions(step().vertices), part.faces, name="scan"))
 
 
 def noisy() -> Case:

@@ -6,7 +6,7 @@ import typer
 from typer.main import get_command
 
 from mimesh.cli import app
-from mimesh.evaluate.tables import grid
+from mimesh.evaluate.tables import markdown_table
 
 
 def command_reference() -> str:
@@ -23,8 +23,8 @@ def _section(command, parent) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     options = [p for p in command.params if p.param_type_name == "option"]
     if arguments:
-        parts.append(grid(["takes", ""], [[f"`{p.metavar or p.name.upper()}`", _text(p.help)] for p in arguments]))
-    parts.append(grid(["option", "", "unless given"], [_option(p) for p in options]))
+        parts.append(markdown_table(["takes", ""], [[f"`{p.metavar or p.name.upper()}`", _text(p.help)] for p in arguments]))
+    parts.append(markdown_table(["option", "", "unless given"], [_option(p) for p in options]))
     return "\n\n".join(part for part in parts if part)
 
 

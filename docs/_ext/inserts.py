@@ -13,7 +13,7 @@ from pathlib import Path
 from commands import command_reference
 
 from mimesh.commands.about import WHAT
-from mimesh.evaluate.tables import grid, paper_table
+from mimesh.evaluate.tables import markdown_table, paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
 
@@ -54,7 +54,7 @@ def models() -> str:
         row = _report_row(name, "unseen")
         pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
         rows.append([f"[`{name}`](#{name})", WHAT[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
-    return grid(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
+    return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
 def _report_row(name: str, kind: str) -> dict:
@@ -91,7 +91,7 @@ def card(name: str) -> str:
         ["PMD of `copy` on the same", _both(copied["copy_seen_pmd_e4"], copied["copy_unseen_pmd_e4"])],
         ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
     ]
-    return grid(["card", ""], rows)
+    return markdown_table(["card", ""], rows)
 
 
 def table(name: str) -> str:
@@ -115,7 +115,7 @@ def speed() -> str:
     }
     rows = [[label, *(_ms(found[count].get(key)) for count in counts)] for label, key in lines.items()]
     head = ["", *(f"{int(count):,} vertices" for count in counts)]
-    return f"{grid(head, rows)}\n\nMeasured at commit {found['commit']}, {found['machine']}."
+    return f"{markdown_table(head, rows)}\n\nMeasured at commit {found['commit']}, {found['machine']}."
 
 
 def _ms(value: float | None) -> str:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mimesh.evaluate.metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
+from mimesh.evaluate.metrics import clip_pmd, foot_skate, jitter, acceleration_ratio, path_error_mm, largest_step_mm
 
 FPS = 10.0
 
@@ -17,7 +17,7 @@ def test_the_truth_itself_is_perfect():
     truth, _ = clips()
     assert clip_pmd(truth, truth) == path_error_mm(truth, truth, 1.7) == jitter(truth, truth, 1.7, FPS) == 0
     still = np.repeat(truth[:1], 4, axis=0)
-    assert unrest_mm(still, 1.7) == 0
+    assert largest_step_mm(still, 1.7) == 0
     assert foot_skate(still, still, 1.7, FPS) == 0
 
 
@@ -49,12 +49,12 @@ def test_path_error_is_the_drift():
 
 def test_liveliness_is_that_of_the_truth_at_the_truth_and_grows_with_flicker():
     _, truth = clips(7)
-    assert liveliness(truth, truth) == pytest.approx(1)
-    assert liveliness(2 * truth + 3, truth) == pytest.approx(2)
+    assert acceleration_ratio(truth, truth) == pytest.approx(1)
+    assert acceleration_ratio(2 * truth + 3, truth) == pytest.approx(2)
     flicker = 0.05 * (-1.0) ** np.arange(len(truth))[:, None, None] * [0, 1, 0]
-    assert liveliness(truth[:1] + flicker, truth[:1] + 0.5 * flicker) == pytest.approx(2)
-    assert liveliness(truth[:2], truth[:2]) is None
-    assert liveliness(truth, np.repeat(truth[:1], len(truth), axis=0)) is None
+    assert acceleration_ratio(truth[:1] + flicker, truth[:1] + 0.5 * flicker) == pytest.approx(2)
+    assert acceleration_ratio(truth[:2], truth[:2]) is None
+    assert acceleration_ratio(truth, np.repeat(truth[:1], len(truth), axis=0)) is None
 
 
 def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():
@@ -79,9 +79,9 @@ def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():
 def test_unrest_is_the_largest_step_of_any_vertex():
     result = np.zeros((4, 3, 3))
     result[2, 1] = [0.003, 0.0, 0.004]
-    assert unrest_mm(result, 1.7) == pytest.approx(5.0)
-    assert unrest_mm(result, 0.85) == pytest.approx(10.0)
-    assert unrest_mm(result[:1], 1.7) == 0
+    assert largest_step_mm(result, 1.7) == pytest.approx(5.0)
+    assert largest_step_mm(result, 0.85) == pytest.approx(10.0)
+    assert largest_step_mm(result[:1], 1.7) == 0
 
 
 def test_skate_counts_what_stands_in_the_truth_alone():

@@ -15,7 +15,7 @@ from mimesh.bodies.body_model import landmarks
 from mimesh.bodies.joint_names import named_joints
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.evaluate.cross_body import check_person, cross_body, landmarks_on, pose_at_rest, pose_on_rig
+from mimesh.evaluate.cross_body import check_character, cross_body, find_landmarks, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.io.gltf.skin import read_skin
 from mimesh.motions.retarget import BONES, to_local
@@ -67,7 +67,7 @@ def unit(vector: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("scheme", MADE)
 def test_our_body_under_other_names_takes_our_poses(scheme, body, tmp_path):
     """Exactly; joints that a scheme does not have follow their parent."""
-    rig = check_person(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
+    rig = check_character(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
     expected = posed_with(set(named_joints(rig.joint_names, rig.parents)), body, pose(body))
     np.testing.assert_allclose(rig.posed(pose_on_rig(rig, body, pose(body))), expected, atol=3e-6)
 
@@ -104,7 +104,7 @@ def test_legs_that_hang_on_a_root_beside_the_hips_stay_on_them(body, tmp_path):
 
 
 def test_characters_of_one_skeleton_get_the_same_rotations(body, crowd):
-    one, other = cross_body(crowd).casts("test")[0]
+    one, other = cross_body(crowd).character_pairs("test")[0]
     rest = [np.stack(list(joints_in(rig, pose_at_rest(rig, body), body).values())) for rig in (one, other)]
     assert np.abs(rest[0] - rest[1]).max() > 0.005  # two people
     for i in range(3):
@@ -119,12 +119,12 @@ def test_landmarks_are_where_our_body_has_them(scheme, body, tmp_path):
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(body))
     rig = read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme), rest=lowered, faces=3000))
     found = body.posed(np.zeros(1), lowered)[list(landmarks(body).values())]
-    np.testing.assert_allclose(rig.mesh.vertices[landmarks_on(rig)], found, atol=0.05)
+    np.testing.assert_allclose(rig.mesh.vertices[find_landmarks(rig)], found, atol=0.05)
 
 
 def test_splits_share_no_character(crowd):
     protocol = cross_body(crowd)
-    test, val = protocol.casts("test"), protocol.casts("val")
+    test, val = protocol.character_pairs("test"), protocol.character_pairs("val")
     names = [(mover.mesh.name, actor.mesh.name) for mover, actor in test]
     assert names == [("man1", "man2"), ("man2", "man1"), ("woman1", "woman2"), ("woman2", "woman1")]
     assert [(mover.mesh.name, actor.mesh.name) for mover, actor in val] == [("man0", "woman0"), ("woman0", "man0")]
@@ -135,9 +135,9 @@ def test_two_of_a_skeleton_are_test_alone(crowd, tmp_path):
     for name in ("man0.glb", "man2.glb"):
         shutil.copy(crowd / name, tmp_path / name)
     protocol = cross_body(tmp_path)
-    assert len(protocol.casts("test")) == 2
+    assert len(protocol.character_pairs("test")) == 2
     with pytest.raises(InputError, match=r"expected two skeletons of three characters each .* found skeletons of 2 "):
-        protocol.casts("val")
+        protocol.character_pairs("val")
 
 
 @pytest.mark.parametrize("split", ["val", "test"])
@@ -146,9 +146,9 @@ def test_truth_is_the_identity_in_the_driving_pose(body, crowd, split):
     stands = set()
     for kind in protocol.kinds:
         for i in range(4):
-            pair = protocol.whole(split, kind, i, protocol.rng(split, kind, i))
+            pair = protocol.unshuffled_pair(split, kind, i, protocol.rng(split, kind, i))
             mover, actor = next(
-                cast for cast in protocol.casts(split)
+                cast for cast in protocol.character_pairs(split)
                 if pair.identity.name.startswith(cast[0].mesh.name) and pair.driving.name.startswith(cast[1].mesh.name)
             )  # fmt: skip
             edge = pair.identity.faces[:, :2]
@@ -175,7 +175,7 @@ def test_truth_is_the_identity_in_the_driving_pose(body, crowd, split):
 def test_copy_is_there_where_two_share_their_triangles(crowd):
     """man2 and the women have the same thinned body; man1 has another."""
     protocol = cross_body(crowd)
-    pairs = [protocol.whole("test", "table6", i, np.random.default_rng(i)) for i in range(4)]
+    pairs = [protocol.unshuffled_pair("test", "table6", i, np.random.default_rng(i)) for i in range(4)]
     assert [pair.aligned is not None for pair in pairs] == [False, False, True, True]
     for pair in pairs[2:]:
         copied = resized(pair.aligned, pair.truth)
@@ -203,12 +203,12 @@ def test_what_is_no_folder_of_characters_is_refused(crowd, tmp_path):
     ):
         cross_body(tmp_path)
     with pytest.raises(InputError, match="train: expected val or test of cross-body, found no such split; "):
-        cross_body(crowd).casts("train")
+        cross_body(crowd).character_pairs("train")
 
 
 def refused(path: Path, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        check_person(read_skin(path), path)
+        check_character(read_skin(path), path)
     assert str(caught.value).startswith(f"{path}: expected ")
     assert "\n" not in str(caught.value)
 

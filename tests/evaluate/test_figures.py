@@ -7,7 +7,7 @@ from PIL import Image
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
-from mimesh.evaluate.figures import FIGURES, by_number, figure_command, vertex_orders
+from mimesh.evaluate.figures import FIGURES, vertex_index_colors, figure_command, vertex_order_rows
 from mimesh.io import save_mesh
 
 
@@ -40,9 +40,9 @@ def test_a_figure_of_motion_has_rows_of_frames(name, people, tmp_path):
 
 
 def test_colours_follow_the_vertices_through_a_shuffle(network):
-    first, second = vertex_orders((network,), 2, None)
+    first, second = vertex_order_rows((network,), 2, None)
     for tile in first + second:
-        assert np.array_equal(tile.colors, by_number(len(tile.mesh.vertices)))
+        assert np.array_equal(tile.colors, vertex_index_colors(len(tile.mesh.vertices)))
     assert not np.array_equal(first[0].mesh.vertices, second[0].mesh.vertices)
     assert np.allclose(*(np.sort(row[0].mesh.vertices, axis=0) for row in (first, second)))
 

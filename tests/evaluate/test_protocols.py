@@ -8,7 +8,7 @@ import pytest
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.evaluate.pairs import human
-from mimesh.evaluate.protocols import CONTACT, CROSS_TOPOLOGY, DRESSED, HUMAN_NPT, NOISE, PROTOCOLS, bank_of
+from mimesh.evaluate.protocols import CONTACT, CROSS_TOPOLOGY, DRESSED, HUMAN_NPT, NOISE, PROTOCOLS, split_pose_bank
 
 CASES = [(p, kind) for p in PROTOCOLS.values() for kind in p.kinds]
 IDS = [f"{p.name}-{kind}" for p, kind in CASES]
@@ -89,12 +89,12 @@ def test_splits_have_streams_of_their_own(protocol):
     assert len({PROTOCOLS[name].seed(split) for name, split in names}) == len(names)
     # Human vertices come first before the shuffle; garments may differ.
     kind = protocol.kinds[-1]
-    val, test = (protocol.whole(split, kind, 0, protocol.rng(split, kind, 0)).truth[:6890] for split in ("val", "test"))
+    val, test = (protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth[:6890] for split in ("val", "test"))
     assert not np.allclose(val, test, atol=1e-3)
 
 
 def test_motions_of_the_splits_are_disjoint():
-    banks = {split: {row.tobytes() for row in bank_of(split)} for split in ("train", "val", "test")}
+    banks = {split: {row.tobytes() for row in split_pose_bank(split)} for split in ("train", "val", "test")}
     assert all(banks.values())
     for a, b in itertools.combinations(banks.values(), 2):
         assert not a & b
@@ -123,7 +123,7 @@ def test_seen_poses_are_training_poses():
 @pytest.mark.parametrize("percent", [0, 1, 5])
 def test_noise_is_as_large_as_it_says(percent):
     kind = f"noise-{percent}"
-    noisy = NOISE.whole("val", kind, 0, NOISE.rng("val", kind, 0))
+    noisy = NOISE.unshuffled_pair("val", kind, 0, NOISE.rng("val", kind, 0))
     still = NOISE.clean("val", 0).driving.vertices
     radius = np.linalg.norm(still - still.mean(axis=0), axis=1).max()
     moved = np.abs(noisy.driving.vertices - still).max()
@@ -143,7 +143,7 @@ def test_kinds_of_damage_share_their_people_and_poses(protocol):
 
 def test_noise_is_on_the_vertices_that_copy_is_given_too():
     rng = NOISE.rng("val", "noise-5", 0)
-    pair = NOISE.whole("val", "noise-5", 0, rng)
+    pair = NOISE.unshuffled_pair("val", "noise-5", 0, rng)
     np.testing.assert_array_equal(pair.aligned, pair.driving.vertices)
 
 

@@ -34,26 +34,26 @@ PARTS = {
 def test_points_lie_on_the_posed_body(name):
     """Each is a weighted mean of the corners of one triangle, or of one edge, or is a vertex."""
     made = (WHOLE | PARTS)[name]()
-    assert np.allclose(made.weights.sum(axis=1), 1)
-    assert made.weights.min() > -1e-9
+    assert np.allclose(made.barycentric.sum(axis=1), 1)
+    assert made.barycentric.min() > -1e-9
     whole = {frozenset(face) for face in BODY.faces.tolist()}
     parts = {frozenset(edge) for edge in edges(BODY.faces).tolist()} | {frozenset([v]) for v in range(len(POSED))}
     assert {frozenset(corners) for corners in made.corners.tolist()} <= whole | parts
-    naive = sum(made.weights[7, k] * POSED[made.corners[7, k]] for k in range(3))
-    assert np.allclose(made.at(POSED)[7], naive)
+    naive = sum(made.barycentric[7, k] * POSED[made.corners[7, k]] for k in range(3))
+    assert np.allclose(made.positions(POSED)[7], naive)
     assert made.faces.max(initial=0) < len(made.corners)
 
 
 @pytest.mark.parametrize("name", WHOLE)
 def test_whole_meshings_cover_the_body(name):
-    gap = KDTree(WHOLE[name]().at(POSED)).query(POSED)[0]
+    gap = KDTree(WHOLE[name]().positions(POSED)).query(POSED)[0]
     assert gap.max() < 0.25
 
 
 @pytest.mark.parametrize("name", ["decimated", "retriangulated", "subdivided"])
 def test_surfaces_keep_their_area_and_stay_closed(name):
     made = WHOLE[name]()
-    assert face_areas(made.at(BODY.vertices), made.faces).sum() == pytest.approx(
+    assert face_areas(made.positions(BODY.vertices), made.faces).sum() == pytest.approx(
         face_areas(BODY.vertices, BODY.faces).sum(), rel=0.02
     )
     assert len(edges(made.faces)) == pytest.approx(len(made.faces) * 3 / 2, rel=2e-3)
@@ -63,7 +63,7 @@ def test_counts():
     assert len(remesh.decimated().faces) == pytest.approx(len(BODY.faces) / 5, abs=3)
     assert (len(remesh.subdivided().corners), len(remesh.subdivided().faces)) == (27_554, 4 * len(BODY.faces))
     assert len(remesh.retriangulated().faces) == pytest.approx(len(BODY.faces), abs=3)
-    shared = KDTree(BODY.vertices).query(remesh.retriangulated().at(BODY.vertices))[0]
+    shared = KDTree(BODY.vertices).query(remesh.retriangulated().positions(BODY.vertices))[0]
     assert (shared < 1e-6).mean() < 0.5
 
 
@@ -74,11 +74,11 @@ def test_damage_takes_what_it_says():
     assert 0.4 < left["half"] < 0.8
     area = face_areas(POSED, BODY.faces).sum()
     seen = remesh.half(BODY, POSED, rng())
-    assert face_areas(seen.at(POSED), seen.faces).sum() == pytest.approx(area / 2, rel=0.15)
+    assert face_areas(seen.positions(POSED), seen.faces).sum() == pytest.approx(area / 2, rel=0.15)
 
 
 def test_landmarks_find_their_nearest_point():
     made = remesh.decimated()
     wanted = np.array([10, 3000, 6000])
-    naive = [np.linalg.norm(made.at(POSED) - POSED[v], axis=1).argmin() for v in wanted]
+    naive = [np.linalg.norm(made.positions(POSED) - POSED[v], axis=1).argmin() for v in wanted]
     assert np.array_equal(made.nearest(POSED, wanted), naive)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.evaluate.results import one_page, results_page
+from mimesh.evaluate.results import overview_table, results_page
 from mimesh.evaluate.run import fingerprint
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -33,7 +33,7 @@ NOISE = report(
 
 
 def test_one_page_means_over_kinds_and_never_over_missing_ones():
-    lines = one_page([NOISE]).splitlines()
+    lines = overview_table([NOISE]).splitlines()
     cells = {line.split("|")[1].strip(): [c.strip() for c in line.split("|")[2:]] for line in lines[2:]}
     column = [c.strip() for c in lines[0].split("|")[2:]].index("damaged")
     assert cells["`npt`"][column] == "3"
@@ -58,7 +58,7 @@ def test_figures_of_another_split_do_not_pass(tmp_path):
 
 def test_a_kind_with_missing_pairs_has_no_place_on_the_page():
     rows = [{**row("npt", kind, 1.0), "not_applicable": 1} for kind in ("holes", "cropped", "half")]
-    assert "| 1 |" not in one_page([report("noise", rows)])
+    assert "| 1 |" not in overview_table([report("noise", rows)])
 
 
 @pytest.mark.skipif(not (DOCS / "RESULTS.md").exists(), reason="a package without its docs")

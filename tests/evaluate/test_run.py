@@ -14,7 +14,7 @@ from mimesh.core.normalization import bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.measure import GIVEN, given, measure, measure_clip, moved, moved_clip, summary
+from mimesh.evaluate.measure import EXTRA_INPUTS, extra_inputs, measure, measure_clip, result_vertices, result_frames, summary
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
@@ -84,16 +84,16 @@ def test_a_network_without_a_size_of_its_own_is_given_the_truths(tmp_path):
     """As its training validates it."""
     network = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     pair = HUMAN_NPT.pair("val", "unseen", 0)
-    sized = moved(pair, network)
+    sized = result_vertices(pair, network)
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
     free = transfer(pair.identity, pair.driving, network, **axes, refine=False)
     assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
     same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
-    sizes = [np.ptp(points, axis=0).max() for points in (sized, moved(pair, same))]
+    sizes = [np.ptp(points, axis=0).max() for points in (sized, result_vertices(pair, same))]
     radii = [radius(points - bbox_centre(points)) for points in (pair.truth, pair.identity.vertices)]
     assert np.isclose(sizes[0] / sizes[1], radii[0] / radii[1])
-    assert "true size" in given(network)
-    assert "true size" not in given(same)
+    assert "true size" in extra_inputs(network)
+    assert "true size" not in extra_inputs(same)
 
 
 def test_a_broken_network_stops_the_run(tmp_path):
@@ -146,7 +146,7 @@ def test_every_row_of_a_table_can_be_trained_and_is_told_where_it_is_missing(tmp
     trained = {*pytest.importorskip("train_ablations").ROWS, "npt-table", "mime-table"}
     assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *GIVEN, *MODELS}
+    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *EXTRA_INPUTS, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*train_ablations"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
@@ -198,10 +198,10 @@ def shortened(trial, frames):
 def test_a_network_moves_a_clip_as_animate_does(trial, scale, tmp_path):
     """Prepared once, then frame by frame what it makes of each frame alone."""
     network = str(write_network(tmp_path / f"{scale}.onnx", "global_max", scale))
-    frames = moved_clip(trial, network)
+    frames = result_frames(trial, network)
     assert frames.shape == trial.truth_frames.shape
     for t in (0, 3):
-        alone = moved(trial.frame(t), network)
+        alone = result_vertices(trial.frame(t), network)
         assert np.allclose(resized(frames[t], alone), resized(alone, alone), atol=1e-4)
     assert not np.allclose(resized(frames[0], alone), resized(alone, alone), atol=1e-2)
     figures = measure_clip(trial, network)
@@ -213,7 +213,7 @@ def test_a_network_moves_a_clip_as_animate_does(trial, scale, tmp_path):
 def test_a_network_without_sizes_is_given_that_of_each_frames_truth(trial, write, tmp_path):
     network = str(write(tmp_path / "sizeless.onnx", target_scale="truth"))
     growing = dataclasses.replace(trial, truth_frames=trial.truth_frames * 2.0 ** np.arange(4)[:, None, None])
-    for t, (frame, grown) in enumerate(zip(moved_clip(trial, network), moved_clip(growing, network), strict=True)):
+    for t, (frame, grown) in enumerate(zip(result_frames(trial, network), result_frames(growing, network), strict=True)):
         sizes = [radius(points - bbox_centre(points)) for points in (frame, grown)]
         assert sizes[1] / sizes[0] == pytest.approx(2.0**t, rel=1e-9)
 

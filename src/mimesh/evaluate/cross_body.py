@@ -40,15 +40,15 @@ class CrossBody(Wide):
 
     data: Path = Path()
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        casts = self.casts(split)
-        mover, actor = casts[(i + self.kinds.index(kind)) % len(casts)]
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        character_pairs = self.character_pairs(split)
+        mover, actor = character_pairs[(i + self.kinds.index(kind)) % len(character_pairs)]
         as_made = rng.random() < 2 / 3
         stand = Pose(pose_at_rest(mover, human()), "rest") if as_made else self.rest(split, kind, i, rng)
         played = self.played(split, kind, i, rng)
         return _stage(mover, actor, stand, played)
 
-    def casts(self, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
+    def character_pairs(self, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
         """Who is moved and who drives, in all ordered pairs of the split.
 
         Raises:
@@ -56,7 +56,7 @@ class CrossBody(Wide):
         """
         if split not in ("val", "test"):
             raise InputError(f"{split}: expected val or test of {self.name}, found no such split; nobody trains on it")
-        return _casts(self.data, split)
+        return _character_pairs(self.data, split)
 
 
 def cross_body(data: str | Path) -> CrossBody:
@@ -66,7 +66,7 @@ def cross_body(data: str | Path) -> CrossBody:
         InputError: no folder, or one without two characters of one skeleton.
     """
     protocol = CrossBody("cross-body", 1, ("table6", "limits", "clips"), pairs=12, spread=0.0, data=Path(data))
-    protocol.casts("test")
+    protocol.character_pairs("test")
     return protocol
 
 
@@ -95,7 +95,7 @@ def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "
     return to_local(world[None], body.parents)[0]
 
 
-def landmarks_on(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
+def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
     """Vertices of the rig at `bodies.landmarks.LANDMARKS`: found as on our body, in its T-pose and at its height."""
     body, index = human(), named_joints(rig.joint_names, rig.parents)
     tee = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
@@ -116,7 +116,7 @@ def landmarks_on(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
     return np.array(list(landmarks(twin).values()))
 
 
-def check_person(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
+def check_character(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
     """Return the rig if it can take the poses of our body.
 
     Raises:
@@ -141,21 +141,21 @@ def check_person(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
 
 
 @cache
-def _casts(data: Path, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
+def _character_pairs(data: Path, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
     skeletons = _skeletons(data)
     if split == "test":
         groups = [group[1:] if len(group) > 2 else group for group in skeletons]
-        casts = [pair for group in groups for pair in permutations(group, 2)]
+        character_pairs = [pair for group in groups for pair in permutations(group, 2)]
         needed = "two characters of one skeleton"
     else:
-        casts = list(permutations([group[0] for group in skeletons if len(group) > 2], 2))
+        character_pairs = list(permutations([group[0] for group in skeletons if len(group) > 2], 2))
         needed = "two skeletons of three characters each"
-    if not casts:
+    if not character_pairs:
         raise InputError(
             f"{data}: expected {needed} among its .glb, .gltf and .vrm files for the split {split}, found skeletons of "
             f"{', '.join(str(len(group)) for group in skeletons) or 'no'} characters; add some"
         )
-    return casts
+    return character_pairs
 
 
 @cache
@@ -167,7 +167,7 @@ def _skeletons(data: Path) -> list[list[SkinnedCharacter]]:
     for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
         rig = read_skin(path)
         groups.setdefault(rig.bones(), {})[path] = rig
-    return [[check_person(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
+    return [[check_character(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
 
 
 def _stage(mover: SkinnedCharacter, actor: SkinnedCharacter, stand: Pose, played: Pose) -> Pair:
@@ -183,7 +183,7 @@ def _stage(mover: SkinnedCharacter, actor: SkinnedCharacter, stand: Pose, played
         aligned=driving if twins else None,
         aligned_reference=reference if twins else None,
         reference=reference,
-        markers=np.stack([landmarks_on(mover), landmarks_on(actor)], axis=1),
+        markers=np.stack([find_landmarks(mover), find_landmarks(actor)], axis=1),
         truth_name=f"{mover.mesh.name}_{played.label}",
     )
 

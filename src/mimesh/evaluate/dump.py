@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .clip_protocols import ClipPair
-from .measure import moved, moved_clip
+from .measure import result_vertices, result_frames
 from .metrics import in_unit_sphere_of, pmd_of_pair
 from .pairs import Pair
 from .protocols import Protocol
@@ -47,8 +47,8 @@ def dump_worst(
 def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
     """A trial and its result; of a clip, its worst frame."""
     if not isinstance(pair, ClipPair):
-        return pair, moved(pair, method, **options)
-    frames = moved_clip(pair, method, **options)
+        return pair, result_vertices(pair, method, **options)
+    frames = result_frames(pair, method, **options)
     worst = int(np.argmax([pmd_of_pair(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
-from .tables import TABLES, grid, markdown, paper_table
+from .tables import TABLES, markdown_table, markdown, paper_table
 
 COLUMNS = {
     "Table 6, seen": ("human-npt", ("seen",)),
@@ -25,9 +25,9 @@ COLUMNS = {
     "clips, unseen": ("clips-aniformer", ("unseen",)),
 }
 """Columns of the one-page table: the mean over some kinds of a protocol."""
-KNOWS_BODY = ("our body model and its joint limits", "trained on our body, which it fits")
+FITS_SHIPPED_BODY = ("our body model and its joint limits", "trained on our body, which it fits")
 """What `given` says of methods that fit the shipped body, of which the truth of most test sets is made."""
-FIGURES = {"pmd_e4": "mean PMD", "pmd_e4_median": "median PMD", "mm": "mean distance, mm"}
+METRICS = {"pmd_e4": "mean PMD", "pmd_e4_median": "median PMD", "mm": "mean distance, mm"}
 """The figures of the one-page tables."""
 HEAD = """# Results
 
@@ -90,10 +90,10 @@ def results_page(folder: Path) -> str:
         if report["provenance"]["config"]["split"] != "test":
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
     every = list(reports.values())
-    parts = [HEAD, "## Everything on one page", LOWEST, lowest(every)]
+    parts = [HEAD, "## Everything on one page", LOWEST, best_methods_table(every)]
     for title, fits in (("Methods that fit the shipped body", True), ("Other methods", False)):
-        for figure, label in FIGURES.items():
-            parts += [f"### {title}: {label}", one_page(every, figure, fits)]
+        for figure, label in METRICS.items():
+            parts += [f"### {title}: {label}", overview_table(every, figure, fits)]
     for name in TABLES:
         parts += [f"## Table {name}", paper_table(name, *every)]
     for stem, report in reports.items():
@@ -104,7 +104,7 @@ def results_page(folder: Path) -> str:
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def one_page(reports: list[dict[str, Any]], figure: str = "pmd_e4", fits: bool | None = None) -> str:
+def overview_table(reports: list[dict[str, Any]], figure: str = "pmd_e4", fits: bool | None = None) -> str:
     """Methods by protocols; a dash where a method was not measured or cannot work.
 
     Args:
@@ -116,7 +116,7 @@ def one_page(reports: list[dict[str, Any]], figure: str = "pmd_e4", fits: bool |
     for method in _methods(rows):
         mine = {key: row for key, row in rows.items() if key[1] == method}
         any_row = next(iter(mine.values()))
-        if fits is not None and fits != (any_row["given"] in KNOWS_BODY):
+        if fits is not None and fits != (any_row["given"] in FITS_SHIPPED_BODY):
             continue
         cells = [_text(_mean(rows, method, column, figure)) for column in COLUMNS]
         if figure == "pmd_e4":
@@ -127,22 +127,22 @@ def one_page(reports: list[dict[str, Any]], figure: str = "pmd_e4", fits: bool |
             cells += [rough, seconds, any_row["given"], any_row["trained"]]
         lines.append([f"`{method}`", *cells])
     more = ("edge score, unseen", "s a mesh", "given", "trained") if figure == "pmd_e4" else ()
-    return grid(["method", *COLUMNS, *more], lines)
+    return markdown_table(["method", *COLUMNS, *more], lines)
 
 
-def lowest(reports: list[dict[str, Any]]) -> str:
+def best_methods_table(reports: list[dict[str, Any]]) -> str:
     """For each column of the one page the method with the lowest value of each figure."""
     rows = _rows(reports)
     lines = []
     for column in COLUMNS:
         cells = []
-        for figure in FIGURES:
+        for figure in METRICS:
             found = {method: _mean(rows, method, column, figure) for method in _methods(rows)}
             measured = {method: value for method, value in found.items() if value is not None}
             best = min(measured, key=measured.__getitem__, default=None)
             cells.append("-" if best is None else f"`{best}` {_text(measured[best])}")
         lines.append([column, *cells])
-    return grid(["column", *FIGURES.values()], lines)
+    return markdown_table(["column", *METRICS.values()], lines)
 
 
 def _rows(reports: list[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:

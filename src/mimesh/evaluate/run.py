@@ -15,7 +15,7 @@ from ..io.atomic import whole_file
 from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, weights_path
 from .clip_protocols import ClipPair, clips_aniformer
 from .cross_body import cross_body
-from .measure import GIVEN, measure, measure_clip, summary
+from .measure import EXTRA_INPUTS, measure, measure_clip, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import code_fingerprint, commit, libraries, machine
@@ -63,7 +63,7 @@ def evaluate_command(
             for i in range(counts[kind]):
                 key = [method, weights, kind, i]
                 known = ledger.get(key)
-                figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, options)))
+                figures.append(known or ledger.put(key, measure_trial(chosen.pair(split, kind, i), method, options)))
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -85,7 +85,7 @@ def evaluate_command(
     return report
 
 
-def figures_of(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
+def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Figures of one trial, a pair of meshes or a clip."""
     return measure_clip(trial, method, **options) if isinstance(trial, ClipPair) else measure(trial, method, **options)
 
@@ -154,7 +154,7 @@ def fingerprint(method: str) -> int:
 
 def check_method(method: str) -> None:
     """Raise InputError, with the names there are, for a method that cannot be measured."""
-    names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
+    names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
     if method not in (*names, *TABLE_MODELS, *WITHOUT_FIT) and not (
         method.endswith(".onnx") and Path(method).is_file()
     ):

@@ -28,7 +28,7 @@ class Table(NamedTuple):
     rows: tuple[Row, ...]
 
 
-LAST = {
+LAST_KIND_COLUMNS = {
     "mm": "mm",
     "edge_score": "edge score",
     "flipped": "flipped",
@@ -161,7 +161,7 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
     ours_head = ("ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "unseen: median", "unseen: mm")
     head = ["row", *ours_head, "s a mesh", "given", "trained"]
     title = f"{table.title}. PMD (Eq. 7) x1e-4, mean; the paper's figures on SMPL, ours on the shipped body."
-    return f"{title}\n\n" + grid(head, lines)
+    return f"{title}\n\n" + markdown_table(head, lines)
 
 
 def markdown(report: dict[str, Any]) -> str:
@@ -174,8 +174,8 @@ def markdown(report: dict[str, Any]) -> str:
     methods = list(dict.fromkeys(row["method"] for row in rows))
     found = {(row["method"], row["split"]): row for row in rows}
     # Some figures are of clips alone.
-    measured = [name for name in LAST if any(name in row for row in rows)]
-    labels = LAST | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
+    measured = [name for name in LAST_KIND_COLUMNS if any(name in row for row in rows)]
+    labels = LAST_KIND_COLUMNS | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
     counts = dict.fromkeys(str(row["pairs"] + row.get("not_applicable", 0)) for row in rows)
     lines = []
     for method in methods:
@@ -187,12 +187,12 @@ def markdown(report: dict[str, Any]) -> str:
     title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
     tails = [[f"`{method}`", *(_tail(found[method, kind]) for kind in kinds)] for method in methods]
     return (
-        f"{title}, {'/'.join(counts)} pairs a column.\n\n{grid(head, lines)}\n\n"
-        f"Median, 90th percentile and largest of the pairs:\n\n{grid(['method', *kinds], tails)}"
+        f"{title}, {'/'.join(counts)} pairs a column.\n\n{markdown_table(head, lines)}\n\n"
+        f"Median, 90th percentile and largest of the pairs:\n\n{markdown_table(['method', *kinds], tails)}"
     )
 
 
-def grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+def markdown_table(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     """A Markdown table."""
     rule = ["---"] * len(head)
     return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *lines))
