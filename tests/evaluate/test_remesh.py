@@ -1,4 +1,4 @@
-"""Other meshings lie on the body, follow it, and have the counts they promise; damage takes what it says."""
+"""Remeshings: their points are on the body in any pose, and vertex counts and removed parts are as documented."""
 
 import numpy as np
 import pytest
@@ -17,23 +17,23 @@ def rng():
     return np.random.default_rng(0)
 
 
-WHOLE = {
+COMPLETE = {
     "decimated": remesh.decimated,
     "retriangulated": remesh.retriangulated,
     "subdivided": remesh.subdivided,
     "points": lambda: remesh.points(BODY, 500, rng()),
 }
-PARTS = {
+DAMAGED = {
     "holes": lambda: remesh.holes(BODY, rng()),
     "cropped": lambda: remesh.cropped(BODY, rng()),
     "half": lambda: remesh.half(BODY, POSED, rng()),
 }
 
 
-@pytest.mark.parametrize("name", [*WHOLE, *PARTS])
+@pytest.mark.parametrize("name", [*COMPLETE, *DAMAGED])
 def test_points_lie_on_the_posed_body(name):
-    """Each is a weighted mean of the corners of one triangle, or of one edge, or is a vertex."""
-    made = (WHOLE | PARTS)[name]()
+    """Each point is a weighted mean of the corners of one triangle or edge, or is a vertex."""
+    made = (COMPLETE | DAMAGED)[name]()
     assert np.allclose(made.barycentric.sum(axis=1), 1)
     assert made.barycentric.min() > -1e-9
     whole = {frozenset(face) for face in BODY.faces.tolist()}
@@ -44,22 +44,22 @@ def test_points_lie_on_the_posed_body(name):
     assert made.faces.max(initial=0) < len(made.corners)
 
 
-@pytest.mark.parametrize("name", WHOLE)
-def test_whole_meshings_cover_the_body(name):
-    gap = KDTree(WHOLE[name]().positions(POSED)).query(POSED)[0]
+@pytest.mark.parametrize("name", COMPLETE)
+def test_complete_remeshings_cover_the_body(name):
+    gap = KDTree(COMPLETE[name]().positions(POSED)).query(POSED)[0]
     assert gap.max() < 0.25
 
 
 @pytest.mark.parametrize("name", ["decimated", "retriangulated", "subdivided"])
-def test_surfaces_keep_their_area_and_stay_closed(name):
-    made = WHOLE[name]()
+def test_remeshed_surfaces_keep_their_area_and_stay_closed(name):
+    made = COMPLETE[name]()
     assert face_areas(made.positions(BODY.vertices), made.faces).sum() == pytest.approx(
         face_areas(BODY.vertices, BODY.faces).sum(), rel=0.02
     )
     assert len(edges(made.faces)) == pytest.approx(len(made.faces) * 3 / 2, rel=2e-3)
 
 
-def test_counts():
+def test_counts_of_vertices_and_triangles():
     assert len(remesh.decimated().faces) == pytest.approx(len(BODY.faces) / 5, abs=3)
     assert (len(remesh.subdivided().corners), len(remesh.subdivided().faces)) == (27_554, 4 * len(BODY.faces))
     assert len(remesh.retriangulated().faces) == pytest.approx(len(BODY.faces), abs=3)
@@ -67,18 +67,18 @@ def test_counts():
     assert (shared < 1e-6).mean() < 0.5
 
 
-def test_damage_takes_what_it_says():
-    left = {name: len(make().corners) / len(BODY.vertices) for name, make in PARTS.items()}
-    assert 0.5 < left["holes"] < 0.97
-    assert 0.8 < left["cropped"] < 0.97
-    assert 0.4 < left["half"] < 0.8
+def test_damaged_remeshings_remove_the_documented_share():
+    remaining = {name: len(make().corners) / len(BODY.vertices) for name, make in DAMAGED.items()}
+    assert 0.5 < remaining["holes"] < 0.97
+    assert 0.8 < remaining["cropped"] < 0.97
+    assert 0.4 < remaining["half"] < 0.8
     area = face_areas(POSED, BODY.faces).sum()
-    seen = remesh.half(BODY, POSED, rng())
-    assert face_areas(seen.positions(POSED), seen.faces).sum() == pytest.approx(area / 2, rel=0.15)
+    one_side = remesh.half(BODY, POSED, rng())
+    assert face_areas(one_side.positions(POSED), one_side.faces).sum() == pytest.approx(area / 2, rel=0.15)
 
 
-def test_landmarks_find_their_nearest_point():
+def test_nearest_equals_a_naive_search():
     made = remesh.decimated()
-    wanted = np.array([10, 3000, 6000])
-    naive = [np.linalg.norm(made.positions(POSED) - POSED[v], axis=1).argmin() for v in wanted]
-    assert np.array_equal(made.nearest(POSED, wanted), naive)
+    selected = np.array([10, 3000, 6000])
+    naive = [np.linalg.norm(made.positions(POSED) - POSED[v], axis=1).argmin() for v in selected]
+    assert np.array_equal(made.nearest(POSED, selected), naive)

@@ -1,13 +1,14 @@
-"""`clips-aniformer`: AniFormer's protocol (section 4) on the shipped body: 100 motions of 30 frames, 80 seen, 20 unseen.
+"""`clips-aniformer`: AniFormer's protocol (section 4) on the shipped body, with 80 seen and 20 unseen motions.
 
-DFAUST, the paper's data, must not be redistributed. Here the seen motions are disjoint seconds of the shipped CMU takes,
-mirror images of some of them, walks and splines. The unseen motions are the 20 clips of DeepMimic, which no training here
-uses; they are read from a folder or from an installed pybullet. Walks and splines with other seeds form a third kind,
-`procedural`, because motions from the same generators are in the training data.
+DFAUST, the paper's data, must not be redistributed. Here the seen motions are disjoint seconds of the shipped CMU
+takes, mirror images of some of them, walks and splines. The unseen motions are the 20 clips of DeepMimic, which no
+training here uses; they are read from a folder or from an installed pybullet. Walks and splines with other seeds form a
+third kind, `procedural`, because motions from the same generators are in the training data.
 
 There are 16 training people. 8 new identities, each in its own rest pose, are moved in `test`, and 8 others in `val`;
-every trial has a new driving person. `val` does not use the DeepMimic clips: its unseen motions are other seconds of the
-takes. All motions begin facing +z. AniFormer takes 30 evenly spaced frames of each motion; here a motion is one second.
+every trial has a new driving person. `val` does not use the DeepMimic clips: its unseen motions are other seconds of
+the takes. All motions begin facing +z and have 30 frames. AniFormer takes 30 evenly spaced frames of each of its
+motions; here a motion is one second.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from ..core.mesh import Clip, Mesh
 from ..motions import Motion, load_deepmimic, mirror, motion_clip, resample, spline_motion, walk_motion
 from ..motions.clips import split_windows
 from ..motions.deepmimic import CLIPS, deepmimic_folder
-from .pairs import Pair, Person, Pose, human, random_orders, reorder_vertices, make_pair
+from .pairs import Pair, Person, Pose, human, make_pair, random_orders, reorder_vertices
 from .protocols import Protocol
 from .remesh import template
 
@@ -36,8 +37,8 @@ FPS = 30.0
 SEEN = {"seconds": 43, "mirrored": 13, "walks": 12, "splines": 12}
 """Number of seen motions of each source, 80 together; the `train` windows of the takes have 43 whole seconds."""
 STRIDE = 37
-"""Trial i of `seen` uses motion 37 i mod 80: 37 and 80 have no common factor, so 80 trials use every motion once and the
-first few trials cover all sources."""
+"""Trial i of `seen` uses motion 37 i mod 80. 37 and 80 have no common factor, so 80 trials use every motion once, and
+the first few trials cover all sources."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -25,6 +25,7 @@ from ..methods.limp import LIMPMethod
 from ..pipeline import ClipResult, animate, transfer
 from .clip_protocols import ClipPair, on_template
 from .metrics import (
+    acceleration_ratio,
     chamfer,
     clip_pmd,
     edge_score,
@@ -32,14 +33,13 @@ from .metrics import (
     foot_skate,
     in_unit_sphere_of,
     jitter,
+    largest_step_mm,
     largest_stretch,
-    acceleration_ratio,
     mean_error_mm,
     path_error_mm,
     pmd_of_pair,
     pmd_public,
     resized,
-    largest_step_mm,
 )
 from .pairs import Pair
 
@@ -205,7 +205,7 @@ def shape_metrics(
 
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise the metrics of all pairs of one kind as a row of a report: means, and median, p90 and maximum of PMD."""
+    """Summarise the metrics of all pairs of one kind as a row of a report: means, and the distribution of the PMD."""
     measured = [metrics for metrics in figures if "why" not in metrics]
     row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
     row |= {"given": extra_inputs(method), "trained": training_summary(method)}

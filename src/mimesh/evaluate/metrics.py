@@ -1,4 +1,4 @@
-"""Metrics of a result against the truth. Shapes are never broadcast; every docstring states the divisor and the unit."""
+"""Metrics of a result against the truth. Shapes are never broadcast; docstrings state the divisor and the unit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def pmd(
 ) -> Float[np.ndarray, "*B"] | np.float64:
     """Compute the point-wise mesh Euclidean distance: mean squared vertex distance (NPT Eq. 7, AniFormer Eq. 7).
 
-    Divides by V, not by 3 V as the public evaluators do. The result is in the square of the inputs' unit; papers print it x1e4.
+    Divides by V, not by 3 V as the public evaluators do. In the square of the inputs' unit; papers print it x1e4.
 
     Raises:
         ValueError: shapes differ; vertex counts are never broadcast.

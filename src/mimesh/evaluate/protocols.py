@@ -1,8 +1,8 @@
 """Named test sets, generated from seeds: pairs of an identity and a driving mesh, with the true result.
 
-`human-npt` is the protocol of the NPT paper (section 4.1): 16 training people x 400 poses of Table 6, 14 new people, and
-72 test pairs each with a driving pose of the training (`seen`) and with a new one (`unseen`). Both meshes of a pair are
-new people; the identity is in a training pose. All other protocols have new people and new poses in every split.
+`human-npt` is the protocol of the NPT paper (section 4.1): 16 training people x 400 poses of Table 6, 14 new people,
+and 72 test pairs each with a driving pose of the training (`seen`) and with a new one (`unseen`). Both meshes of a pair
+are new people; the identity is in a training pose. All other protocols have new people and new poses in every split.
 `train`, `val` and `test` are disjoint. A pair takes milliseconds and is generated on demand; only meshings are cached.
 """
 
@@ -125,7 +125,9 @@ class Wide(Protocol):
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
         people = self.sample_people(human(), human(), split, kind, i)
-        return make_pair(*people, self.sample_rest_pose(split, kind, i, rng), self.sample_driving_pose(split, kind, i, rng))
+        return make_pair(
+            *people, self.sample_rest_pose(split, kind, i, rng), self.sample_driving_pose(split, kind, i, rng)
+        )
 
     def sample_people(
         self, identity_body: RiggedBody, driving_body: RiggedBody, split: str, kind: str, i: int
@@ -204,7 +206,10 @@ class Touching(Wide):
 
 @dataclass(frozen=True)
 class Corrupted(HumanNpt):
-    """Poses of Table 6 with a changed driving mesh. All kinds share their people and poses, so only the change differs."""
+    """Pairs in poses of Table 6 whose driving mesh is changed afterwards.
+
+    All kinds have the same people and poses, so only the change of the driving mesh differs.
+    """
 
     def clean_pair(self, split: str, i: int) -> Pair:
         """Generate pair `i` with the driving mesh unchanged."""
