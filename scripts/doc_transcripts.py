@@ -54,14 +54,14 @@ def run_command(command: str) -> Transcript:
 
 
 def _write_inputs() -> None:
-    """Write the input files of the commands."""
-    clip = played(BODY)
+    """The files that the commands name."""
+    moving = played(BODY)
     for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):
         save_mesh(mesh, name)
-    save_clip(clip, "walk")
-    animate(hero(), clip, stop=4).save_skinned("rigged.glb")
+    save_clip(moving, "walk")
+    animate(hero(), moving, stop=4).save_skinned("rigged.glb")
     scans = Path("scans")
     scans.mkdir()
     for t in range(3):
-        scan = clip.mesh.with_vertices(clip.vertices[t].astype(np.float64)) if t < 2 else shield().identity
+        scan = moving.mesh.with_vertices(moving.vertices[t].astype(np.float64)) if t < 2 else shield().identity
         save_mesh(scan, scans / f"scan_{t:03}.obj")

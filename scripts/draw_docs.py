@@ -130,7 +130,7 @@ def inside() -> Image.Image:
     bones = Image.fromarray(render_mesh(identity, SIZE, camera))
     _draw_bones(bones, camera, rig.joints, parents)
     pictures = [
-        (_render(points, np.zeros((0, 3), int), camera), f"{POINTS} points of it"),
+        (_render(points, np.zeros((0, 3), int), camera), f"{POINTS} surface points"),
         (bones, "joints of the fitted body"),
         (_render(identity.vertices, identity.faces, camera, colors), "skinning weights"),
         (_render(moved, identity.faces, fit(moved, SIZE), colors), "skinned to other rotations"),
