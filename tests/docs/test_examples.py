@@ -89,7 +89,7 @@ def test_compare_models(ran):
 
 
 def test_scan(ran, tmp_path):
-    scans = example("scan").made_scans(np.random.default_rng(0))
+    scans = example("scan").simulated_scans(np.random.default_rng(0))
     assert [scan.name for scan in scans] == ["points", "surface", "one-side"]
     save_mesh(scans[0], tmp_path / "points.ply")
     save_mesh(person(0), tmp_path / "person.obj")
@@ -140,7 +140,7 @@ def test_batch_is_continued_and_lists_unusable_files(ran, tmp_path):
 
 
 def test_batch_of_shipped_characters(tmp_path):
-    meshes, motions = example("batch").shipped(tmp_path)
+    meshes, motions = example("batch").write_shipped_inputs(tmp_path)
     assert len(list(meshes.iterdir())) == 3
     assert len(list(motions.iterdir())) == 2
 
