@@ -56,8 +56,8 @@ def speed() -> dict[str, dict[str, float]]:
     from mimesh.learn.aniformer import AniFormerConfig
 
     public = AniFormerConfig(frames=1, attention="vertices", heads=1, scaled=False, keys=VERTICES)
-    ours = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
-    costs = {name: frame_cost(config) for name, config in {"public": public, **ours}.items()}
+    own_configs = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
+    costs = {name: frame_cost(config) for name, config in {"public": public, **own_configs}.items()}
     for cost in costs.values():
         cost["times_faster_than_public"] = round(costs["public"]["seconds"] / cost["seconds"], 2)
     return costs

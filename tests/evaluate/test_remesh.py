@@ -33,15 +33,15 @@ DAMAGED = {
 @pytest.mark.parametrize("name", [*COMPLETE, *DAMAGED])
 def test_points_lie_on_the_posed_body(name):
     """Each point is a weighted mean of the corners of one triangle or edge, or is a vertex."""
-    made = (COMPLETE | DAMAGED)[name]()
-    assert np.allclose(made.barycentric.sum(axis=1), 1)
-    assert made.barycentric.min() > -1e-9
+    remeshed = (COMPLETE | DAMAGED)[name]()
+    assert np.allclose(remeshed.barycentric.sum(axis=1), 1)
+    assert remeshed.barycentric.min() > -1e-9
     whole = {frozenset(face) for face in BODY.faces.tolist()}
     parts = {frozenset(edge) for edge in edges(BODY.faces).tolist()} | {frozenset([v]) for v in range(len(POSED))}
-    assert {frozenset(corners) for corners in made.corners.tolist()} <= whole | parts
-    naive = sum(made.barycentric[7, k] * POSED[made.corners[7, k]] for k in range(3))
-    assert np.allclose(made.positions(POSED)[7], naive)
-    assert made.faces.max(initial=0) < len(made.corners)
+    assert {frozenset(corners) for corners in remeshed.corners.tolist()} <= whole | parts
+    naive = sum(remeshed.barycentric[7, k] * POSED[remeshed.corners[7, k]] for k in range(3))
+    assert np.allclose(remeshed.positions(POSED)[7], naive)
+    assert remeshed.faces.max(initial=0) < len(remeshed.corners)
 
 
 @pytest.mark.parametrize("name", COMPLETE)
@@ -52,11 +52,11 @@ def test_complete_remeshings_cover_the_body(name):
 
 @pytest.mark.parametrize("name", ["decimated", "retriangulated", "subdivided"])
 def test_remeshed_surfaces_keep_their_area_and_stay_closed(name):
-    made = COMPLETE[name]()
-    assert face_areas(made.positions(BODY.vertices), made.faces).sum() == pytest.approx(
+    remeshed = COMPLETE[name]()
+    assert face_areas(remeshed.positions(BODY.vertices), remeshed.faces).sum() == pytest.approx(
         face_areas(BODY.vertices, BODY.faces).sum(), rel=0.02
     )
-    assert len(edges(made.faces)) == pytest.approx(len(made.faces) * 3 / 2, rel=2e-3)
+    assert len(edges(remeshed.faces)) == pytest.approx(len(remeshed.faces) * 3 / 2, rel=2e-3)
 
 
 def test_counts_of_vertices_and_triangles():
@@ -78,7 +78,7 @@ def test_damaged_remeshings_remove_the_documented_share():
 
 
 def test_nearest_equals_a_naive_search():
-    made = remesh.decimated()
+    remeshed = remesh.decimated()
     selected = np.array([10, 3000, 6000])
-    naive = [np.linalg.norm(made.positions(POSED) - POSED[v], axis=1).argmin() for v in selected]
-    assert np.array_equal(made.nearest(POSED, selected), naive)
+    naive = [np.linalg.norm(remeshed.positions(POSED) - POSED[v], axis=1).argmin() for v in selected]
+    assert np.array_equal(remeshed.nearest(POSED, selected), naive)

@@ -13,13 +13,13 @@ DOCS = Path(__file__).parents[2] / "docs"
 
 
 def report(protocol, rows, split="test"):
-    made = {
+    provenance = {
         "config": {"pairs": 2, "split": split},
         "commit": "01234567",
         "machine": "a box",
         "date": "2026-11-21T00:00",
     }
-    return {"protocol": protocol, "version": 1, "provenance": made, "results": rows}
+    return {"protocol": protocol, "version": 1, "provenance": provenance, "results": rows}
 
 
 def row(method, split, pmd):

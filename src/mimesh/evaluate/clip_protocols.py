@@ -60,8 +60,8 @@ class ClipPair(Pair):
     def frame(self, t: int) -> Pair:
         """Return frame t as a pair of meshes."""
         mesh = dataclasses.replace(self.driving, vertices=self.clip.vertices[t])
-        known = {field.name: getattr(self, field.name) for field in dataclasses.fields(Pair)}
-        return Pair(**{**known, "driving": mesh, "truth": self.truth_frames[t], "aligned": self.aligned_frames[t]})
+        fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(Pair)}
+        return Pair(**{**fields, "driving": mesh, "truth": self.truth_frames[t], "aligned": self.aligned_frames[t]})
 
 
 @dataclass(frozen=True)

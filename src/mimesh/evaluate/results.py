@@ -104,9 +104,9 @@ def results_page(folder: Path) -> str:
     for name in TABLES:
         parts += [f"## Table {name}", paper_table(name, *every)]
     for stem, report in reports.items():
-        made = report["provenance"]
-        origin = f"`{stem}.json`: commit {made['commit']}, {made['machine']}, {made['date'][:10]}."
-        parts += [f"## {stem}", origin + (DIRTY if made["commit"].endswith("-dirty") else ""), markdown(report)]
+        provenance = report["provenance"]
+        origin = f"`{stem}.json`: commit {provenance['commit']}, {provenance['machine']}, {provenance['date'][:10]}."
+        parts += [f"## {stem}", origin + (DIRTY if provenance["commit"].endswith("-dirty") else ""), markdown(report)]
         parts += _not_applicable(report)
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
@@ -165,10 +165,10 @@ def _methods(rows: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
 def _mean(rows: dict[tuple[str, str, str], dict[str, Any]], method: str, column: str, metric: str) -> float | None:
     """Compute the mean of a metric over the kinds of a column; None unless every pair of each kind was measured."""
     protocol, kinds = COLUMNS[column]
-    found = [rows.get((protocol, method, kind), {}) for kind in kinds]
-    if any(metric not in row or row.get("not_applicable") for row in found):
+    of_kinds = [rows.get((protocol, method, kind), {}) for kind in kinds]
+    if any(metric not in row or row.get("not_applicable") for row in of_kinds):
         return None
-    return sum(row[metric] for row in found) / len(found)
+    return sum(row[metric] for row in of_kinds) / len(of_kinds)
 
 
 def _text(value: float | None) -> str:

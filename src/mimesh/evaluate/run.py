@@ -70,8 +70,8 @@ def evaluate_command(
             figures = []
             for i in range(counts[kind]):
                 key = [method, weights, kind, i]
-                known = ledger.get(key)
-                figures.append(known or ledger.put(key, measure_trial(chosen.pair(split, kind, i), method, options)))
+                stored = ledger.get(key)
+                figures.append(stored or ledger.put(key, measure_trial(chosen.pair(split, kind, i), method, options)))
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -105,21 +105,21 @@ class PartialReport:
     """
 
     def __init__(self, path: Path | None, question: dict[str, Any]) -> None:
-        self.path, self.known = path, {}
+        self.path, self.metrics = path, {}
         if path is None:
             return
         lines = list(_whole_lines(path))
         if lines and lines[0] == json.loads(json.dumps(question)):
-            self.known = {json.dumps(key): figures for key, figures in lines[1:]}
+            self.metrics = {json.dumps(key): figures for key, figures in lines[1:]}
         elif path.exists():
             path.replace(path.with_name(path.name + ".old"))
-        kept = [question, *([json.loads(key), figures] for key, figures in self.known.items())]
+        valid = [question, *([json.loads(key), figures] for key, figures in self.metrics.items())]
         with whole_file(path) as temporary:
-            temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
+            temporary.write_text("".join(json.dumps(line) + "\n" for line in valid))
 
     def get(self, key: list) -> dict[str, Any] | None:
         """Return the metrics of a pair; None if it has not been measured yet."""
-        return self.known.get(json.dumps(key))
+        return self.metrics.get(json.dumps(key))
 
     def put(self, key: list, figures: dict[str, Any]) -> dict[str, Any]:
         """Store the metrics of a pair and return them."""
