@@ -1,11 +1,12 @@
-"""AniFormer at the paper's width against the public code's arithmetic, in one run; memory and seams of long clips.
+"""Speed of AniFormer at the paper's width and of the public code's arithmetic; memory and window borders of long clips.
 
     python benchmarks/aniformer.py [-m MODEL] [-o FILE]
 
-The public code attends from every vertex of a frame to every other, with one head (V x V products, 73 % of its
-arithmetic). Both are exported and run by onnxruntime at 6,890 vertices with untrained weights, as `animate` runs them:
-windows of T = 3 frames that share one. MODEL (an AniFormer: a name or an .onnx file) then moves through 30 and 300
-frames: the peak memory of each, and the error of accelerations where two windows meet over that within windows.
+In the public code every vertex of a frame attends to every other, with one head (V x V products, 73 % of its
+arithmetic). Both networks are exported and run by onnxruntime at 6,890 vertices with untrained weights, as `animate`
+runs them: in windows of T = 3 frames that overlap by one. MODEL (an AniFormer: a name or an .onnx file) then animates
+30 and 300 frames. Measured are the peak memory of each, and the ratio of the error of accelerations at borders of
+windows to that inside of windows.
 """
 
 from __future__ import annotations
@@ -33,12 +34,13 @@ from mimesh.motions import motion_clip, walk_motion
 VERTICES = 6890
 REPEATS = 3
 SECONDS = 10.0
+"""Length of the long clip: 300 frames at 30 frames per second."""
 
 
 def main() -> None:
-    """Print the figures and keep them if asked to."""
+    """Measure, print the report, and write it to a file if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-m", "--model", help="of the long clips; left out, only arithmetic is timed")
+    parser.add_argument("-m", "--model", help="model of the long clips; without it only the arithmetic is timed")
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     figures = {"speed": speed(), **(long_clips(args.model) if args.model else {})}
@@ -50,19 +52,19 @@ def main() -> None:
 
 
 def speed() -> dict[str, dict[str, float]]:
-    """Seconds and operations of a frame of the result, ours and the public code's, and how many times faster we are."""
+    """Return seconds and operations per frame of the result, for the public code's arithmetic and for ours."""
     from mimesh.learn.models.aniformer import AniFormerConfig
 
     public = AniFormerConfig(frames=1, attention="vertices", heads=1, scaled=False, keys=VERTICES)
-    ours = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
-    found = {name: frame_cost(config) for name, config in {"public": public, **ours}.items()}
-    for cost in found.values():
-        cost["times_faster_than_public"] = round(found["public"]["seconds"] / cost["seconds"], 2)
-    return found
+    own_configs = {attention: AniFormerConfig(attention=attention) for attention in ("frames", "vertices", "both")}
+    costs = {name: frame_cost(config) for name, config in {"public": public, **own_configs}.items()}
+    for cost in costs.values():
+        cost["times_faster_than_public"] = round(costs["public"]["seconds"] / cost["seconds"], 2)
+    return costs
 
 
 def frame_cost(config) -> dict[str, float]:
-    """Fastest of a few runs of a window, over the frames that it adds to the result."""
+    """Return the cost per frame: the fastest of REPEATS runs of a window, divided by the frames that a window adds."""
     import torch
 
     from mimesh.learn.export import to_onnx
@@ -79,21 +81,21 @@ def frame_cost(config) -> dict[str, float]:
         "identity": rng.uniform(-1, 1, (1, VERTICES, 3)).astype(np.float32),
         "driving": rng.uniform(-1, 1, (1, config.frames, VERTICES, 3)).astype(np.float32),
     }
-    new = max(1, config.frames - OVERLAP)
+    new_frames = max(1, config.frames - OVERLAP)
     times = []
     for _ in range(REPEATS):
         started = time.perf_counter()
         session.run(["result"], inputs)
         times.append(time.perf_counter() - started)
     return {
-        "seconds": round(min(times) / new, 3),
+        "seconds": round(min(times) / new_frames, 3),
         "seconds_without_overlap": round(min(times) / config.frames, 3),
-        "gflop": round(model.estimate_flops(VERTICES) * config.frames / new / 1e9, 1),
+        "gflop": round(model.estimate_flops(VERTICES) * config.frames / new_frames / 1e9, 1),
     }
 
 
 def long_clips(model: str) -> dict[str, float]:
-    """Peak memory at 30 and 300 frames through the command line, and what windows do to the smoothness."""
+    """Measure peak memory of the command line at 30 and 300 frames, and jitter at the borders of windows."""
     body = load_body()
     motion = walk_motion(body, 0, 0, seconds=SECONDS, fps=30.0)
     driving, truth = (motion_clip(body, shape, motion) for shape in (np.full(1, 1.5), np.zeros(1)))
@@ -121,12 +123,12 @@ def long_clips(model: str) -> dict[str, float]:
 
 
 def peak_mb(command: list[str]) -> float:
-    """Peak memory of a command in a process of its own."""
-    watch = (
+    """Run a command in a child process and return its peak memory in MiB."""
+    script = (
         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True); "
         "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
-    done = subprocess.run([sys.executable, "-c", watch, *command], check=True, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", script, *command], check=True, capture_output=True, text=True)
     return int(done.stdout.split()[-1]) / 1024
 
 

@@ -1,9 +1,9 @@
-"""Speed and size of this checkout: a table, then one line of JSON; exit 1 if a gated figure got worse.
+"""Measure speed and size of this checkout: a table, then one line of JSON; exit code 1 if a gated figure got worse.
 
     python benchmarks/bench.py [--skip-install] [--save]
 
-`baseline.json` holds for each figure the committed value, which direction is better, how much worse it may get, and a
-limit where there is one. Ratios, sizes and limits gate; plain times depend on the machine and only inform.
+`baseline.json` has for each figure the committed value, the better direction, the tolerance, and a limit if there is
+one. Ratios, sizes and limits are gates; plain times depend on the machine and are only printed.
 """
 
 from __future__ import annotations
@@ -31,26 +31,26 @@ from mimesh.evaluate.provenance import commit, machine
 ROOT = Path(__file__).parents[1]
 BASELINE = Path(__file__).with_name("baseline.json")
 BODIES = 32
-"""People in one batch of the generator comparison."""
+"""Number of bodies in one batch of the generator comparison."""
 
 
 def main() -> int:
-    """Measure, print, compare."""
+    """Measure all figures, print them, and compare them with the baseline; return the exit code."""
     args = parse_args()
     figures: dict[str, float] = {**command(), **picture(), **networks(), **generator()}
     if not args.skip_install:
         figures |= install()
-    known = json.loads(BASELINE.read_text())
-    worse = print_table(figures, known)
+    baseline = json.loads(BASELINE.read_text())
+    worse = print_table(figures, baseline)
     figures = {name: round(value, 4) for name, value in figures.items()}
     if args.save:
-        BASELINE.write_text(json.dumps(updated(known, figures), indent=2) + "\n")
+        BASELINE.write_text(json.dumps(updated(baseline, figures), indent=2) + "\n")
     print(json.dumps({"figures": figures, "worse": worse, "commit": commit(), "machine": machine()}))
     return 1 if worse else 0
 
 
 def parse_args() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--skip-install", action="store_true", help="leave out the size of a fresh base install")
     parser.add_argument("--save", action="store_true", help="make these figures the new baseline")
@@ -58,15 +58,15 @@ def parse_args() -> argparse.Namespace:
 
 
 def command() -> dict[str, float]:
-    """Wall time of `mimesh --help` as a process of its own, alone and beside a bare interpreter."""
+    """Measure the wall time of `mimesh --help`, in seconds and relative to a bare Python interpreter."""
     mimesh = Path(sys.executable).with_name("mimesh")
-    ours = seconds(lambda: subprocess.run([mimesh, "--help"], check=True, capture_output=True), 7)
+    help_time = seconds(lambda: subprocess.run([mimesh, "--help"], check=True, capture_output=True), 7)
     bare = seconds(lambda: subprocess.run([sys.executable, "-c", "pass"], check=True), 7)
-    return {"help_s": ours, "help_over_python": ours / bare}
+    return {"help_s": help_time, "help_over_python": help_time / bare}
 
 
 def picture() -> dict[str, float]:
-    """One 512 x 512 picture of the shipped body."""
+    """Measure the seconds of one 512 x 512 picture of the shipped body."""
     from mimesh.render.raster import render_mesh
 
     mesh = load_body().mesh()
@@ -74,20 +74,20 @@ def picture() -> dict[str, float]:
 
 
 def networks() -> dict[str, float]:
-    """Milliseconds a frame of each shipped network at 6,890 vertices, without reading and writing."""
+    """Measure milliseconds per frame of shipped networks at 6,890 vertices, without reading and writing files."""
     from mimesh.methods.find import find_method
 
     body = load_body()
     posed = body.mesh(body.posed(sample_shape(body, 0, 0), rotvec_to_rotmat(sample_pose(body, 0, 0))))
     figures = {}
-    for name in ("mime", "npt", "npt-maxpool"):  # the others have the layers of npt
+    for name in ("mime", "npt", "npt-maxpool"):  # the other networks have the same layers as npt
         drive = find_method(name).prepare(body.mesh(), Clip.still(posed))
         figures[f"{name}_ms_a_frame"] = 1e3 * seconds(lambda d=drive: list(d([posed.vertices] * 4)), 3) / 4
     return figures
 
 
 def generator() -> dict[str, float]:
-    """Bodies a second of the training data's generator, and of anny's own forward pass at the same vertex count."""
+    """Measure bodies per second of the generator of training data, and of anny's forward pass at that vertex count."""
     if find_spec("torch") is None:
         print("generator: PyTorch is not installed (pip install 'mimesh[train]'), left out")
         return {}
@@ -101,13 +101,17 @@ def generator() -> dict[str, float]:
     poses = np.stack([sample_pose(body, 0, i, JOINT_LIMITS) for i in range(BODIES)])
     rotmat = torch.from_numpy(rotvec_to_rotmat(poses)).float()
     with torch.inference_mode():
-        ours = BODIES / seconds(lambda: torch_body.posed(shape, rotmat), 9)
-    theirs = anny_bodies(len(body.vertices), rotmat)
-    return {"bodies_per_s": ours} | ({"bodies_per_s_over_anny": ours / theirs, "anny_per_s": theirs} if theirs else {})
+        own_rate = BODIES / seconds(lambda: torch_body.posed(shape, rotmat), 9)
+    figures = {"bodies_per_s": own_rate}
+    anny_rate = anny_bodies(len(body.vertices), rotmat)
+    return figures | ({"bodies_per_s_over_anny": own_rate / anny_rate, "anny_per_s": anny_rate} if anny_rate else {})
 
 
 def anny_bodies(vertices: int, rotmat) -> float | None:
-    """Bodies a second of anny's forward pass in float32, its arrays cut to our vertex count; None without anny."""
+    """Measure bodies per second of anny's forward pass (float32) with its arrays cut to our vertex count.
+
+    None if anny is not installed.
+    """
     if find_spec("anny") is None:
         print("generator: anny is not installed (pip install 'mimesh[bodies]'), comparison left out")
         return None
@@ -126,13 +130,13 @@ def anny_bodies(vertices: int, rotmat) -> float | None:
     rng = np.random.default_rng(0)
     people = {k: torch.from_numpy(rng.uniform(0.3, 0.8, BODIES)).float() for k in model.phenotype_labels}
     with torch.inference_mode():
-        made = model(poses, people)["vertices"]
-        assert made.shape == (BODIES, vertices, 3), made.shape
+        result = model(poses, people)["vertices"]
+        assert result.shape == (BODIES, vertices, 3), result.shape
         return BODIES / seconds(lambda: model(poses, people), 9)
 
 
 def install() -> dict[str, float]:
-    """Megabytes of a fresh environment with the base install, the installer itself left out."""
+    """Measure the megabytes of a fresh environment with the base install, without pip and setuptools."""
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run([sys.executable, "-m", "venv", folder], check=True)
         python = Path(folder, "bin", "python")
@@ -140,19 +144,19 @@ def install() -> dict[str, float]:
         subprocess.run([python, "-m", "pip", "install", "--quiet", "-c", constraints, ROOT], check=True)
         packages = next(Path(folder, "lib").glob("python*/site-packages"))
         tools = ("pip", "setuptools", "pkg_resources", "_distutils_hack", "distutils-precedence")
-        kept = [entry for entry in packages.iterdir() if not entry.name.startswith(tools)]
-        return {"base_install_mb": sum(size(entry) for entry in kept) / 1e6}
+        installed = [entry for entry in packages.iterdir() if not entry.name.startswith(tools)]
+        return {"base_install_mb": sum(size(entry) for entry in installed) / 1e6}
 
 
 def size(entry: Path) -> int:
-    """Bytes of a file or of all files in a folder."""
+    """Return the bytes of a file or of all files in a folder."""
     if entry.is_file():
         return entry.stat().st_size
     return sum(os.lstat(Path(root, name)).st_size for root, _, names in os.walk(entry) for name in names)
 
 
 def seconds(work: Callable[[], object], repeats: int) -> float:
-    """Median wall time of a call, after one that warms up."""
+    """Return the median wall time of a call, after one call to warm up."""
     work()
     times = []
     for _ in range(repeats):
@@ -162,12 +166,12 @@ def seconds(work: Callable[[], object], repeats: int) -> float:
     return statistics.median(times)
 
 
-def print_table(figures: dict[str, float], known: dict[str, dict[str, Any]]) -> list[str]:
-    """Each figure beside its baseline; the names of gated figures that are too much worse or over their limit."""
+def print_table(figures: dict[str, float], baseline: dict[str, dict[str, Any]]) -> list[str]:
+    """Print each figure next to its baseline; return the names of gated figures beyond their tolerance or limit."""
     worse = []
     print(f"{'figure':<26}{'now':>10}{'baseline':>10}{'limit':>8}")
     for name, value in figures.items():
-        entry = known[name]
+        entry = baseline[name]
         verdict = judge(value, entry)
         worse += [name] if verdict == "WORSE" else []
         base = "-" if entry["value"] is None else f"{entry['value']:.4g}"
@@ -176,7 +180,7 @@ def print_table(figures: dict[str, float], known: dict[str, dict[str, Any]]) -> 
 
 
 def judge(value: float, entry: dict[str, Any]) -> str:
-    """`ok`, `WORSE` for a gated figure beyond its tolerance or limit, or `(informs)`."""
+    """Return `ok`, `WORSE` for a gated figure beyond its tolerance or limit, or `(informs)` without a gate."""
     sign = 1 if entry["better"] == "lower" else -1
     limit, base = entry.get("limit"), entry["value"]
     if limit is not None and sign * value > sign * limit:
@@ -187,9 +191,9 @@ def judge(value: float, entry: dict[str, Any]) -> str:
     return "WORSE" if sign * value > sign * allowed else "ok"
 
 
-def updated(known: dict[str, dict[str, Any]], figures: dict[str, float]) -> dict[str, dict[str, Any]]:
-    """The baseline with the measured values in it."""
-    return {name: {**entry, "value": figures.get(name, entry["value"])} for name, entry in known.items()}
+def updated(baseline: dict[str, dict[str, Any]], figures: dict[str, float]) -> dict[str, dict[str, Any]]:
+    """Return the baseline with the measured values."""
+    return {name: {**entry, "value": figures.get(name, entry["value"])} for name, entry in baseline.items()}
 
 
 if __name__ == "__main__":

@@ -1,10 +1,10 @@
-"""From nothing to a person moving on the screen: clone, install, demo, page, each timed, and a picture of the end.
+"""Time the first use: clone, install, demo, and the demo's page in a browser until its animation moves.
 
     python benchmarks/first_minute.py [-o FILE] [--picture FILE]
 
-The commit that is checked out is cloned into a temporary folder and installed into an environment of its own, without
-pip's cache, so every package is downloaded; how fast that goes is the network's affair. Chromium then opens the page,
-and the clock stops when its picture has changed. Needs Chromium, and Playwright of the development install.
+The current commit is cloned into a temporary folder and installed into a new environment without pip's cache, so the
+time includes all downloads and depends on the network. Chromium then opens the page, and timing ends when the picture
+of the canvas has changed. Needs Chromium, and Playwright from the development install.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from mimesh.io.atomic import whole_file
 
 ROOT = Path(__file__).parents[1]
 STEPS = {"install": ".venv/.base", "demo": "demo"}
-"""Targets of the Makefile; the demo's target alone would do both."""
+"""Step -> target of the Makefile. The target of the demo would also install; separate targets give separate times."""
 BROWSER = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking")
 SIZE = {"width": 1280, "height": 760}
 
 
 def main() -> None:
-    """Print the times and keep them if asked to."""
+    """Measure, print the report, and write it to a file if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--picture", type=Path, help="a screenshot of the page, .webp or .png")
@@ -46,32 +46,34 @@ def main() -> None:
 
 
 def first_minute(browser: str, picture: Path | None) -> dict:
-    """Seconds of every step and of all, and the versions of what ran them."""
+    """Run all steps; return the seconds of each step and of all, and the browser's version."""
     with tempfile.TemporaryDirectory() as folder:
         checkout = Path(folder) / "mimesh"
         seconds = {"clone": timed(["git", "clone", "--quiet", str(ROOT), str(checkout)])}
-        clean = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VENV")}
+        environment = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VENV")}
         for step, target in STEPS.items():
-            seconds[step] = timed(["make", "--silent", target], cwd=checkout, env=clean | {"PIP_NO_CACHE_DIR": "1"})
+            seconds[step] = timed(
+                ["make", "--silent", target], cwd=checkout, env=environment | {"PIP_NO_CACHE_DIR": "1"}
+            )
         shown, version = open_page(checkout / "mimesh-demo" / "player.html", browser, picture)
     seconds |= {"page": shown, "all": sum(seconds.values()) + shown}
     return {"browser": version, "seconds": {step: round(value, 1) for step, value in seconds.items()}}
 
 
 def timed(command: list[str], **options) -> float:
-    """Wall time of a command that must succeed."""
+    """Run a command that must succeed and return its wall time in seconds."""
     begin = time.perf_counter()
     subprocess.run(command, check=True, **options)
     return time.perf_counter() - begin
 
 
 def open_page(page: Path, browser: str, picture: Path | None) -> tuple[float, str]:
-    """Seconds from starting the browser until what it shows has moved, and the browser's version."""
+    """Return the seconds from the start of the browser until its canvas changes, and the browser's version."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
         begin = time.perf_counter()
-        chromium = playwright.chromium.launch(executable_path=which(browser), args=list(BROWSER))
+        chromium = playwright.chromium.launch(executable_path=find_browser(browser), args=list(BROWSER))
         window = chromium.new_page(viewport=SIZE, color_scheme="light")
         window.goto(page.as_uri())
         canvas = window.locator("canvas").first
@@ -87,8 +89,8 @@ def open_page(page: Path, browser: str, picture: Path | None) -> tuple[float, st
         return seconds, f"Chromium {chromium.version}"
 
 
-def which(browser: str) -> str:
-    """The browser's file, from its name or path."""
+def find_browser(browser: str) -> str:
+    """Return the path of the browser from its name or path."""
     found = shutil.which(browser)
     if found is None:
         raise SystemExit(f"{browser}: expected a Chromium, found none; install one or name it with --browser")

@@ -1,10 +1,10 @@
-"""Memory of `mimesh convert` on a long clip, format by format, beside a tenth of it: it must not grow with the frames.
+"""Measure the memory of `mimesh convert` for long clips: it must not grow with the number of frames.
 
     python benchmarks/long_clip.py [-o FILE] [--frames 2000] [--formats .glb .npz ...]
 
-A sheet of 20,000 vertices waves. Every format is written from a NumPy archive and read back into one, each time by a
-process of its own, whose peak of resident memory is what is measured, and beside it the peak of what is not mapped from
-a file: the rest the system can take back. Files go to a temporary folder.
+The clip is a waving sheet of 20,000 vertices, with all frames and with a tenth of them. Every format is written from a
+NumPy archive and read back into one, each time by a separate process. Measured are its peak resident memory, and the
+peak of anonymous memory: the part that is not mapped from a file, which the system cannot reclaim. Files are temporary.
 """
 
 from __future__ import annotations
@@ -26,12 +26,13 @@ from mimesh.io import CLIP_WRITERS, save_clip
 from mimesh.io.atomic import whole_file
 
 SIDES = (200, 100)
+"""Vertices along the sides of the sheet."""
 FOLDER = "folder of .ply"
 DEFAULT = (*sorted(CLIP_WRITERS), FOLDER)
 
 
 def main() -> None:
-    """Print the figures and keep them if asked to."""
+    """Measure, print the report, and write it to a file if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
     parser.add_argument("--frames", type=int, default=2000)
@@ -50,29 +51,28 @@ def main() -> None:
 
 
 def measure(name: str, frames: int) -> dict[str, float]:
-    """Memory (MiB) and seconds of writing and of reading, and size of the file (MiB)."""
+    """Return memory (MiB) and seconds of writing and of reading a format, and the size of the file (MiB)."""
     with tempfile.TemporaryDirectory() as folder:
-        start, back = Path(folder) / "start.npz", Path(folder) / "back.npz"
+        source, read_back = Path(folder) / "start.npz", Path(folder) / "back.npz"
         written = Path(folder) / ("written" if name == FOLDER else f"written{name}")
-        save_clip(waves(frames), start)
+        save_clip(waves(frames), source)
         extra = ["--frames-as", "ply"] if name == FOLDER else []
-        write = converted(start, written, *extra)
-        read = converted(written, back)
+        write = convert(source, written, *extra)
+        read = convert(written, read_back)
         size = sum(path.stat().st_size for path in Path(folder).rglob("written*") if path.is_file())
         size += sum(path.stat().st_size for path in written.glob("*")) if written.is_dir() else 0
-    figures = {
-        f"{way}_{name}": value for way, found in (("write", write), ("read", read)) for name, value in found.items()
-    }
+    figures = {f"write_{name}": value for name, value in write.items()}
+    figures |= {f"read_{name}": value for name, value in read.items()}
     return {**figures, "size_mib": round(size / 2**20, 1)}
 
 
-def converted(source: Path, target: Path, *extra: str) -> dict[str, float]:
-    """Peak of resident and of anonymous memory (MiB) and seconds of one `mimesh convert`."""
-    begin, own = time.perf_counter(), 0.0
+def convert(source: Path, target: Path, *extra: str) -> dict[str, float]:
+    """Run `mimesh convert` and return its peak resident and anonymous memory (MiB) and its seconds."""
+    begin, peak_anonymous = time.perf_counter(), 0.0
     command = [sys.executable, "-m", "mimesh", "convert", str(source), str(target), "--quiet", *extra]
     child = os.posix_spawn(sys.executable, command, os.environ)
     while True:
-        own = max(own, anonymous(child))
+        peak_anonymous = max(peak_anonymous, anonymous_memory(child))
         done, status, usage = os.wait4(child, os.WNOHANG)
         if done:
             break
@@ -80,17 +80,17 @@ def converted(source: Path, target: Path, *extra: str) -> dict[str, float]:
     if status:
         raise SystemExit(f"mimesh convert {source.name} {target.name} failed")
     seconds = round(time.perf_counter() - begin, 2)
-    return {"mib": round(usage.ru_maxrss / 1024, 1), "own_mib": round(own, 1), "s": seconds}
+    return {"mib": round(usage.ru_maxrss / 1024, 1), "own_mib": round(peak_anonymous, 1), "s": seconds}
 
 
-def anonymous(process: int) -> float:
-    """MiB of a running process that no file stands behind."""
+def anonymous_memory(process: int) -> float:
+    """Return the anonymous memory (MiB) of a running process (Linux)."""
     lines = Path(f"/proc/{process}/status").read_text().splitlines()
     return next((int(line.split()[1]) / 1024 for line in lines if line.startswith("RssAnon")), 0.0)
 
 
 def waves(frames: int) -> Clip:
-    """A sheet of so many vertices with a wave that goes over it."""
+    """Make a clip of a sheet with a wave that travels over it."""
     x, z = (side.ravel() / 100 for side in np.meshgrid(*map(np.arange, SIDES), indexing="ij"))
     cells = np.arange(len(x)).reshape(SIDES)
     corners = [cells[:-1, :-1], cells[:-1, 1:], cells[1:, 1:], cells[1:, :-1]]

@@ -1,9 +1,10 @@
-"""A picture of the shipped body beside a plain loop over its triangles, in one run: how long, and what it is made of.
+"""Time a picture of the shipped body, its parts, and a plain loop over its triangles, in one run.
 
     python benchmarks/raster.py [-o FILE]
 
-512 x 512 pixels, one core. The loop is what is written first: for each triangle the pixels of its bounding box, inside
-or not, nearer or not, at one sample a pixel, flat grey and without shadows. Figures are medians of processor time.
+512 x 512 pixels, one core. The loop is the textbook rasteriser: for each triangle it tests all pixels of its bounding
+box for coverage and depth, with one sample per pixel, flat grey and without shadows. Times are medians of processor
+time.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ REPEATS = 9
 
 
 def main() -> None:
-    """Print the figures and keep them if asked to."""
+    """Measure, print the report, and write it to a file if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
@@ -43,7 +44,7 @@ def main() -> None:
 
 
 def figures() -> dict[str, float]:
-    """Milliseconds of pictures and of their parts, and over the loop."""
+    """Return milliseconds of pictures, of their parts and of the loop, and the ratios to the loop."""
     mesh = load_body().mesh()
     camera, points, faces = fit(mesh.vertices, SIZE), mesh.vertices, mesh.faces
     shifts = (np.array([0, 2, 1, 3]) + 0.5) / 4
@@ -66,29 +67,29 @@ def figures() -> dict[str, float]:
 
 
 def loop(vertices: np.ndarray, faces: np.ndarray, camera: Camera, size: tuple[int, int]) -> np.ndarray:
-    """Nearest rank (h, w) and flat grey of every pixel, one triangle at a time."""
+    """Rasterise one triangle at a time; return the grey value of every pixel."""
     width, height = size
     points = camera.project(vertices, size)
     nearest, grey = np.full((height, width), np.inf), np.ones((height, width))
     for a, b, c in points[faces]:
         low = np.clip(np.floor(np.minimum(np.minimum(a, b), c)[:2]), 0, size).astype(int)
         high = np.clip(np.ceil(np.maximum(np.maximum(a, b), c)[:2]), 0, size).astype(int)
-        double = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if (high <= low).any() or double == 0:
+        double_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if (high <= low).any() or double_area == 0:
             continue
         x, y = np.arange(low[0], high[0]) + 0.5 - a[0], (np.arange(low[1], high[1]) + 0.5 - a[1])[:, None]
-        v = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / double
-        w = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / double
-        rank = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2])
+        v = (x * (c[1] - a[1]) - y * (c[0] - a[0])) / double_area
+        w = (y * (b[0] - a[0]) - x * (b[1] - a[1])) / double_area
+        depth = a[2] + v * (b[2] - a[2]) + w * (c[2] - a[2])
         block = np.s_[low[1] : high[1], low[0] : high[0]]
-        better = (v >= 0) & (w >= 0) & (v + w <= 1) & (rank < nearest[block])
-        nearest[block][better] = rank[better]
-        grey[block][better] = 0.5
+        visible = (v >= 0) & (w >= 0) & (v + w <= 1) & (depth < nearest[block])
+        nearest[block][visible] = depth[visible]
+        grey[block][visible] = 0.5
     return grey
 
 
 def milliseconds(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Median processor time of a call, after one that warms up."""
+    """Return the median processor time (ms) of a call, after one call to warm up."""
     work()
     times = []
     for _ in range(repeats):

@@ -36,12 +36,12 @@ SHORT = 12
 
 
 def main() -> None:
-    """Print the figures and keep them if asked to."""
+    """Measure, print the report, and write it to a file if one is given."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        hero, jump, short = given(Path(folder))
+        hero, jump, short = write_inputs(Path(folder))
         report = {"commit": commit(), "machine": machine(), "libraries": libraries()}
         report |= latency(hero, jump) | memory(hero, short)
     print(json.dumps(report, indent=2))
@@ -50,8 +50,8 @@ def main() -> None:
             temporary.write_text(json.dumps(report, indent=2) + "\n")
 
 
-def given(folder: Path) -> tuple[Path, Path, Path]:
-    """A character, a motion, and its first frames."""
+def write_inputs(folder: Path) -> tuple[Path, Path, Path]:
+    """Write a character, a motion and its first frames, and return their paths."""
     clip = played(load_body())
     save_mesh(character("runner"), folder / "hero.glb")
     save_clip(clip, folder / "jump.glb")
@@ -60,7 +60,7 @@ def given(folder: Path) -> tuple[Path, Path, Path]:
 
 
 def latency(hero: Path, jump: Path) -> dict[str, float]:
-    """Seconds from files to the first pose and to the whole clip, the second time: the first loads the networks."""
+    """Measure seconds to the first pose and to the whole clip in the second run; the first run loads the networks."""
     for _ in range(2):
         desk, begin = make_desk([], LIMIT), time.perf_counter()
         item = laid(desk, hero, jump)
@@ -83,7 +83,7 @@ def latency(hero: Path, jump: Path) -> dict[str, float]:
 
 
 def memory(hero: Path, short: Path) -> dict[str, list[int]]:
-    """MiB of the process after each round, and the jobs and items that are kept then."""
+    """Return the memory (MiB) of this process after each round."""
     desk, after = make_desk([], LIMIT), []
     for _ in range(ROUNDS):
         item = laid(desk, hero, short)
@@ -109,13 +109,13 @@ def laid(desk: Session, hero: Path, clip: Path) -> Item:
 
 
 def until(met: Callable[[], bool]) -> None:
-    """Wait for the worker."""
+    """Wait until the worker thread has met a condition."""
     while not met():
         time.sleep(0.002)
 
 
 def resident() -> int:
-    """MiB of memory of this process (Linux)."""
+    """Return the resident memory (MiB) of this process (Linux)."""
     text = Path("/proc/self/status").read_text()
     return int(text.partition("VmRSS:")[2].split()[0]) // 1024
 

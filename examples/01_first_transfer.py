@@ -20,20 +20,20 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("01_first_transfer"), help="folder")
     options = parser.parse_args(argv)
 
-    # transfer() takes paths or meshes; a mesh is points and triangles, and remembers the file it came from.
+    # transfer() takes paths or meshes. A mesh read from a file keeps a reference to that file.
     identity = mimesh.load_mesh(options.identity) if options.identity else character("runner")
     driving = mimesh.load_mesh(options.driving) if options.driving else crouching()
 
     result = mimesh.transfer(identity, driving)
 
-    # The identity's own file comes back, only its points have moved. Any suffix that mimesh writes will do.
+    # With the identity's suffix, the result is its own file with moved points; all other formats are possible too.
     suffix = options.identity.suffix if options.identity else ".glb"
     print("wrote", result.save(options.output / f"result{suffix}"))
     picture = options.output / "picture.png"
     sheet.transfer_sheet(identity, driving, result.mesh).save(picture)
     print("wrote", picture)
 
-    # What is to be known about a result: how far edges stretched, how surely both meshes were read, and notes.
+    # The report says how far edges were stretched and how certain the reading of both meshes is; notes are for users.
     print(f"{len(result.vertices)} vertices in {sum(result.seconds.values()):.2f} s by {result.model}")
     print(f"99 % of edges are at most {result.report['edge_stretch_p99']:.2f} times as long as before")
     for note in result.notes:
@@ -41,7 +41,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def crouching() -> mimesh.Mesh:
-    """The shipped body about to jump."""
+    """Return the shipped body in a crouch, before it jumps."""
     clip = motion_clip(load_body(), None, load_motion("jump"))
     return clip.mesh.with_vertices(clip.vertices[18])
 

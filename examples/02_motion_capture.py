@@ -1,4 +1,4 @@
-"""Motion capture onto a mesh without a skeleton: a BVH file in, GLB out, for games and for everything else.
+"""Apply motion capture to a mesh without a skeleton: a BVH file in, GLB files out, for games and other uses.
 
 python examples/02_motion_capture.py                     # a shipped character and a shipped capture
 python examples/02_motion_capture.py hero.glb dance.bvh  # your own
@@ -17,7 +17,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("identity", nargs="?", type=Path, help="the mesh to be moved")
     parser.add_argument("motion", nargs="?", type=Path, help="a .bvh file, or any clip that mimesh reads")
-    parser.add_argument("--frames", type=int, default=None, help="stop after so many")
+    parser.add_argument("--frames", type=int, default=None, help="number of frames to use")
     parser.add_argument("-o", "--output", type=Path, default=Path("02_motion_capture"), help="folder")
     options = parser.parse_args(argv)
     identity, motion = options.identity, options.motion
@@ -27,18 +27,18 @@ def main(argv: list[str] | None = None) -> None:
     if motion is None:
         motion = save_bvh(load_motion("jump"), load_body(), options.output / "jump.bvh")
 
-    # A motion file has joints and no mesh; the shipped body plays it. Every second frame is plenty for a preview.
+    # A motion file has joints and no mesh, so the shipped body is animated by it. Every second frame is enough here.
     result = mimesh.animate(identity, motion, stop=options.frames, step=2)
 
-    # The same animation twice. Joints, weights and turns are small and are what engines want ...
+    # The same animation in two forms. Joints, weights and joint rotations: small files, supported by game engines.
     skinned = result.save_skinned(options.output / "skinned.glb")
-    # ... and one morph target a frame is exact: it needs no skeleton and holds any deformation.
+    # One morph target per frame: exact for any deformation, and independent of a skeleton.
     morph = result.save(options.output / "morph.glb")
     for path in (skinned, morph):
         print(f"wrote {path}: {path.stat().st_size / 2**20:.2f} MiB")
-    print("largest difference of the two:", f"{100 * result.report['skinned_deviation']:.2f} % of the size")
+    print("largest difference between the two:", f"{100 * result.report['skinned_deviation']:.2f} % of the size")
 
-    # Its joints can be used in Python as well.
+    # The joints are also available in Python.
     skeleton = result.skeleton
     print(f"{len(skeleton.names)} joints: {', '.join(skeleton.names[:6])} ...")
 

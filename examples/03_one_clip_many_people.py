@@ -1,7 +1,7 @@
-"""One clip drives many: other shapes, other clothes, other proportions, other triangles.
+"""Drive several meshes with one clip: other shapes, clothes, proportions and triangles.
 
-python examples/03_one_clip_many_people.py                          # a shipped clip and the shipped cast
-python examples/03_one_clip_many_people.py walk.glb a.obj b.glb ... # your own: a clip, and whom it drives
+python examples/03_one_clip_many_people.py                          # a shipped clip and shipped characters
+python examples/03_one_clip_many_people.py walk.glb a.obj b.glb ... # your own clip and meshes
 """
 
 import argparse
@@ -20,7 +20,7 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("driving", nargs="?", type=Path, help="a clip")
     parser.add_argument("identities", nargs="*", type=Path, help="meshes to be moved")
-    parser.add_argument("--frames", type=int, default=None, help="stop after so many")
+    parser.add_argument("--frames", type=int, default=None, help="number of frames to use")
     parser.add_argument("--columns", type=int, default=8, help="frames in a row of the picture")
     parser.add_argument("-o", "--output", type=Path, default=Path("03_one_clip_many_people"), help="folder")
     options = parser.parse_args(argv)
@@ -31,7 +31,7 @@ def main(argv: list[str] | None = None) -> None:
     tile = (150, 200)
     rows = [sheet.strip(driving, options.columns, tile, tint=sheet.DRIVING_TINT)]
     for identity in identities:
-        # Nothing is asked of an identity: no rig, no correspondence, no vertex count, no rest pose.
+        # An identity needs no rig, no correspondence, no particular vertex count and no particular rest pose.
         result = mimesh.animate(identity, driving, stop=options.frames)
         path = result.save(options.output / f"{identity.name}.glb")
         print(f"wrote {path}: {len(identity.vertices)} vertices, {sum(result.seconds.values()):.1f} s")
@@ -42,15 +42,15 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def crowd() -> list[mimesh.Mesh]:
-    """Four of the cast, and one of them again with a twentieth of the triangles."""
+    """Return four shipped characters, and one of them with a twentieth of its triangles."""
     return [character("heavy"), character("child"), character("dancer"), character("imp"), decimated("heavy", 20)]
 
 
-def decimated(name: str, times: int) -> mimesh.Mesh:
-    """A member of the cast with so many times fewer triangles; what it wears is one surface with it."""
+def decimated(name: str, factor: int) -> mimesh.Mesh:
+    """Return a shipped character with its triangles divided by `factor`; body and clothes become one surface."""
     mesh = character(name)
     points, faces = fast_simplification.simplify(
-        mesh.vertices, mesh.faces.astype(np.int32), target_count=len(mesh.faces) // times
+        mesh.vertices, mesh.faces.astype(np.int32), target_count=len(mesh.faces) // factor
     )
     return mimesh.Mesh(points.astype(float), faces.astype(int), name=f"{name}-decimated")
 

@@ -1,7 +1,7 @@
-"""Models on one pair whose truth is known: figures, and a heat map of each.
+"""Compare models on a pair whose true result is known: error metrics, and a heat map for each model.
 
 python examples/04_compare_models.py                     # a pair of a shipped test set
-python examples/04_compare_models.py id.obj pose.obj truth.obj --models mime copy  # your own, one topology
+python examples/04_compare_models.py id.obj pose.obj truth.obj --models mime copy  # your own, with equal topology
 """
 
 import argparse
@@ -28,13 +28,13 @@ def main(argv: list[str] | None = None) -> None:
     print(f"{'model':12} {'PMD x1e4':>9} {'mm':>6} {'edge score':>10}")
     for model in options.models:
         result = mimesh.transfer(identity, driving, model)
-        # Figures are taken with both meshes centred: where somebody stands is not what is measured.
-        figures = (
+        # The metrics centre both meshes, so a translation of the result does not count.
+        metrics = (
             1e4 * pmd_of_pair(result.vertices, truth.vertices),
             mean_error_mm(result.vertices, truth.vertices, height),
             edge_score(result.vertices, truth.vertices, edges),
         )
-        print("{:12} {:9.2f} {:6.1f} {:10.3f}".format(model, *figures))
+        print("{:12} {:9.2f} {:6.1f} {:10.3f}".format(model, *metrics))
         moved = result.vertices - result.vertices.mean(axis=0) + truth.vertices.mean(axis=0)
         picture = options.output / f"{Path(model).stem}.png"
         heat.heat_map(dataclasses.replace(result.mesh, vertices=moved), truth, limit=0.1, tile=(360, 440)).save(picture)
@@ -45,9 +45,9 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def shipped_pair() -> tuple[mimesh.Mesh, mimesh.Mesh, mimesh.Mesh]:
-    """Two people of the paper's protocol in a pose that no network has seen; the last is the truth."""
+    """Return identity, driving mesh and truth of a pair of the paper's protocol, in a pose without training data."""
     protocol = PROTOCOLS["human-npt"]
-    pair = protocol.whole("test", "unseen", 0, protocol.rng("test", "unseen", 0))
+    pair = protocol.unshuffled_pair("test", "unseen", 0, protocol.rng("test", "unseen", 0))
     return pair.identity, pair.driving, pair.identity.with_vertices(pair.truth)
 
 

@@ -1,4 +1,4 @@
-"""What a scanner gives drives: points with noise and without triangles, only one side of the body, or a clip of it.
+"""Drive a mesh with scans: noisy points without triangles, a noisy surface, and a surface seen from one side only.
 
 python examples/05_scan.py                    # scans made of the shipped body
 python examples/05_scan.py hero.glb scan.ply  # your own
@@ -24,15 +24,15 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("05_scan"), help="folder")
     options = parser.parse_args(argv)
     identity = mimesh.load_mesh(options.identity) if options.identity else character("slim")
-    scans = [mimesh.load_mesh(path) for path in options.scans] or made_scans(np.random.default_rng(0))
+    scans = [mimesh.load_mesh(path) for path in options.scans] or simulated_scans(np.random.default_rng(0))
 
     shown = [("identity", identity)]
     for scan in scans:
-        # The driving needs no triangles. With noise, more points say more.
+        # The driving mesh needs no triangles. The more points a noisy scan has, the better.
         result = mimesh.transfer(identity, scan)
         path = result.save(options.output / f"{scan.name}.glb")
         print("wrote", path)
-        # Where a scan says too little, a note says so: it is worth reading.
+        # A note tells when the scan is too incomplete or too noisy for a reliable result.
         for note in result.notes:
             print("note:", note)
         shown += [(scan.name, scan), ("result", result.mesh)]
@@ -41,15 +41,15 @@ def main(argv: list[str] | None = None) -> None:
     print("wrote", picture)
 
 
-def made_scans(rng: np.random.Generator) -> list[mimesh.Mesh]:
-    """A reaching person as 1,500 noisy points, as a noisy surface, and as seen from one side."""
+def simulated_scans(rng: np.random.Generator) -> list[mimesh.Mesh]:
+    """Return a person with raised arms as 1,500 noisy points, as a noisy surface, and as seen from one side."""
     body = load_body()
     pose = motion_clip(body, None, load_motion("swing")).vertices[45]
     cloud, side = points(body, 1500, rng), half(body, pose, np.random.default_rng(1))
     scans = [
-        mimesh.Mesh(cloud.at(pose), cloud.faces, name="points"),
+        mimesh.Mesh(cloud.positions(pose), cloud.faces, name="points"),
         mimesh.Mesh(pose, body.faces, name="surface"),
-        mimesh.Mesh(side.at(pose), side.faces, name="one-side"),
+        mimesh.Mesh(side.positions(pose), side.faces, name="one-side"),
     ]
     noise = (0.01, 0.02, 0.0)  # metres
     return [

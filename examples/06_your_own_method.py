@@ -1,4 +1,4 @@
-"""A method of your own beside the shipped ones: some lines, then the paper's test set.
+"""Write a method of your own and compare it with the shipped ones on the paper's test set.
 
 python examples/06_your_own_method.py             # 4 pairs of each kind
 python examples/06_your_own_method.py --pairs 72  # as many as the tables have
@@ -21,54 +21,57 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.base import Drive, Method
 from mimesh.methods.find import find_method
 
-FLIP = np.array([-1.0, 1.0, 1.0])
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""Factors of x, y and z that exchange left and right."""
 
 
 @dataclass(frozen=True)
 class Mirrored:
-    """Another method asked twice, once in a mirror, and the mean of its two answers.
+    """Runs another method on a pair and on its mirror image, and averages the two results.
 
-    A method sees both meshes normalised: y up, facing +z, in the unit sphere. `prepare` does what is done once and
-    gives a function from the driving's frames to the identity's vertices, one frame at a time.
+    A method gets both meshes normalised: y up, facing +z, in the unit sphere. `prepare` does the work that is needed
+    once and returns a drive: a function from driving frames to the identity's vertices, one frame at a time.
     """
 
     inner: Method
     rough: ClassVar[bool] = False
-    """Whether results are smoothed on the identity's surface unless the user says otherwise."""
+    """Whether results have a rough surface, so that they are refined by default."""
 
     @property
     def name(self) -> str:
         return f"{self.inner.name} twice"
 
     def prepare(self, identity: mimesh.Mesh, driving: mimesh.Clip) -> Drive:
-        straight = self.inner.prepare(identity, driving)
-        seen = dataclasses.replace(driving, mesh=mirrored(driving.mesh), vertices=driving.vertices * FLIP)
-        across = self.inner.prepare(mirrored(identity), seen)
+        direct_drive = self.inner.prepare(identity, driving)
+        mirror_image = dataclasses.replace(driving, mesh=mirrored(driving.mesh), vertices=driving.vertices * MIRROR)
+        mirrored_drive = self.inner.prepare(mirrored(identity), mirror_image)
 
         def drive(frames: Iterable[np.ndarray]) -> Iterator[np.ndarray]:
-            ones, others = itertools.tee(frames)
-            for one, other in zip(straight(ones), across(frame * FLIP for frame in others), strict=True):
-                yield (one + other * FLIP) / 2
+            # Both drives are generators that take frame after frame, so a clip of any length needs little memory.
+            frames, again = itertools.tee(frames)
+            results = zip(direct_drive(frames), mirrored_drive(frame * MIRROR for frame in again), strict=True)
+            for direct, mirror in results:
+                yield (direct + mirror * MIRROR) / 2
 
         return drive
 
 
 def mirrored(mesh: mimesh.Mesh) -> mimesh.Mesh:
-    """Left and right exchanged; triangles are turned round, so that they still look outwards."""
-    return mimesh.Mesh(mesh.vertices * FLIP, mesh.faces[:, ::-1].copy(), name=mesh.name)
+    """Return the mirror image of a mesh; the order of corners is reversed, so that triangles still face outwards."""
+    return mimesh.Mesh(mesh.vertices * MIRROR, mesh.faces[:, ::-1].copy(), name=mesh.name)
 
 
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--pairs", type=int, default=4, help="of each kind")
-    parser.add_argument("--beside", nargs="*", default=["mime", "copy"], help="shipped models")
+    parser.add_argument("--pairs", type=int, default=4, help="number of pairs of each kind")
+    parser.add_argument("--beside", nargs="*", default=["mime", "copy"], help="shipped models to compare with")
     parser.add_argument("-o", "--output", type=Path, default=Path("06_your_own_method"), help="folder")
     options = parser.parse_args(argv)
 
     protocol, table = PROTOCOLS["human-npt"], {}
-    print(f"{'method':10}" + "".join(f"{kind:>10}" for kind in protocol.kinds) + "   (PMD x1e4, less is better)")
+    print(f"{'method':10}" + "".join(f"{kind:>10}" for kind in protocol.kinds) + "   (PMD x1e4, lower is better)")
     for method in (Mirrored(find_method("mime")), *options.beside):
-        # What takes a model's name takes a method too: measure(), mimesh.transfer() and mimesh.animate().
+        # measure(), mimesh.transfer() and mimesh.animate() take the name of a model or a method.
         errors = {
             kind: np.mean([measure(pair, method)["pmd_e4"] for pair in protocol.trials("test", kind, options.pairs)])
             for kind in protocol.kinds

@@ -1,7 +1,7 @@
 """Train a small network for two minutes, export it, and use it. Needs pip install '.[train]'.
 
-python examples/07_train_your_own.py               # two minutes of NPT: a first shape, not a good one
-python examples/07_train_your_own.py --minutes 120 # as long as the shipped `npt` had, at its width
+python examples/07_train_your_own.py               # two minutes of NPT: a rough result
+python examples/07_train_your_own.py --minutes 120 # the time and width of the shipped `npt`
 """
 
 import argparse
@@ -23,11 +23,11 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--minutes", type=float, default=2.0, help="how long to train")
     parser.add_argument("-o", "--output", type=Path, default=Path("07_train_your_own"), help="folder")
     options = parser.parse_args(argv)
-    # Only these two need PyTorch; using the result does not.
+    # Only training and export need PyTorch; using the exported network does not.
     from mimesh.learn.export import export_command
     from mimesh.learn.train import train_command
 
-    # Pairs of people and poses are made up as it goes. A training that was stopped goes on with resume=its folder.
+    # Training pairs are generated during the training. An interrupted training is continued with resume=<its folder>.
     run = options.output / "run"
     resume = run if (run / "last.safetensors").exists() else None
     changes = () if resume else (*(SMALL if options.minutes < 30 else ()), f"minutes={options.minutes}")
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> None:
     export_command(weights, network)
     print(f"wrote {network}: {network.stat().st_size / 2**20:.2f} MiB, and its card {network.with_suffix('.json')}")
 
-    # The path of a network is the name of a model, in Python and in every command's -m.
+    # The path of a network can be used as a model name, in Python and as -m of every command.
     identity = mimesh.load_mesh(options.identity) if options.identity else character("runner")
     driving = mimesh.load_mesh(options.driving) if options.driving else reaching()
     result = mimesh.transfer(identity, driving, str(network))
@@ -55,7 +55,7 @@ def main(argv: list[str] | None = None) -> None:
 
 
 def reaching() -> mimesh.Mesh:
-    """The shipped body with its arms up."""
+    """Return the shipped body with raised arms."""
     clip = motion_clip(load_body(), None, load_motion("swing"))
     return clip.mesh.with_vertices(clip.vertices[45])
 

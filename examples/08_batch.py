@@ -1,7 +1,7 @@
-"""Many meshes times many clips: a folder of each, resumable, with a manifest of what was made and how well.
+"""Animate all meshes of a folder with all clips of another: resumable, with a manifest of results and their reports.
 
-python examples/08_batch.py                             # some of the cast times two shipped motions
-python examples/08_batch.py characters/ motions/ -o out # your own folders; run it again and it goes on
+python examples/08_batch.py                             # three shipped characters x two shipped motions
+python examples/08_batch.py characters/ motions/ -o out # your own folders; repeat the command to continue
 """
 
 import argparse
@@ -19,15 +19,15 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("identities", nargs="?", type=Path, help="a folder of meshes")
     parser.add_argument("clips", nargs="?", type=Path, help="a folder of clips and motions")
-    parser.add_argument("--frames", type=int, default=None, help="stop each after so many")
+    parser.add_argument("--frames", type=int, default=None, help="number of frames to use of each clip")
     parser.add_argument("-o", "--output", type=Path, default=Path("08_batch"), help="folder")
     options = parser.parse_args(argv)
     if options.clips is None:
-        options.identities, options.clips = shipped(options.output / "inputs")
+        options.identities, options.clips = write_shipped_inputs(options.output / "inputs")
     meshes = files(options.identities, mesh_suffixes())
     clips = files(options.clips, (*clip_suffixes(), ".bvh"))
 
-    # The manifest has a line for every pair that was tried: what is in it is not done again.
+    # The manifest has one line for every pair that was tried; these pairs are skipped when the script is run again.
     manifest = options.output / "manifest.jsonl"
     manifest.parent.mkdir(parents=True, exist_ok=True)
     lines = [json.loads(line) for line in manifest.read_text().splitlines()] if manifest.exists() else []
@@ -35,7 +35,7 @@ def main(argv: list[str] | None = None) -> None:
     with manifest.open("a") as log:
         for clip in clips:
             for mesh in [mesh for mesh in meshes if (mesh.name, clip.name) not in tried]:
-                line = {"identity": mesh.name, "clip": clip.name, **made(mesh, clip, options)}
+                line = {"identity": mesh.name, "clip": clip.name, **animate_pair(mesh, clip, options)}
                 log.write(json.dumps(line) + "\n")
                 log.flush()
                 print(line.get("output") or f"{mesh.name} + {clip.name}: {line['why']}")
@@ -44,12 +44,12 @@ def main(argv: list[str] | None = None) -> None:
 
 @functools.lru_cache(maxsize=1)
 def load(clip: Path) -> mimesh.Clip:
-    """A clip, read once for all who follow it."""
+    """Read a clip; the last one is cached, because all meshes are animated with one clip before the next."""
     return mimesh.load_clip(clip)
 
 
-def made(mesh: Path, clip: Path, options: argparse.Namespace) -> dict:
-    """Write one result and say how well it went; a file that cannot be used is a line too and stops nothing."""
+def animate_pair(mesh: Path, clip: Path, options: argparse.Namespace) -> dict:
+    """Write one result and return its line of the manifest; an unusable file gives a line with the reason."""
     output = options.output / f"{mesh.stem}-{clip.stem}.glb"
     try:
         result = mimesh.animate(mesh, load(clip), stop=options.frames)
@@ -64,8 +64,8 @@ def files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
     return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
 
 
-def shipped(folder: Path) -> tuple[Path, Path]:
-    """Folders of three characters and two motions, written if they are not there."""
+def write_shipped_inputs(folder: Path) -> tuple[Path, Path]:
+    """Write three shipped characters and two shipped motions, and return their folders."""
     for name in ("heavy", "dancer", "imp"):
         save_mesh(character(name), folder / "characters" / f"{name}.glb")
     for name in ("jump", "turn"):

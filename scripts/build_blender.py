@@ -2,8 +2,9 @@
 
     python scripts/build_blender.py [--platform windows-x64] [--python 3.11] [--output dist]
 
-One archive serves Blender 4.5 and 5.0 (Python 3.11) and later ones (3.13): Blender unpacks the wheels of its own Python
-and skips the others. NumPy is Blender's. Two builds of one commit with the same wheels are equal, byte by byte.
+One archive works in Blender 4.5 and 5.0 (Python 3.11) and in later versions (3.13): Blender unpacks the wheels of its
+own Python and skips the others. NumPy comes with Blender. Two builds of a commit with the same wheels are equal byte by
+byte.
 """
 
 from __future__ import annotations
@@ -19,17 +20,17 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "blender"
 PYTHONS = ("3.11", "3.13")
-"""Of Blender 4.5 and 5.0, and of 5.1 and later."""
+"""Python versions of Blender 4.5 and 5.0, and of 5.1 and later."""
 PACKAGES = ("scipy", "onnxruntime", "jaxtyping", "wadler-lindig")
-"""What mimesh imports as it moves meshes; onnxruntime's own dependencies serve tools that are not called."""
+"""Packages that mimesh imports during a transfer; onnxruntime's own dependencies are only needed by its tools."""
 PLATFORMS = {
     "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (17, 24, 27, 28)] + ["manylinux2014_x86_64"],
     "windows-x64": ["win_amd64"],
     "macos-arm64": [f"macosx_{major}_0_{arch}" for major in (11, 12, 13, 14) for arch in ("arm64", "universal2")],
 }
-"""Blender's name of a platform, and the tags of wheels that run there."""
+"""Blender's name of a platform -> tags of wheels that run there."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
-"""Date of everything in the archive."""
+"""Date of all files in the archive, so that builds are reproducible; the earliest that a zip file can store."""
 
 
 def build(platform: str, pythons: list[str], output: Path) -> Path:
@@ -46,6 +47,7 @@ def build(platform: str, pythons: list[str], output: Path) -> Path:
 
 
 def _download(platform: str, python: str, wheels: Path) -> None:
+    """Download the wheels of PACKAGES for a platform and a Python version into a folder."""
     tags = [option for tag in PLATFORMS[platform] for option in ("--platform", tag)]
     pinned = ["--constraint", str(ROOT / "constraints.txt")]
     _pip(
@@ -55,12 +57,11 @@ def _download(platform: str, python: str, wheels: Path) -> None:
 
 
 def _write(path: Path, platform: str, wheels: list[Path]) -> None:
+    """Write the archive: the files of the add-on, its manifest with the list of wheels, and the wheels."""
     content = {file.name: file.read_bytes() for file in FOLDER.iterdir() if file.is_file()}
-    lists = (
-        f'platforms = ["{platform}"]\nwheels = [\n' + "".join(f'  "./wheels/{one.name}",\n' for one in wheels) + "]\n"
-    )
-    content["blender_manifest.toml"] += lists.encode()
-    content |= {f"wheels/{one.name}": one.read_bytes() for one in wheels}
+    names = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
+    content["blender_manifest.toml"] += f'platforms = ["{platform}"]\nwheels = [\n{names}]\n'.encode()
+    content |= {f"wheels/{wheel.name}": wheel.read_bytes() for wheel in wheels}
     partial = path.with_suffix(".partial")
     with zipfile.ZipFile(partial, "w") as archive:
         for name in sorted(content):
@@ -72,16 +73,16 @@ def _write(path: Path, platform: str, wheels: list[Path]) -> None:
 
 
 def _version() -> str:
-    """That of the extension, which must be the package's.
+    """Return the version of the extension.
 
     Raises:
-        ValueError: they differ.
+        ValueError: it is not that of the package.
     """
-    ours = tomllib.loads((FOLDER / "blender_manifest.toml").read_text())["version"]
+    version = tomllib.loads((FOLDER / "blender_manifest.toml").read_text())["version"]
     package = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    if ours != package:
-        raise ValueError(f"blender_manifest.toml: expected version {package}, found {ours}; make them one")
-    return ours
+    if version != package:
+        raise ValueError(f"blender_manifest.toml: expected version {package}, found {version}; make them equal")
+    return version
 
 
 def _pip(*arguments: str) -> None:
@@ -90,12 +91,15 @@ def _pip(*arguments: str) -> None:
 
 
 def main() -> None:
+    """Build the archive for one platform."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--platform", choices=PLATFORMS, default="linux-x64")
-    parser.add_argument("--python", choices=PYTHONS, action="append", help="for one Blender only, at half the size")
+    parser.add_argument(
+        "--python", choices=PYTHONS, action="append", help="only for Blender versions with this Python; half the size"
+    )
     parser.add_argument("--output", type=Path, default=ROOT / "dist")
-    given = parser.parse_args()
-    path = build(given.platform, given.python or list(PYTHONS), given.output)
+    options = parser.parse_args()
+    path = build(options.platform, options.python or list(PYTHONS), options.output)
     print(f"{path} ({path.stat().st_size / 1e6:.0f} MB)")
     print("In Blender: Edit > Preferences > Get Extensions > Install from Disk")
 

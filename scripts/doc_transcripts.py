@@ -1,4 +1,4 @@
-"""Commands with what they answer, for the pages of the documentation: run in a folder of their own, nothing typed."""
+"""Runs the commands whose output the documentation quotes, in a temporary folder with generated input files."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from mimesh.cli import run
 from mimesh.tools.demo import played
 
 
-class Said(NamedTuple):
+class Transcript(NamedTuple):
     """A command and its output."""
 
     command: str
     output: str
 
 
-SCRIPTS = {
+COMMANDS = {
     "first": ("mimesh look hero.obj", "mimesh transfer hero.obj pose.obj"),
     "clip": ("mimesh animate hero.obj walk/ --fps 15",),
     "skinned": ("mimesh animate hero.obj walk/ --fps 15 --skinned -o hero-skinned.glb --no-preview",),
@@ -35,25 +35,25 @@ SCRIPTS = {
     "rate": ("mimesh animate hero.obj walk/ --fps 15 --stop 4 -o hero-walk.pc2 --no-preview",),
     "markers": ("mimesh transfer hero.obj pose.obj -m deformation-transfer",),
 }
-"""Name -> commands, run one after the other in one folder."""
+"""Name of a transcript -> its commands, run in this order."""
 
 
-def transcripts() -> dict[str, list[Said]]:
-    """What all of SCRIPTS answer."""
+def transcripts() -> dict[str, list[Transcript]]:
+    """Run all of COMMANDS in one folder and return their output."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        _inputs()
-        return {name: [answered(command) for command in commands] for name, commands in SCRIPTS.items()}
+        _write_inputs()
+        return {name: [run_command(command) for command in commands] for name, commands in COMMANDS.items()}
 
 
-def answered(command: str) -> Said:
-    """A command as it is run here, and its output."""
+def run_command(command: str) -> Transcript:
+    """Run a command in this process and return its output."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(out):
         run(shlex.split(command)[1:])
-    return Said(command, out.getvalue().rstrip())
+    return Transcript(command, out.getvalue().rstrip())
 
 
-def _inputs() -> None:
+def _write_inputs() -> None:
     """The files that the commands name."""
     moving = played(BODY)
     for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):

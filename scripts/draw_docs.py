@@ -2,8 +2,8 @@
 
     python scripts/draw_docs.py [NAME ...]
 
-Names are those of the pictures in docs/images (or `transcripts`); without any, all are made: some minutes. Nothing is
-retouched: what a page says of a picture is what came out.
+Names are those of the pictures in docs/images, or `transcripts`; without a name, all are made, which takes some
+minutes. Pictures are not retouched.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 import doc_transcripts
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
-from trouble_cases import BODY, CASES, OWN, THEIRS, Case, hero, step
+from trouble_cases import BODY, CASES, DRIVING_PERSON, IDENTITY_PERSON, Case, hero, step
 
 from mimesh import Clip, Mesh, Result, animate, transfer
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
@@ -30,129 +30,132 @@ from mimesh.render.sheet import DRIVING_TINT, INK, page
 
 DOCS = Path(__file__).parents[1] / "docs"
 IMAGES, NOTES = DOCS / "images", DOCS / "trouble.json"
-SIZE, TILE, LETTER = (420, 480), (300, 343), 20
-"""Of a picture as drawn, and as shown without its caption; of a caption's letters, to be read at half the size."""
+SIZE, TILE, FONT_SIZE = (420, 480), (300, 343), 20
+"""Pixels: of a picture as rendered, of a picture on the page without its caption, and of the caption's font."""
 POINTS = 320
-"""That the network of mime reads at once."""
-BONE = (58, 84, 122)
+"""Number of surface points that mime's network reads."""
+BONE_COLOUR = (58, 84, 122)
 MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "skeleton", "copy")
-WORST = 0.08
-"""Metres at the deepest colour of the picture of models."""
+"""Models in the picture of models."""
+MAX_DISTANCE = 0.08
+"""Distance to the truth (metres) of the last colour in the picture of models."""
 
 
 def main() -> None:
-    """All pictures, or those that are named."""
+    """Make all pictures, or those that are named."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
-    wanted = parser.parse_args().names
+    selected = parser.parse_args().names
     notes = json.loads(NOTES.read_text()) if NOTES.exists() else {}
     for make in CASES:
-        if not wanted or make.__name__ in wanted:
+        if not selected or make.__name__ in selected:
             notes[make.__name__] = draw_case(make(), make.__name__)
     for draw in (first, models, inside):
-        if not wanted or draw.__name__ in wanted:
+        if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
     write(NOTES, {make.__name__: notes[make.__name__] for make in CASES})
-    if not wanted or "transcripts" in wanted:
+    if not selected or "transcripts" in selected:
         write(DOCS / "transcripts.json", doc_transcripts.transcripts())
 
 
 def draw_case(case: Case, name: str) -> dict[str, list[str]]:
-    """Draw what goes in and what comes out, with and without the remedy; the notes of both."""
-    before = transfer(case.identity, case.driving, **case.given)
+    """Draw the inputs and the results without and with the remedy, and return the notes of both results."""
+    before = transfer(case.identity, case.driving, **case.options)
     tiles = [*_inputs(case, before), _tile(before.mesh, "result", before.report["identity"])]
     notes = {"notes": list(before.notes)}
-    if case.helped is not None:
-        after = transfer(*(case.inputs or (case.identity, case.driving)), **case.helped)
-        tiles.append(_tile(after.mesh, case.label, after.report["identity"]))
+    if case.remedy is not None:
+        after = transfer(*(case.remedy_inputs or (case.identity, case.driving)), **case.remedy)
+        tiles.append(_tile(after.mesh, case.remedy_label, after.report["identity"]))
         notes["helped"] = list(after.notes)
     save(page(tiles, len(tiles)), f"trouble-{name.replace('_', '-')}")
     return notes
 
 
 def _inputs(case: Case, result: Result) -> list[Image.Image]:
-    own, theirs = result.report["identity"], result.report["driving"]
-    return [_tile(case.identity, "identity", own), _tile(case.driving, "driving", theirs, DRIVING_TINT)]
+    """Draw identity and driving mesh, upright according to the axes of the report."""
+    identity_axes, driving_axes = result.report["identity"], result.report["driving"]
+    identity = _tile(case.identity, "identity", identity_axes)
+    return [identity, _tile(case.driving, "driving", driving_axes, DRIVING_TINT)]
 
 
 def _tile(mesh: Mesh, label: str, axes: dict | None = None, tint=None) -> Image.Image:
     axes = {} if axes is None else {"up": axes["up"], "front": axes["front"]}
     picture = next(clip_frames([("", Clip.still(mesh))], SIZE, tints=[tint], **axes))
-    return shown(picture.crop((0, 0, *SIZE)), label)
+    return captioned(picture.crop((0, 0, *SIZE)), label)
 
 
-def shown(picture: Image.Image, label: str) -> Image.Image:
-    """A picture with its caption, as it stands on a page."""
-    paper = picture.getpixel((0, 0))
-    tile = Image.new("RGB", (TILE[0], TILE[1] + 2 * LETTER), paper)
+def captioned(picture: Image.Image, label: str) -> Image.Image:
+    """Scale a picture to its size on the page and add its caption."""
+    background = picture.getpixel((0, 0))
+    tile = Image.new("RGB", (TILE[0], TILE[1] + 2 * FONT_SIZE), background)
     tile.paste(picture.resize(TILE, Image.Resampling.LANCZOS))
-    middle = (TILE[0] / 2, TILE[1] + LETTER / 4)
-    ImageDraw.Draw(tile).text(middle, label, INK, ImageFont.load_default(LETTER), anchor="ma")
+    middle = (TILE[0] / 2, TILE[1] + FONT_SIZE / 4)
+    ImageDraw.Draw(tile).text(middle, label, INK, ImageFont.load_default(FONT_SIZE), anchor="ma")
     return tile
 
 
 def first() -> Image.Image:
-    """A pair and its result."""
+    """Draw a pair and its result."""
     identity, driving = hero(), step()
     tiles = [_tile(identity, "identity"), _tile(driving, "driving", tint=DRIVING_TINT)]
     return page([*tiles, _tile(transfer(identity, driving).mesh, "result")], 3)
 
 
 def models() -> Image.Image:
-    """What each model makes of one pair, coloured by the distance to the truth."""
+    """Draw the result of each model on one pair, coloured by the distance to the truth."""
     identity, rotmat = hero(), rotvec_to_rotmat(sample_pose(BODY, 4, 2))
-    driving = step().with_vertices(BODY.posed(THEIRS, rotmat))
-    truth = BODY.posed(OWN, rotmat)
+    driving = step().with_vertices(BODY.posed(DRIVING_PERSON, rotmat))
+    truth = BODY.posed(IDENTITY_PERSON, rotmat)
     tiles = [_tile(identity, "identity"), _tile(driving, "driving", tint=DRIVING_TINT)]
     camera = fit(truth, SIZE)
-    tiles += [shown(Image.fromarray(render(truth, BODY.faces, camera, SIZE)), "truth")]
+    tiles += [captioned(Image.fromarray(render(truth, BODY.faces, camera, SIZE)), "truth")]
     for model in MODELS:
         vertices = transfer(identity, driving, model).vertices
         vertices = vertices + truth.mean(axis=0) - vertices.mean(axis=0)
-        off = np.linalg.norm(vertices - truth, axis=1)
-        picture = render(vertices, BODY.faces, camera, SIZE, heat_colors(off / WORST))
-        tiles.append(shown(Image.fromarray(picture), f"{model}: {1000 * off.mean():.0f} mm"))
+        distance = np.linalg.norm(vertices - truth, axis=1)
+        picture = render(vertices, BODY.faces, camera, SIZE, heat_colors(distance / MAX_DISTANCE))
+        tiles.append(captioned(Image.fromarray(picture), f"{model}: {1000 * distance.mean():.0f} mm"))
     return page(tiles, 3)
 
 
 def inside() -> Image.Image:
-    """What mime reads of a mesh: points, joints and weights, and the same mesh skinned to other turns."""
+    """Draw the steps of mime on a mesh: surface points, joints, skinning weights, and the skinned result."""
     identity = hero()
     result = animate(identity, Clip.still(step()))
     assert result.skeleton is not None
     rig, parents = result.skeleton.rig, result.skeleton.parents
     camera, moved = fit(identity.vertices, SIZE), result.clip.vertices[0].astype(np.float64)
     points = SurfacePoints.of(identity, POINTS, np.random.default_rng(0)).points(identity.vertices)
-    colors = rig.weights @ _hues(len(parents))
+    colors = rig.weights @ _joint_colours(len(parents))
     bones = Image.fromarray(render_mesh(identity, SIZE, camera))
     _draw_bones(bones, camera, rig.joints, parents)
     pictures = [
-        (_drawn(points, np.zeros((0, 3), int), camera), f"{POINTS} points of it"),
-        (bones, "joints of a person fitted"),
-        (_drawn(identity.vertices, identity.faces, camera, colors), "skinning weights"),
-        (_drawn(moved, identity.faces, fit(moved, SIZE), colors), "skinned to other turns"),
+        (_render(points, np.zeros((0, 3), int), camera), f"{POINTS} surface points"),
+        (bones, "joints of the fitted body"),
+        (_render(identity.vertices, identity.faces, camera, colors), "skinning weights"),
+        (_render(moved, identity.faces, fit(moved, SIZE), colors), "skinned to other rotations"),
     ]
-    return page([shown(*one) for one in pictures], len(pictures))
+    return page([captioned(*picture) for picture in pictures], len(pictures))
 
 
-def _drawn(vertices: np.ndarray, faces: np.ndarray, camera: Camera, colors=None) -> Image.Image:
+def _render(vertices: np.ndarray, faces: np.ndarray, camera: Camera, colors=None) -> Image.Image:
     return Image.fromarray(render(vertices, faces, camera, SIZE, colors))
 
 
-def _hues(count: int) -> np.ndarray:
-    """Soft colours, neighbours apart."""
-    turns = (0.61803 * np.arange(count)) % 1.0
-    return np.array([colorsys.hls_to_rgb(turn, 0.62, 0.45) for turn in turns])
+def _joint_colours(count: int) -> np.ndarray:
+    """Return soft colours; steps of the golden ratio keep the hues of consecutive joints apart."""
+    hues = (0.61803 * np.arange(count)) % 1.0
+    return np.array([colorsys.hls_to_rgb(hue, 0.62, 0.45) for hue in hues])
 
 
 def _draw_bones(picture: Image.Image, camera: Camera, joints: np.ndarray, parents: tuple[int, ...]) -> None:
-    places = camera.project(joints, SIZE)[:, :2]
+    pixels = camera.project(joints, SIZE)[:, :2]
     draw = ImageDraw.Draw(picture)
     for j, parent in enumerate(parents):
         if parent >= 0:
-            draw.line([tuple(places[parent]), tuple(places[j])], BONE, 3)
-    for x, y in places:
-        draw.ellipse([x - 4, y - 4, x + 4, y + 4], BONE)
+            draw.line([tuple(pixels[parent]), tuple(pixels[j])], BONE_COLOUR, 3)
+    for x, y in pixels:
+        draw.ellipse([x - 4, y - 4, x + 4, y + 4], BONE_COLOUR)
 
 
 def save(image: Image.Image, name: str) -> None:

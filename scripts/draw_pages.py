@@ -1,9 +1,9 @@
-"""Make the pictures of the player and of the studio that the quick start shows: docs/images/player.webp, studio.webp.
+"""Make the screenshots of the player and of the studio in the quick start: docs/images/player.webp, studio.webp.
 
     python scripts/draw_pages.py [--browser PATH]
 
-Needs Chromium, playwright (`[dev]`) and the studio (`[viewer]`); half a minute. What is seen is what a user gets: the
-page of `mimesh demo`, and a studio with three of the cast and the demo's motion.
+Needs Chromium, playwright (`[dev]`) and the studio (`[viewer]`), and half a minute. The screenshots show the page of
+`mimesh demo`, and a studio with three of the shipped characters and the motion of the demo.
 """
 
 from __future__ import annotations
@@ -28,23 +28,29 @@ from mimesh.tools.demo import run_demo
 
 IMAGES = Path(__file__).parents[1] / "docs" / "images"
 SIZE = {"width": 1280, "height": 720}
-SHARPER = 2
-"""Pixels drawn for each one kept, along a side: pages drawn in software, as here, do not smooth edges by themselves."""
-MOMENT = 0.5
-"""Of the clip, where it is stopped: in mid-air."""
+SUPERSAMPLING = 2
+"""Pixels rendered per pixel of the picture, along each side: software rendering does not smooth edges by itself."""
+STOP_AT = 0.5
+"""Fraction of the clip at which it is stopped: the jump is in mid-air."""
 CHARACTERS = ("slim", "child", "heavy")
-OPTIONS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-background-networking")
-ALL_MOVED = f"() => document.querySelectorAll('#identities .row[data-state=done]').length === {len(CHARACTERS)}"
+CHROMIUM_OPTIONS = (
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+)
+ALL_DONE = f"() => document.querySelectorAll('#identities .row[data-state=done]').length === {len(CHARACTERS)}"
 STOP = f"""() => {{
-  mimesh.controls.seek(mimesh.stage.duration * {MOMENT});
+  mimesh.controls.seek(mimesh.stage.duration * {STOP_AT});
   mimesh.stage.software = false;
   mimesh.stage.resized();
 }}"""
-"""Both pages have `mimesh`; to seek stops the clip. Then drawn once as by a graphics card, all pixels of the screen."""
+"""Script that stops the clip: seeking pauses it. Then the scene is rendered once at the full resolution of the screen,
+as with a graphics card. Both pages define `mimesh`."""
 
 
 def main() -> None:
-    """Both pictures."""
+    """Make both pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--browser", default=os.environ.get("MIMESH_CHROMIUM", "chromium"))
     browser = shutil.which(parser.parse_args().browser)
@@ -59,12 +65,12 @@ def main() -> None:
             save_mesh(character(name), path)
         motion = (demo / "driving.glb").rename(demo.parent / "jump.glb")
         with studio([*files, motion]) as address:
-            save(screenshot(browser, address, "html[data-state=ready]", ALL_MOVED), "studio")
+            save(screenshot(browser, address, "html[data-state=ready]", ALL_DONE), "studio")
 
 
 @contextmanager
 def studio(files: list[Path]) -> Iterator[str]:
-    """A studio with these files; yields its address."""
+    """Run a studio with these files and yield its address."""
     command = [sys.executable, "-m", "mimesh", "studio", "--no-open", "--quiet", *map(str, files)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -75,16 +81,19 @@ def studio(files: list[Path]) -> Iterator[str]:
         process.wait()
 
 
-def screenshot(browser: str, address: str, seen: str, true: str = "() => true") -> Image.Image:
-    """What a page shows in the middle of its clip, once `seen` is there and `true` holds, at the size of SIZE."""
+def screenshot(browser: str, address: str, selector: str, condition: str = "() => true") -> Image.Image:
+    """Take a screenshot of a page in the middle of its clip, of the size SIZE.
+
+    It waits until `selector` matches an element and the JavaScript function `condition` returns true.
+    """
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
-        chromium = playwright.chromium.launch(executable_path=browser, args=list(OPTIONS))
-        page = chromium.new_page(viewport=SIZE, color_scheme="light", device_scale_factor=SHARPER)
+        chromium = playwright.chromium.launch(executable_path=browser, args=list(CHROMIUM_OPTIONS))
+        page = chromium.new_page(viewport=SIZE, color_scheme="light", device_scale_factor=SUPERSAMPLING)
         page.goto(address)
-        page.wait_for_selector(seen, timeout=60_000)
-        page.wait_for_function(true, timeout=60_000)
+        page.wait_for_selector(selector, timeout=60_000)
+        page.wait_for_function(condition, timeout=60_000)
         page.wait_for_timeout(1500)
         page.evaluate(STOP)
         page.wait_for_timeout(1500)

@@ -1,4 +1,4 @@
-"""The files that the gallery's commands read: characters, motions and scans, all made from what is shipped."""
+"""Writes the input files of the gallery's commands: characters, motions and scans, made from shipped data only."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import save_bvh, save_clip, save_mesh
 from mimesh.motions import load_motion, motion_clip, resample, spline_motion, walk_motion
 
-ACTOR = np.array((0.8, -0.6, -0.4, 0.7))
-"""Shape of the person whose meshes drive others."""
+DRIVING_SHAPE = np.array((0.8, -0.6, -0.4, 0.7))
+"""Shape coefficients of the driving person."""
 
 
 def write_inputs(folder: Path) -> None:
-    """Write all of them; what is there already is written again."""
+    """Write all input files, and overwrite existing ones."""
     folder.mkdir(parents=True, exist_ok=True)
     body = load_body()
     for name in CHARACTERS:
@@ -35,49 +35,50 @@ def write_inputs(folder: Path) -> None:
     }
     for name, motion in motions.items():
         save_bvh(motion, body, folder / f"{name}.bvh")
-    jump = motion_clip(body, ACTOR, motions["jump"])
+    jump = motion_clip(body, DRIVING_SHAPE, motions["jump"])
     save_clip(noisy(jump, 0.02), folder / "noisy.glb")
-    save_clip(replayed(jump, remesh.points(body, 1500, np.random.default_rng(0))), folder / "points", suffix=".ply")
-    save_clip(replayed(jump, remesh.retriangulated()), folder / "retriangulated.glb")
+    save_clip(remeshed(jump, remesh.points(body, 1500, np.random.default_rng(0))), folder / "points", suffix=".ply")
+    save_clip(remeshed(jump, remesh.retriangulated()), folder / "retriangulated.glb")
     save_mesh(low_poly("heavy", 1000), folder / "low-poly.glb")
     write_poses(body, folder)
 
 
 def write_poses(body: RiggedBody, folder: Path) -> None:
-    """Single meshes: hard poses, one scan seen from one side, and a pair of a test set with its truth."""
+    """Write single meshes: hard poses, a scan from one side, a handstand, and a pair of a test set with its truth."""
     for i in range(3):
         pose = rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
-        save_mesh(body.mesh(body.posed(ACTOR, pose)), folder / f"pose-{i}.obj")
+        save_mesh(body.mesh(body.posed(DRIVING_SHAPE, pose)), folder / f"pose-{i}.obj")
     upright = rotvec_to_rotmat(sample_pose(body, 5, 1, JOINT_LIMITS))
-    points = body.posed(ACTOR, upright)
+    points = body.posed(DRIVING_SHAPE, upright)
     half = remesh.half(body, points, np.random.default_rng(1))
-    save_mesh(Mesh(half.at(points), half.faces), folder / "half-scan.ply")
-    save_mesh(body.mesh(body.posed(ACTOR, handstand(body))), folder / "handstand.obj")
+    save_mesh(Mesh(half.positions(points), half.faces), folder / "half-scan.ply")
+    save_mesh(body.mesh(body.posed(DRIVING_SHAPE, handstand(body))), folder / "handstand.obj")
     protocol = PROTOCOLS["human-npt"]
-    pair = protocol.whole("test", "unseen", 4, protocol.rng("test", "unseen", 4))
+    pair = protocol.unshuffled_pair("test", "unseen", 4, protocol.rng("test", "unseen", 4))
     for name, mesh in (("stander", pair.identity), ("poser", pair.driving)):
         save_mesh(mesh, folder / f"{name}.obj")
     save_mesh(pair.identity.with_vertices(pair.truth), folder / "truth.obj")
 
 
-def noisy(clip: Clip, share: float) -> Clip:
-    """Every vertex of every frame off by a normal draw, of this share of half the height."""
-    rng, size = np.random.default_rng(0), np.ptp(clip.mesh.vertices[:, 1]) / 2
-    return dataclasses.replace(clip, vertices=clip.vertices + rng.normal(0, share * size, clip.vertices.shape))
+def noisy(clip: Clip, sigma: float) -> Clip:
+    """Add normal noise to every vertex of every frame; `sigma` is relative to half the height."""
+    rng, half_height = np.random.default_rng(0), np.ptp(clip.mesh.vertices[:, 1]) / 2
+    return dataclasses.replace(clip, vertices=clip.vertices + rng.normal(0, sigma * half_height, clip.vertices.shape))
 
 
-def replayed(clip: Clip, meshing: remesh.Remesh) -> Clip:
-    """The clip of the body on other vertices."""
-    vertices = np.stack([meshing.at(frame) for frame in clip.vertices])
+def remeshed(clip: Clip, meshing: remesh.Remesh) -> Clip:
+    """Return a clip of the body with the vertices and triangles of a remeshing."""
+    vertices = np.stack([meshing.positions(frame) for frame in clip.vertices])
     return Clip(Mesh(vertices[0], meshing.faces), vertices, clip.fps)
 
 
 def low_poly(name: str, faces: int) -> Mesh:
-    """The skin of a member of the cast with so few triangles."""
+    """Return the skin of a shipped character (without clothes and hair), decimated to `faces` triangles."""
     import fast_simplification
 
-    body, whole = load_body(), character(name)
-    vertices, triangles = whole.vertices[: len(body.vertices)], whole.faces[: len(body.faces)].astype(np.int32)
+    # The skin comes first in the vertices and triangles of a character.
+    body, mesh = load_body(), character(name)
+    vertices, triangles = mesh.vertices[: len(body.vertices)], mesh.faces[: len(body.faces)].astype(np.int32)
     points, triangles = fast_simplification.simplify(vertices, triangles, target_count=faces)
-    looks = Part("skin", 0, len(triangles), Material("skin", (0.38, 0.30, 0.52, 1.0)))
-    return Mesh(points.astype(np.float64), triangles.astype(np.int64), name="low-poly", parts=(looks,))
+    part = Part("skin", 0, len(triangles), Material("skin", (0.38, 0.30, 0.52, 1.0)))
+    return Mesh(points.astype(np.float64), triangles.astype(np.int64), name="low-poly", parts=(part,))

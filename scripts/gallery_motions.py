@@ -1,4 +1,4 @@
-"""Motions of the gallery that are written by hand, pose by pose: a dance that loops, and a handstand."""
+"""Hand-written motions and poses of the gallery: a looping dance, and a handstand."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.motions import Motion
 from mimesh.motions.procedural import planted
 
-Turns = dict[str, tuple[float, float, float]]
-"""Rotation vectors in degrees about the world's axes at rest; x is the person's left."""
+PoseDegrees = dict[str, tuple[float, float, float]]
+"""Joint name -> rotation vector in degrees, about the world's axes at rest; x is the person's left."""
 
-LOW: Turns = {
+CROUCH: PoseDegrees = {
     **{f"{side}UpLeg": (-48, 0, 12 * sign) for side, sign in (("Left", 1), ("Right", -1))},
     **{f"{side}Leg": (76, 0, 0) for side in ("Left", "Right")},
     **{f"{side}Foot": (-28, 0, -8 * sign) for side, sign in (("Left", 1), ("Right", -1))},
@@ -24,7 +24,7 @@ LOW: Turns = {
     "LowerBack": (14, 0, 0),
     "Head": (-8, 0, 0),
 }
-SIDE: Turns = {
+LUNGE_LEFT: PoseDegrees = {
     "Hips": (0, 18, -6),
     "LeftUpLeg": (-10, 0, 2),
     "LeftLeg": (18, 0, 0),
@@ -40,7 +40,7 @@ SIDE: Turns = {
     "Spine1": (0, -14, -8),
     "Head": (-6, -16, 6),
 }
-OPEN: Turns = {
+ARMS_UP: PoseDegrees = {
     "LeftUpLeg": (-4, 0, 9),
     "RightUpLeg": (-4, 0, -9),
     "LeftFoot": (4, 0, -9),
@@ -55,43 +55,43 @@ OPEN: Turns = {
 
 
 def dance(body: RiggedBody, seconds: float = 3.0, fps: float = 15.0) -> Motion:
-    """Six poses in a circle: down, left, down, right, down, arms up. It ends where it begins."""
-    circle = [LOW, SIDE, LOW, _mirrored(SIDE), LOW, OPEN, LOW]
-    rotvec = np.stack([_pose(body, turns) for turns in circle])
-    at = np.arange(round(seconds * fps)) / fps
-    rotmat = rotvec_to_rotmat(CubicSpline(np.linspace(0, seconds, 7), rotvec, bc_type="periodic")(at))
+    """Return a dance that ends where it begins: poses interpolated by a periodic cubic spline."""
+    keys = [CROUCH, LUNGE_LEFT, CROUCH, _mirrored(LUNGE_LEFT), CROUCH, ARMS_UP, CROUCH]
+    rotvec = np.stack([_pose(body, degrees) for degrees in keys])
+    times = np.arange(round(seconds * fps)) / fps
+    rotmat = rotvec_to_rotmat(CubicSpline(np.linspace(0, seconds, 7), rotvec, bc_type="periodic")(times))
     root = planted(body, rotmat)
-    # What the soles carried it over the whole circle is taken back along the way, so that it closes.
-    drift = (root[-1] - root[0]) * len(at) / (len(at) - 1) * [1, 0, 1]
-    return Motion("dance", body.joint_names, rotmat, root - drift * at[:, None] / seconds, fps)
+    # Planting the feet lets the root drift over one loop. The drift is subtracted linearly, so that the loop closes.
+    drift = (root[-1] - root[0]) * len(times) / (len(times) - 1) * [1, 0, 1]
+    return Motion("dance", body.joint_names, rotmat, root - drift * times[:, None] / seconds, fps)
 
 
 def handstand(body: RiggedBody) -> np.ndarray:
-    """Joint rotations (J, 3, 3) of somebody on their hands."""
+    """Return the joint rotations (J, 3, 3) of a handstand."""
     return rotvec_to_rotmat(_pose(body, {"Hips": (180, 0, 0), "LeftArm": (0, 0, 80), "RightArm": (0, 0, -80)}))
 
 
 def faced(motion: Motion) -> Motion:
-    """The motion turned so that it begins at the origin of the floor and looks along +z."""
+    """Move and turn a motion so that it begins at the origin of the floor, facing +z."""
     x, _, z = motion.rotmat[0, 0, :, 2]
-    back = rotvec_to_rotmat(np.array([0.0, -np.arctan2(x, z), 0.0]))
+    turn = rotvec_to_rotmat(np.array([0.0, -np.arctan2(x, z), 0.0]))
     rotmat = motion.rotmat.copy()
-    rotmat[:, 0] = back @ rotmat[:, 0]
-    return dataclasses.replace(motion, rotmat=rotmat, root=(motion.root - motion.root[0] * [1, 0, 1]) @ back.T)
+    rotmat[:, 0] = turn @ rotmat[:, 0]
+    return dataclasses.replace(motion, rotmat=rotmat, root=(motion.root - motion.root[0] * [1, 0, 1]) @ turn.T)
 
 
-def _mirrored(turns: Turns) -> Turns:
-    """Left and right exchanged."""
+def _mirrored(pose: PoseDegrees) -> PoseDegrees:
+    """Mirror a pose: exchange left and right."""
     other = {"Left": "Right", "Right": "Left"}
     return {
         next((other[side] + name[len(side) :] for side in other if name.startswith(side)), name): (x, -y, -z)
-        for name, (x, y, z) in turns.items()
+        for name, (x, y, z) in pose.items()
     }
 
 
-def _pose(body: RiggedBody, turns: Turns) -> np.ndarray:
-    """Rotation vectors (J, 3) in radians; joints that are not named stay at zero."""
-    pose = np.zeros((len(body.joint_names), 3))
-    for name, degrees in turns.items():
-        pose[body.joint(name)] = np.radians(degrees)
-    return pose
+def _pose(body: RiggedBody, degrees: PoseDegrees) -> np.ndarray:
+    """Return rotation vectors (J, 3) in radians; joints that are not named stay at zero."""
+    rotvec = np.zeros((len(body.joint_names), 3))
+    for name, rotation in degrees.items():
+        rotvec[body.joint(name)] = np.radians(rotation)
+    return rotvec

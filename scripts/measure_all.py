@@ -1,9 +1,9 @@
-"""Measure all methods on all test sets into docs/results, then write docs/RESULTS.md. Resumable; hours on two cores.
+"""Measure all methods on all test sets, write docs/results and docs/RESULTS.md. Resumable; hours on two cores.
 
     python scripts/measure_all.py [--people DIR] [--clips DIR] [PROTOCOL ...]
 
-Run it at the root of a checkout, where `ablations/` is. cross-body is measured if --people names rigged characters, and
-clips-aniformer if --clips names the folder of the DeepMimic clips. Reports that are there are measured anew.
+Run it in the root of a checkout, which contains `ablations/`. cross-body is measured if --people is a folder of rigged
+characters, clips-aniformer if --clips is the folder of the DeepMimic clips. Existing reports are replaced.
 """
 
 from __future__ import annotations
@@ -18,13 +18,14 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import FOLDERS, evaluate_command
 from mimesh.evaluate.tables import TABLES
 
-EVERYWHERE = ("copy", "deformation-transfer-dense", "deformation-transfer-13", "skeleton", "mime", "npt", "npt-maxpool")
-SLOW_ON_CLIPS = ("skeleton",)
-"""Seconds a frame, and clips have thirty."""
+METHODS = ("copy", "deformation-transfer-dense", "deformation-transfer-13", "skeleton", "mime", "npt", "npt-maxpool")
+"""Methods that are measured on every protocol."""
+SLOW = ("skeleton",)
+"""Left out on clips: they need seconds per frame."""
 
 
 def main() -> None:
-    """One report after the other."""
+    """Measure one protocol after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*PROTOCOLS, *FOLDERS)))
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
@@ -40,10 +41,10 @@ def main() -> None:
 
 
 def methods(protocol: str) -> list[str]:
-    """What is measured on a protocol: every method, and the rows of the papers' tables where these are measured."""
+    """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
-    left_out = SLOW_ON_CLIPS if protocol == "clips-aniformer" else ()
-    return [method for method in dict.fromkeys([*EVERYWHERE, *rows]) if method not in left_out]
+    left_out = SLOW if protocol == "clips-aniformer" else ()
+    return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
-"""Ship a trained checkpoint: export it into the zoo, and fill the cards with what was measured in docs/results.
+"""Export trained checkpoints into the zoo, and write the measured errors of docs/results into the cards.
 
-A shipped weight is replaced only by one trained on the same kind of data whose validation figure is lower. Where the
-data differ otherwise, so do the figures: then both are run (mime with its fit) on the split `val` of all kinds of pair.
+Shipped weights are replaced only by weights that were trained on the same kind of data and have a lower validation
+error. If other settings of the data differ, the stored validation errors cannot be compared; then both networks are
+measured (mime with its body fit) on the split `val` of all kinds of pair.
 
     python scripts/ship_weights.py npt=runs/npt-small-0/best.safetensors aniformer=runs/aniformer-small-0/...
     python scripts/measure_all.py human-npt clips-aniformer --clips DIR
@@ -26,14 +27,15 @@ from mimesh.learn import checkpoint
 from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.export import export_command, test_set
 
-COMMON = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)
+ALL_KINDS = tuple((name, kind) for name, protocol in PROTOCOLS.items() for kind in protocol.kinds)
+"""Protocol and kind of all pairs of meshes."""
 PAIRS = 8
-"""Of each of COMMON."""
+"""Number of pairs of each kind."""
 ZOO = Path(__file__).parents[1] / "src" / "mimesh" / "zoo"
 
 
 def main() -> None:
-    """Export what improves; then each card takes the figures of its own weights."""
+    """Export the given checkpoints if they are better, then update the cards."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("weights", nargs="*", metavar="NAME=CHECKPOINT")
     args = parser.parse_args()
@@ -49,7 +51,11 @@ def main() -> None:
 
 
 def ship(name: str, path: Path) -> None:
-    """Export one checkpoint unless what is shipped under that name validates better."""
+    """Export one checkpoint, unless the shipped weights of that name have a lower validation error.
+
+    Raises:
+        InputError: the shipped weights were trained on another kind of data.
+    """
     state, card, old = checkpoint.load(path), ZOO / f"{name}.json", float("inf")
     new = state.metrics.get("val", float("inf"))
     if card.exists():
@@ -62,7 +68,7 @@ def ship(name: str, path: Path) -> None:
             with tempfile.TemporaryDirectory() as folder:
                 exported = Path(folder) / f"{name}.onnx"
                 export_command(path, exported)
-                old, new = (on_common(str(weights)) for weights in (ZOO / exported.name, exported))
+                old, new = (mean_val_error(str(weights)) for weights in (ZOO / exported.name, exported))
     if new >= old:
         print(f"{name}: kept, {old:.2f}e-4 on val against {new:.2f}e-4 of {path}")
         return
@@ -70,21 +76,24 @@ def ship(name: str, path: Path) -> None:
     export_command(path, ZOO / f"{name}.onnx")
 
 
-def on_common(weights: str) -> float:
-    """Mean over COMMON of the mean PMD x1e4 on `val`."""
-    figures = [
+def mean_val_error(weights: str) -> float:
+    """Return the mean PMD x1e4 on the split `val` over ALL_KINDS."""
+    errors = [
         measure(PROTOCOLS[protocol].pair("val", kind, i), weights)["pmd_e4"]
-        for protocol, kind in COMMON
+        for protocol, kind in ALL_KINDS
         for i in range(PAIRS)
     ]
-    return sum(figures) / len(figures)
+    return sum(errors) / len(errors)
 
 
 def fill_card(weights: Path, measured_rows: list[dict]) -> bool:
-    """Write the test figures of these weights, and of `copy` on the same pairs, into their card; False if none."""
+    """Write the test errors of weights, and of `copy` on the same pairs, into their card; False if there are none.
+
+    Rows of the reports that were measured with other weights of the same name are not used.
+    """
     rows = {(row["method"], row["split"]): row for row in measured_rows}
-    mine = rows.get((weights.stem, "unseen"), {})
-    measured = mine.get("weights") == fingerprint(str(weights))
+    unseen = rows.get((weights.stem, "unseen"), {})
+    measured = unseen.get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
     facts["metrics"]["test"] = {

@@ -1,4 +1,4 @@
-"""Inputs that go wrong, or might, for the page of troubleshooting: each really happens, with the shipped body."""
+"""Difficult or unusable inputs for the page of troubleshooting, made of the shipped body."""
 
 from __future__ import annotations
 
@@ -20,46 +20,49 @@ from mimesh.evaluate import remesh
 from mimesh.tools.demo import DRIVING_SHAPE, IDENTITY_SHAPE
 
 BODY = load_body()
-OWN, THEIRS = np.array(IDENTITY_SHAPE), np.array(DRIVING_SHAPE)
+IDENTITY_PERSON, DRIVING_PERSON = np.array(IDENTITY_SHAPE), np.array(DRIVING_SHAPE)
+"""Shape coefficients."""
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-CORNERS = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
-"""Sides of a box whose corners are counted as `product` does."""
+"""Rotation from y up to z up."""
+BOX_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+"""Corners of the six sides of a box, numbered in the order of `itertools.product`."""
 
 
 class Case(NamedTuple):
-    """A pair of meshes, how it is given, and what helps."""
+    """A pair of meshes, the options of the transfer, and a remedy."""
 
     identity: Mesh
     driving: Mesh
-    given: Mapping[str, Any] = MappingProxyType({})
-    helped: dict[str, Any] | None = None
-    """Other options; None where there is nothing to show."""
-    label: str = ""
-    """What the picture says of them."""
-    inputs: tuple[Mesh, Mesh] | None = None
-    """Other meshes for the remedy."""
+    options: Mapping[str, Any] = MappingProxyType({})
+    """Options of `mimesh.transfer`."""
+    remedy: dict[str, Any] | None = None
+    """Options that improve the result; None if there is no remedy to show."""
+    remedy_label: str = ""
+    """Caption of the result with the remedy."""
+    remedy_inputs: tuple[Mesh, Mesh] | None = None
+    """Other identity and driving mesh for the remedy."""
 
 
 def person(**degrees: tuple[float, float, float]) -> Mesh:
-    """The driving person with some joints turned."""
+    """Return the driving person with some joints rotated: rotation vectors in degrees by joint name."""
     rotvec = np.zeros((len(BODY.joint_names), 3))
-    for joint, turn in degrees.items():
-        rotvec[BODY.joint(joint)] = np.radians(turn)
-    return standing(THEIRS, rotvec, "pose")
+    for joint, rotation in degrees.items():
+        rotvec[BODY.joint(joint)] = np.radians(rotation)
+    return posed_mesh(DRIVING_PERSON, rotvec, "pose")
 
 
-def standing(shape: Float[np.ndarray, " K"], rotvec: Float[np.ndarray, "J 3"], name: str) -> Mesh:
-    """A person of a shape in a pose."""
+def posed_mesh(shape: Float[np.ndarray, " K"], rotvec: Float[np.ndarray, "J 3"], name: str) -> Mesh:
+    """Return a person of a shape in a pose (rotation vectors, radians)."""
     return dataclasses.replace(BODY.mesh(BODY.posed(shape, rotvec_to_rotmat(rotvec))), name=name)
 
 
 def hero() -> Mesh:
-    """The identity: a person at rest."""
-    return dataclasses.replace(BODY.mesh(BODY.shaped(OWN)[0]), name="hero")
+    """Return the identity: a person at rest."""
+    return dataclasses.replace(BODY.mesh(BODY.shaped(IDENTITY_PERSON)[0]), name="hero")
 
 
 def step() -> Mesh:
-    """The driving person takes a step."""
+    """Return the driving mesh: a person taking a step."""
     turns = {"LeftArm": (0, 0, -60), "RightArm": (0, 0, 50), "LeftForeArm": (0, -70, 0)}
     return person(**turns, RightUpLeg=(-40, 0, 0), RightLeg=(50, 0, 0))
 
@@ -67,8 +70,8 @@ def step() -> Mesh:
 def handstand() -> Case:
     turns = {"LeftArm": (0, 0, 70), "RightArm": (0, 0, -70), "LeftUpLeg": (0, 0, 35), "RightUpLeg": (0, 0, -35)}
     driving = dataclasses.replace(person(Hips=(0, 0, 180), **turns), name="handstand")
-    helped = {"driving_up": "+y", "driving_front": "+z"}
-    return Case(hero(), driving, {}, helped, "--driving-up y --driving-front z")
+    remedy = {"driving_up": "+y", "driving_front": "+z"}
+    return Case(hero(), driving, {}, remedy, "--driving-up y --driving-front z")
 
 
 def z_up() -> Case:
@@ -84,44 +87,44 @@ def backwards() -> Case:
 def chair() -> Case:
     legs = [((x, 0.22, z), (0.06, 0.44, 0.06)) for x, z in product((-0.21, 0.21), repeat=2)]
     boxes = [((0, 0.45, 0), (0.5, 0.06, 0.5)), ((0, 0.8, -0.22), (0.5, 0.7, 0.06)), *legs]
-    return Case(joined("chair", *(box(*one) for one in boxes)), step())
+    return Case(joined("chair", *(box(*centre_and_size) for centre_and_size in boxes)), step())
 
 
 def shield() -> Case:
-    own = hero()
-    carried = joined("hero", (own.vertices, own.faces), box((0.6, 1.3, 0.12), (0.5, 0.7, 0.04)))
-    return Case(carried, step(), {}, {}, "the shield left out", (own, step()))
+    person_mesh = hero()
+    with_shield = joined("hero", (person_mesh.vertices, person_mesh.faces), box((0.6, 1.3, 0.12), (0.5, 0.7, 0.04)))
+    return Case(with_shield, step(), {}, {}, "the shield left out", (person_mesh, step()))
 
 
 def cropped() -> Case:
     part = remesh.cropped(BODY, np.random.default_rng(1))
-    return Case(hero(), Mesh(part.at(step().vertices), part.faces, name="scan"))
+    return Case(hero(), Mesh(part.positions(step().vertices), part.faces, name="scan"))
 
 
 def one_side() -> Case:
     part = remesh.half(BODY, step().vertices, np.random.default_rng(0))
-    return Case(hero(), Mesh(part.at(step().vertices), part.faces, name="scan"))
+    return Case(hero(), Mesh(part.positions(step().vertices), part.faces, name="scan"))
 
 
 def noisy() -> Case:
     driving = step()
-    moved = driving.vertices + np.random.default_rng(0).normal(scale=0.034, size=driving.vertices.shape)
-    return Case(hero(), dataclasses.replace(driving, vertices=moved, name="noisy"))
+    noisy_vertices = driving.vertices + np.random.default_rng(0).normal(scale=0.034, size=driving.vertices.shape)
+    return Case(hero(), dataclasses.replace(driving, vertices=noisy_vertices, name="noisy"))
 
 
 def dressed() -> Case:
     body = dressed_body(BODY, ("skirt", "hair"))
-    return Case(dataclasses.replace(body.mesh(body.shaped(OWN)[0]), name="dressed"), step())
+    return Case(dataclasses.replace(body.mesh(body.shaped(IDENTITY_PERSON)[0]), name="dressed"), step())
 
 
 def extreme() -> Case:
-    driving = standing(THEIRS, sample_pose(BODY, 11, 8, JOINT_LIMITS), "contortion")
+    driving = posed_mesh(DRIVING_PERSON, sample_pose(BODY, 11, 8, JOINT_LIMITS), "contortion")
     return Case(hero(), driving, {"driving_up": "+y", "driving_front": "+z"}, {"model": "skeleton"}, "-m skeleton")
 
 
 def touch() -> Case:
-    folded = touching(BODY, OWN, 0.8 * lowered_arms(BODY), "arms", np.random.default_rng(4))
-    return Case(standing(OWN, folded, "hero"), person(LeftArm=(0, 0, 30), RightArm=(0, 0, -30)))
+    folded = touching(BODY, IDENTITY_PERSON, 0.8 * lowered_arms(BODY), "arms", np.random.default_rng(4))
+    return Case(posed_mesh(IDENTITY_PERSON, folded, "hero"), person(LeftArm=(0, 0, 30), RightArm=(0, 0, -30)))
 
 
 def wrists() -> Case:
@@ -132,14 +135,14 @@ def rough() -> Case:
     return Case(hero(), step(), {"model": "npt", "refine": False}, {"model": "npt"}, "-m npt, refined")
 
 
-def box(middle: tuple[float, float, float], size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and triangles of a box."""
-    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size + middle
-    return corners, np.concatenate([CORNERS[:, [0, 1, 2]], CORNERS[:, [0, 2, 3]]])
+def box(centre: tuple[float, float, float], size: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners and triangles of a box."""
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * size + centre
+    return corners, np.concatenate([BOX_SIDES[:, [0, 1, 2]], BOX_SIDES[:, [0, 2, 3]]])
 
 
 def joined(name: str, *pieces: tuple[Float[np.ndarray, "V 3"], Int[np.ndarray, "F 3"]]) -> Mesh:
-    """Pieces as one mesh."""
+    """Join pieces (vertices, triangles) into one mesh."""
     first = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     faces = [triangles + start for (_, triangles), start in zip(pieces, first, strict=False)]
     return Mesh(np.concatenate([vertices for vertices, _ in pieces]), np.concatenate(faces), name=name)
@@ -149,3 +152,4 @@ CASES: tuple[Callable[[], Case], ...] = (
     *(handstand, z_up, backwards, chair, shield, cropped, one_side),
     *(noisy, dressed, extreme, touch, wrists, rough),
 )
+"""All cases; the name of a function is the name of its picture and notes."""

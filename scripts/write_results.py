@@ -15,7 +15,7 @@ RESULTS = DOCS / "results"
 
 
 def main() -> None:
-    """Replace the page."""
+    """Write the page."""
     with whole_file(DOCS / "RESULTS.md") as temporary:
         temporary.write_text(results_page(RESULTS))
     print(f"{DOCS / 'RESULTS.md'}: written")

@@ -1,4 +1,4 @@
-"""The reference of the command line, from the commands themselves."""
+"""Generates the reference of the command line from the commands themselves, while the site is built."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import typer
 from typer.main import get_command
 
 from mimesh.cli import app
-from mimesh.evaluate.tables import grid
+from mimesh.evaluate.tables import markdown_table
 
 
 def command_reference() -> str:
-    """A section for each command: what it does, what it takes, what it does unless told otherwise."""
+    """Return one Markdown section per command: description, usage, arguments, and options with their defaults."""
     group = get_command(app)
     context = typer.Context(group, info_name="mimesh")
     return "\n\n".join(_section(command, context) for command in group.commands.values())
@@ -23,12 +23,15 @@ def _section(command, parent) -> str:
     arguments = [p for p in command.params if p.param_type_name == "argument"]
     options = [p for p in command.params if p.param_type_name == "option"]
     if arguments:
-        parts.append(grid(["takes", ""], [[f"`{p.metavar or p.name.upper()}`", _text(p.help)] for p in arguments]))
-    parts.append(grid(["option", "", "unless given"], [_option(p) for p in options]))
+        parts.append(
+            markdown_table(["takes", ""], [[f"`{p.metavar or p.name.upper()}`", _text(p.help)] for p in arguments])
+        )
+    parts.append(markdown_table(["option", "", "unless given"], [_option(p) for p in options]))
     return "\n\n".join(part for part in parts if part)
 
 
 def _option(option) -> list[str]:
+    """Return the row of an option: names and value, help, default."""
     names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
     takes = "" if option.is_flag else f" `{option.metavar or option.type.name.upper().split()[0]}`"
     return [names + takes, _text(option.help), _default(option)]
@@ -42,5 +45,6 @@ def _default(option) -> str:
     return f"`{option.default}`"
 
 
-def _text(words: str | None) -> str:
-    return (words or "").replace("|", "\\|").strip()
+def _text(text: str | None) -> str:
+    """Return a help text as the content of a table cell; vertical bars would end the cell."""
+    return (text or "").replace("|", "\\|").strip()

@@ -1,7 +1,7 @@
-"""What pages take from the code, from measured figures and from transcripts while the site is built.
+"""Replaces marks in the pages by tables, measured figures and transcripts while the site is built.
 
-`<!-- insert: WHAT [NAME] -->` in a page becomes Markdown before it is read, so nothing of it is typed and nothing can
-go stale. In the repository it shows as nothing, beside a link or a sentence that says where to look.
+`<!-- insert: WHAT [NAME] -->` in a page becomes Markdown before Sphinx reads the page, so these parts cannot be out of
+date. On a code host the mark is invisible; a link or a sentence next to it says where to find the content.
 """
 
 from __future__ import annotations
@@ -13,33 +13,33 @@ from pathlib import Path
 from commands import command_reference
 
 from mimesh.commands.about import WHAT
-from mimesh.evaluate.tables import grid, paper_table
+from mimesh.evaluate.tables import markdown_table, paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
 
 DOCS = Path(__file__).parents[1]
 MARK = re.compile(r"<!-- insert: ([a-z]+)(?: ([\w-]+))? -->")
-DRAWN = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
-OUTSIDE = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
-"""Links that work in the repository and lead out of the site."""
+DRAWING = re.compile(r"!\[([^\]]*)\]\(images/([\w-]+)\.svg\)")
+OUTSIDE_LINK = re.compile(r"\[([^\]]+)\]\((?:\.\./[^)]*|results/?)\)")
+"""Links that work in the repository but lead out of the site."""
 
 
 def setup(app):
-    """Fill the marks of every page."""
+    """Register the replacement of marks with Sphinx."""
     app.connect("source-read", lambda app, page, source: source.__setitem__(0, filled(source[0])))
     return {"parallel_read_safe": True}
 
 
 def filled(text: str) -> str:
-    """A page with its marks replaced, without links that lead out of the site, and with its SVG put into it.
+    """Return a page with its marks replaced, links out of the site removed, and SVG drawings embedded.
 
-    A drawing inside the page has the theme's colours.
+    Embedded drawings have the colours of the site's theme.
 
     Raises:
-        KeyError: nothing goes by the name of a mark.
+        KeyError: a mark has an unknown name.
     """
-    text = OUTSIDE.sub(r"\1", text)
-    text = DRAWN.sub(lambda mark: _drawing(mark[2]), text)
+    text = OUTSIDE_LINK.sub(r"\1", text)
+    text = DRAWING.sub(lambda mark: _drawing(mark[2]), text)
     return MARK.sub(lambda mark: INSERTS[mark[1]](*filter(None, [mark[2]])), text)
 
 
@@ -48,17 +48,21 @@ def _drawing(name: str) -> str:
 
 
 def models() -> str:
-    """One row for each model that -m takes."""
+    """Return the table of the models that -m takes."""
     rows = []
     for name in MODELS:
         row = _report_row(name, "unseen")
         pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
         rows.append([f"[`{name}`](#{name})", WHAT[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
-    return grid(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
+    return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 
 def _report_row(name: str, kind: str) -> dict:
-    """The measured figures of a model on new people: of poses, or of clips for aniformer."""
+    """Return the report row of a model on new people: of poses, or of clips for aniformer.
+
+    Raises:
+        KeyError: the model has not been measured.
+    """
     protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
     method = {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
     for path in sorted((DOCS / "results").glob("*.json")):
@@ -70,40 +74,40 @@ def _report_row(name: str, kind: str) -> dict:
 
 
 def card(name: str) -> str:
-    """The card of shipped weights as a table."""
+    """Return the card of shipped weights as a table."""
     assert name in SHIPPED_NETWORKS
-    found = next(card for card in cards() if card["name"] == name)
-    before = found.get("before", [])
-    minutes = sum(run["seconds_trained"] for run in (*before, found)) / 60
-    pairs = sum(run["pairs"] for run in (*before, found))
+    facts = next(card for card in cards() if card["name"] == name)
+    earlier = facts.get("before", [])  # cards of the earlier stages of a training in several stages
+    minutes = sum(stage["seconds_trained"] for stage in (*earlier, facts)) / 60
+    pairs = sum(stage["pairs"] for stage in (*earlier, facts))
     seen, unseen = (_report_row(name, kind) for kind in ("seen", "unseen"))
-    copied = found["metrics"]["test"]
-    stages = f" in {len(before) + 1} stages; the card has the configuration of the last one only" if before else ""
-    dirty = " (a working tree with uncommitted changes)" if found["commit"].endswith("-dirty") else ""
+    copy_metrics = facts["metrics"]["test"]
+    stages = f" in {len(earlier) + 1} stages; the card has the configuration of the last one only" if earlier else ""
+    dirty = " (a working tree with uncommitted changes)" if facts["commit"].endswith("-dirty") else ""
     rows = [
-        ["licence", found["license"]],
-        ["trained on", found["data"]],
-        ["training", f"{minutes:.0f} minutes, {found['hardware']}; {pairs:,} pairs{stages}"],
-        ["commit", f"`{found['commit']}`{dirty}, seed {found['seed']}"],
+        ["licence", facts["license"]],
+        ["trained on", facts["data"]],
+        ["training", f"{minutes:.0f} minutes, {facts['hardware']}; {pairs:,} pairs{stages}"],
+        ["commit", f"`{facts['commit']}`{dirty}, seed {facts['seed']}"],
         ["PMD ×1e-4 on new people, seen / unseen", _both(seen["pmd_e4"], unseen["pmd_e4"])],
         ["its median", _both(seen["pmd_e4_median"], unseen["pmd_e4_median"])],
         ["distance, for a person of 1.7 m", f"{_both(seen['mm'], unseen['mm'])} mm"],
-        ["PMD of `copy` on the same", _both(copied["copy_seen_pmd_e4"], copied["copy_unseen_pmd_e4"])],
-        ["file", f"`{found['file']}`, {found['bytes'] / 2**20:.1f} MiB"],
+        ["PMD of `copy` on the same", _both(copy_metrics["copy_seen_pmd_e4"], copy_metrics["copy_unseen_pmd_e4"])],
+        ["file", f"`{facts['file']}`, {facts['bytes'] / 2**20:.1f} MiB"],
     ]
-    return grid(["card", ""], rows)
+    return markdown_table(["card", ""], rows)
 
 
 def table(name: str) -> str:
-    """A table of a paper, its figures beside ours, from the reports in docs/results."""
+    """Return a table of a paper with its values next to ours, from the reports in docs/results."""
     reports = [json.loads(path.read_text()) for path in sorted((DOCS / "results").glob("*.json"))]
     return paper_table(name, *reports)
 
 
 def speed() -> str:
-    """Times per frame, from benchmarks/mime.json."""
-    found = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
-    counts = [key for key in found if key.isdigit()]
+    """Return the table of times per frame, from benchmarks/mime.json."""
+    report = json.loads((DOCS.parent / "benchmarks" / "mime.json").read_text())
+    counts = [key for key in report if key.isdigit()]
     lines = {
         "prepare, for a pose": "prepare_pose_ms",
         "prepare, for a clip": "prepare_clip_ms",
@@ -113,9 +117,9 @@ def speed() -> str:
         "a frame of `npt-maxpool`": "npt-maxpool_ms_a_frame",
         "a frame of `aniformer`": "aniformer_ms_a_frame",
     }
-    rows = [[label, *(_ms(found[count].get(key)) for count in counts)] for label, key in lines.items()]
+    rows = [[label, *(_ms(report[count].get(key)) for count in counts)] for label, key in lines.items()]
     head = ["", *(f"{int(count):,} vertices" for count in counts)]
-    return f"{grid(head, rows)}\n\nMeasured at commit {found['commit']}, {found['machine']}."
+    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
 def _ms(value: float | None) -> str:
@@ -131,29 +135,29 @@ def _figure(value: float) -> str:
 
 
 def transcript(name: str) -> str:
-    """Commands and their output."""
-    said = json.loads((DOCS / "transcripts.json").read_text())[name]
-    lines = "\n\n".join(f"$ {command}\n{output}" for command, output in said)
+    """Return commands and their output as a console block, from docs/transcripts.json."""
+    commands = json.loads((DOCS / "transcripts.json").read_text())[name]
+    lines = "\n\n".join(f"$ {command}\n{output}" for command, output in commands)
     return f"```console\n{lines}\n```"
 
 
 def notes(name: str, which: str = "notes") -> str:
-    """The notes that mimesh printed for a picture of the troubleshooting page."""
-    found = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
-    return "\n".join(f"> note: {note}" for note in found) or "> mimesh prints no note here."
+    """Return the notes that mimesh printed for a picture of the troubleshooting page, from docs/trouble.json."""
+    printed = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
+    return "\n".join(f"> note: {note}" for note in printed) or "> mimesh prints no note here."
 
 
 def helped(name: str) -> str:
-    """The notes that it printed with the remedy applied."""
+    """Return the notes that mimesh printed for the same picture with the remedy applied."""
     return notes(name, "helped")
 
 
 def minute() -> str:
-    """The time from `git clone` to the demo in the browser."""
-    found = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
+    """Return a sentence with the time from `git clone` to the demo in the browser."""
+    report = json.loads((DOCS.parent / "benchmarks" / "first_minute.json").read_text(encoding="utf-8"))
     return (
-        f"From `git clone` to the animation in {found['browser'].split()[0]}: {found['seconds']['all']:.0f} s on two "
-        f"cores with all downloads, of which the installation takes {found['seconds']['install']:.0f} s "
+        f"From `git clone` to the animation in {report['browser'].split()[0]}: {report['seconds']['all']:.0f} s on two "
+        f"cores with all downloads, of which the installation takes {report['seconds']['install']:.0f} s "
         "(`benchmarks/first_minute.py`)."
     )
 
@@ -169,3 +173,4 @@ INSERTS = {
     "helped": helped,
     "commands": command_reference,
 }
+"""WHAT of a mark -> function that returns its Markdown."""

@@ -1,4 +1,4 @@
-"""Signatures in the reference as they stand in the source, so that shapes read well: `Float[ndarray, 'V 3']`."""
+"""Shows signatures in the reference as they are written in the source, with shapes: `Float[ndarray, 'V 3']`."""
 
 from __future__ import annotations
 
@@ -12,44 +12,45 @@ EMPTY = inspect.Parameter.empty
 
 
 def setup(app):
-    """Ask autodoc for a say in signatures and docstrings."""
-    said: dict[str, list[str]] = {}
+    """Register the changes to signatures and docstrings with Sphinx's autodoc."""
+    docstrings: dict[str, list[str]] = {}
     app.connect("autodoc-process-signature", _signature)
-    # Napoleon has 500; it takes what stands before a colon for the type of an attribute, which here it never is.
-    app.connect("autodoc-process-docstring", partial(_keep, said), priority=400)
-    app.connect("autodoc-process-docstring", partial(_put_back, said), priority=600)
+    # Napoleon (priority 500) reads text before a colon in an attribute's docstring as its type, which is never meant
+    # here. So these docstrings are saved before Napoleon runs and restored after it.
+    app.connect("autodoc-process-docstring", partial(_save, docstrings), priority=400)
+    app.connect("autodoc-process-docstring", partial(_restore, docstrings), priority=600)
     app.connect("doctree-resolved", _with_dashes)
     return {"parallel_read_safe": True}
 
 
 def _signature(app, what, name, obj, options, signature, returns):
-    """Annotations are strings in all our files, so they are what was typed."""
+    """Return a signature with its annotations as written: they are strings in all our files (`annotations` import)."""
     if what == "class" and dataclasses.is_dataclass(obj):
-        return "", None  # the fields of a dataclass are listed below it
+        return "", None  # the fields of a dataclass are listed below its signature
     if what not in ("function", "method") or signature is None:
         return None
-    found = inspect.signature(obj)
-    parameters = [p for p in found.parameters.values() if p.name not in ("self", "cls")]
-    text = str(found.replace(parameters=parameters, return_annotation=EMPTY))
+    inspected = inspect.signature(obj)
+    parameters = [p for p in inspected.parameters.values() if p.name not in ("self", "cls")]
+    text = str(inspected.replace(parameters=parameters, return_annotation=EMPTY))
     for parameter in parameters:
         text = text.replace(repr(parameter.annotation), str(parameter.annotation), 1)
-    returned = "" if found.return_annotation is EMPTY else str(found.return_annotation)
-    # As autodoc has it in fields.
+    returned = "" if inspected.return_annotation is EMPTY else str(inspected.return_annotation)
+    # autodoc writes `ndarray` for the types of fields.
     return text.replace("np.ndarray", "ndarray"), returned.replace("np.ndarray", "ndarray") or None
 
 
-def _keep(said, app, what, name, obj, options, lines):
+def _save(docstrings, app, what, name, obj, options, lines):
     if what in ("attribute", "property"):
-        said[name] = lines[:]
+        docstrings[name] = lines[:]
 
 
-def _put_back(said, app, what, name, obj, options, lines):
-    if name in said:
-        lines[:] = said.pop(name)
+def _restore(docstrings, app, what, name, obj, options, lines):
+    if name in docstrings:
+        lines[:] = docstrings.pop(name)
 
 
 def _with_dashes(app, tree, page):
-    """Between a parameter and its words."""
+    """Replace the double hyphen between a parameter and its description by an en dash."""
     for text in list(tree.findall(nodes.Text)):
         if text.astext() == " -- ":
             text.parent.replace(text, nodes.Text(" \N{EN DASH} "))

@@ -1,4 +1,4 @@
-"""docs/architecture.md: its tree of files and the files of the repository agree, path by path."""
+"""docs/architecture.md: its tree of files agrees with the files of the repository."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ pytestmark = pytest.mark.skipif(not PAGE.exists(), reason="a package without its
 
 
 def tree(text: str) -> list[Path]:
-    """Paths of the indented tree between the marks: two spaces a level, folders end in a slash, then a description."""
+    """Parse the tree between the marks: two spaces per level, folders end in a slash, a description follows."""
     block = re.search(r"<!-- tree:begin -->\s*```text\n(.*?)```\s*<!-- tree:end -->", text, re.DOTALL)
     assert block is not None
     paths, stack = [], []
@@ -24,7 +24,7 @@ def tree(text: str) -> list[Path]:
     return paths
 
 
-def test_tree_of_indented_names():
+def test_tree_is_parsed_by_indentation():
     text = "<!-- tree:begin -->\n```text\na/b/   what\n  c.py  this\n  d/\n    e.py\nf.py\n```\n<!-- tree:end -->"
     assert tree(text) == [Path(p) for p in ("a/b", "a/b/c.py", "a/b/d", "a/b/d/e.py", "f.py")]
 

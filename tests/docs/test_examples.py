@@ -1,4 +1,4 @@
-"""Every example runs as it is, on small things, writes what it says, and is on the page of examples."""
+"""Every example runs on small inputs, writes the files that it names, and is on the page of examples."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
 def example(name: str):
-    """The module of an example, whose name begins with a number."""
+    """Import an example; its file name begins with a number, so `import` cannot."""
     path = next(path for path in EXAMPLES if path.stem.endswith(name))
     spec = importlib.util.spec_from_file_location(f"example_{name}", path)
     assert spec
     assert spec.loader
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look themselves up
+    sys.modules[spec.name] = module  # dataclasses look up their own module
     spec.loader.exec_module(module)
     return module
 
 
 @pytest.fixture
 def ran(tmp_path, monkeypatch, capsys):
-    """Run an example in an empty folder; gives its output folder and what it printed."""
+    """A function that runs an example in an empty folder and returns its output folder and what it printed."""
     monkeypatch.chdir(tmp_path)
 
     def run(name: str, *argv: str) -> tuple[Path, str]:
@@ -89,7 +89,7 @@ def test_compare_models(ran):
 
 
 def test_scan(ran, tmp_path):
-    scans = example("scan").made_scans(np.random.default_rng(0))
+    scans = example("scan").simulated_scans(np.random.default_rng(0))
     assert [scan.name for scan in scans] == ["points", "surface", "one-side"]
     save_mesh(scans[0], tmp_path / "points.ply")
     save_mesh(person(0), tmp_path / "person.obj")
@@ -106,7 +106,7 @@ def test_your_own_method(ran, monkeypatch):
 
 
 def test_train_your_own(ran, tmp_path, monkeypatch):
-    """All but the export itself, which takes half a minute; tests of `learn.export` are where that is done."""
+    """All but the export, which takes half a minute and is tested with `learn.export`."""
     pytest.importorskip("torch")
     from mimesh.learn import export
 
@@ -122,7 +122,7 @@ def test_train_your_own(ran, tmp_path, monkeypatch):
     assert len(load_mesh(folder / "result.glb").vertices) == len(person(0).vertices)
 
 
-def test_batch_goes_on_where_it_stopped_and_says_what_cannot_be_used(ran, tmp_path):
+def test_batch_is_continued_and_lists_unusable_files(ran, tmp_path):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "meshes" / "broken.obj").write_text("v 1 2\n")
     save_mesh(person(0), tmp_path / "meshes" / "a.obj")
@@ -139,13 +139,13 @@ def test_batch_goes_on_where_it_stopped_and_says_what_cannot_be_used(ran, tmp_pa
     assert result.stat().st_mtime_ns == before
 
 
-def test_batch_of_the_cast(tmp_path):
-    meshes, motions = example("batch").shipped(tmp_path)
+def test_batch_of_shipped_characters(tmp_path):
+    meshes, motions = example("batch").write_shipped_inputs(tmp_path)
     assert len(list(meshes.iterdir())) == 3
     assert len(list(motions.iterdir())) == 2
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_it_is_short_and_on_the_page(path):
+def test_example_is_short_and_on_the_page(path):
     assert 30 <= len(path.read_text().splitlines()) <= 100
     assert f"`{path.name}`" in (ROOT / "docs" / "examples.md").read_text()

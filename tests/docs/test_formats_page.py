@@ -1,4 +1,4 @@
-"""The page of formats is the generated one, and names every format."""
+"""The page of formats is the generated one and has every format."""
 
 import importlib.util
 from pathlib import Path
@@ -21,11 +21,11 @@ def script():
     return module
 
 
-def test_the_page_in_the_docs_is_the_generated_one(script):
+def test_page_in_the_docs_is_the_generated_one(script):
     assert (ROOT / "docs" / "formats.md").read_text() == script.formats_page(ROOT)
 
 
-def test_every_format_is_on_it(script):
+def test_every_format_is_on_the_page(script):
     named = {suffix: row for formats, row in script.ROWS.items() for suffix in formats.split()}
     assert {suffix for suffix, (read, _) in named.items() if read} - {".fbx"} == {*MESH_READERS, *CLIP_READERS}
     assert {suffix for suffix, (_, written) in named.items() if written} - {".vrm"} == {

@@ -1,4 +1,4 @@
-"""What scripts, examples, benchmarks and pages take from mimesh is there: most of them are run by hand alone."""
+"""Names that scripts, examples, benchmarks and pages import from mimesh exist. Most of these are only run by hand."""
 
 from __future__ import annotations
 
@@ -16,11 +16,12 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("scripts", "examples", "benchmarks", "docs/_ext")
 FILES = sorted(path for folder in FOLDERS for path in (ROOT / folder).glob("*.py"))
 OPTIONAL = "mimesh.learn"
+"""Needs PyTorch, so its names are not checked."""
 
 
-def unknown(source: str) -> list[str]:
-    """Names that a file takes from a module of ours, by import or as an attribute, and that it has not."""
-    tree, modules, wrong = ast.parse(source), {}, []
+def missing_names(source: str) -> list[str]:
+    """List the names that a file uses from our modules, by import or as an attribute, and that do not exist."""
+    tree, modules, missing = ast.parse(source), {}, []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             for alias in node.names:
@@ -32,19 +33,19 @@ def unknown(source: str) -> list[str]:
             if node.module.startswith(OPTIONAL):
                 continue
             for alias in node.names:
-                found = taken(node.module, alias.name)
-                wrong += [f"{node.module}.{alias.name}"] if found is None else []
+                found = look_up(node.module, alias.name)
+                missing += [f"{node.module}.{alias.name}"] if found is None else []
                 if isinstance(found, ModuleType):
                     modules[alias.asname or alias.name] = found
     for node in ast.walk(tree):
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in modules:
             module = modules[node.value.id]
-            wrong += [] if hasattr(module, node.attr) else [f"{module.__name__}.{node.attr}"]
-    return wrong
+            missing += [] if hasattr(module, node.attr) else [f"{module.__name__}.{node.attr}"]
+    return missing
 
 
-def taken(module: str, name: str) -> object:
-    """A module's attribute or the module below it; None where there is neither."""
+def look_up(module: str, name: str) -> object:
+    """Return a module's attribute or submodule; None if there is neither."""
     owner = importlib.import_module(module)
     if not hasattr(owner, name) and hasattr(owner, "__path__") and importlib.util.find_spec(f"{module}.{name}"):
         return importlib.import_module(f"{module}.{name}")
@@ -52,24 +53,24 @@ def taken(module: str, name: str) -> object:
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
-def test_names_of_a_script_are_there(path):
-    assert unknown(path.read_text(encoding="utf-8")) == []
+def test_names_of_a_script_exist(path):
+    assert missing_names(path.read_text(encoding="utf-8")) == []
 
 
-def test_names_of_the_notebook_are_there():
+def test_names_of_the_notebook_exist():
     cells = json.loads((ROOT / "examples" / "mimesh.ipynb").read_text(encoding="utf-8"))["cells"]
     code = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
-    assert unknown("\n".join(code)) == []
+    assert missing_names("\n".join(code)) == []
 
 
-def test_names_of_the_reference_are_there():
+def test_names_of_the_reference_exist():
     names = re.findall(r"auto(?:function|class):: (mimesh[\w.]*)\.(\w+)", (ROOT / "docs" / "api.md").read_text())
     assert len(names) > 20
-    assert [name for name in names if taken(*name) is None] == []
+    assert [name for name in names if look_up(*name) is None] == []
 
 
-def test_a_name_that_has_moved_is_found():
-    assert unknown(
+def test_missing_names_are_found():
+    assert missing_names(
         "from mimesh.render import sheet\nsheet.heat_map()\nfrom mimesh.render.sheet import page, nothing"
     ) == [
         "mimesh.render.sheet.nothing",

@@ -1,4 +1,4 @@
-"""The notebook runs from top to bottom, shows what it promises, and is stored without outputs."""
+"""The notebook runs from top to bottom, shows its pictures, and is stored without outputs."""
 
 import itertools
 from pathlib import Path
@@ -10,17 +10,17 @@ nbclient = pytest.importorskip("nbclient")
 pytest.importorskip("ipykernel")
 
 FEWER = {"step=2": "step=20", "step=6": "step=40", '("scale", "keep", "drop")': '("keep",)'}
-"""Frames and clips that show nothing that the others do not; each is in the notebook."""
+"""Replacements that reduce the number of frames and clips, to save time; each key is in the notebook."""
 NOTEBOOK = Path(__file__).parents[2] / "examples" / "mimesh.ipynb"
 
 
-@pytest.mark.filterwarnings("default")  # those of the kernel's own machinery are not ours to mend
+@pytest.mark.filterwarnings("default")  # the kernel's own warnings are not ours
 def test_the_notebook_runs_with_fewer_frames(tmp_path):
     notebook = nbformat.read(NOTEBOOK, as_version=4)
-    assert all(any(long in cell["source"] for cell in notebook.cells) for long in FEWER)
+    assert all(any(original in cell["source"] for cell in notebook.cells) for original in FEWER)
     assert not any(cell.get("outputs") or cell.get("execution_count") for cell in notebook.cells)
-    for cell, (long, short) in itertools.product(notebook.cells, FEWER.items()):
-        cell["source"] = cell["source"].replace(long, short)
+    for cell, (original, reduced) in itertools.product(notebook.cells, FEWER.items()):
+        cell["source"] = cell["source"].replace(original, reduced)
     nbclient.NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
     shown = [output for cell in notebook.cells for output in cell.get("outputs", ())]
     assert sum("image/png" in output.get("data", {}) for output in shown) == 6

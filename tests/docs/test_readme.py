@@ -17,7 +17,7 @@ COLUMNS = (("human-npt", "unseen"), ("human-wide", "limits"), ("cross-body", "ta
 
 
 def reports() -> dict[tuple[str, str, str], dict]:
-    """The measured rows by protocol, kind and method."""
+    """Return the measured rows by protocol, kind and method."""
     files = [json.loads(path.read_text()) for path in (ROOT / "docs" / "results").glob("*.json")]
     return {(file["protocol"], row["split"], row["method"]): row for file in files for row in file["results"]}
 
@@ -27,7 +27,7 @@ def two_digits(value: float) -> str:
 
 
 def anchors(page: Path) -> set[str]:
-    """Anchors of a page's headings, as Sphinx and code hosts make them."""
+    """Return the anchors of a page's headings, as Sphinx and code hosts make them."""
     headings = re.findall(r"^#+ (.+)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 

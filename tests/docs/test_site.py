@@ -1,4 +1,4 @@
-"""The documentation is built without a warning, its links are sound, and nothing of it is stale."""
+"""The documentation is built without warnings, its links work, and its generated parts are up to date."""
 
 import json
 import re
@@ -37,22 +37,22 @@ def site(tmp_path_factory):
     return out
 
 
-def test_every_link_inside_is_sound_and_nothing_is_fetched(site, inserts):
+def test_links_of_the_site_work_and_pages_load_nothing_from_other_hosts(site, inserts):
     import links
 
-    wrong, _ = links.check(site)
-    assert wrong == []
+    errors, _ = links.check(site)
+    assert errors == []
 
 
-def test_links_that_are_not_sound_are_found(tmp_path, inserts):
+def test_broken_links_are_found(tmp_path, inserts):
     import links
 
     (tmp_path / "a.html").write_text(
         '<p id="here"><a href="b.html">b</a> <a href="#here">h</a> <a href="#there">t</a>'
         '<script src="https://example.com/x.js"></script> <a href="https://example.com">out</a>'
     )
-    wrong, outside = links.check(tmp_path)
-    assert [line.split("expected ")[1].split(",")[0] for line in wrong] == ["b.html", "#there", "to fetch nothing"]
+    errors, outside = links.check(tmp_path)
+    assert [line.split("expected ")[1].split(",")[0] for line in errors] == ["b.html", "#there", "to fetch nothing"]
     assert outside == ["https://example.com", "https://example.com/x.js"]
 
 
@@ -64,7 +64,7 @@ def test_the_reference_has_every_command_and_option(inserts):
     assert "`--driving-front` `AXIS`" in text
 
 
-def test_tables_are_of_the_measured_figures(inserts):
+def test_tables_are_those_of_the_reports(inserts):
     reports = [json.loads(path.read_text()) for path in sorted((DOCS / "results").glob("*.json"))]
     used = set(re.findall(r"<!-- insert: table (\S+) -->", (DOCS / "two-papers.md").read_text()))
     assert used == set(TABLES)
@@ -77,7 +77,7 @@ def test_every_model_has_a_section(inserts):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.stem)
-def test_marks_of_a_page_are_known_and_pictures_are_there(page, inserts):
+def test_marks_of_a_page_are_known_and_pictures_exist(page, inserts):
     text = page.read_text(encoding="utf-8")
     assert "<!-- insert: " not in inserts.filled(text).replace("<!-- insert: ... -->", "")
     assert all((DOCS / name).is_file() for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text))
@@ -97,19 +97,21 @@ def test_every_picture_note_and_transcript_is_used():
     assert all(f"(images/trouble-{name}.webp)" in text for name in drawn)
 
 
-def test_a_transcript_is_what_a_command_answers_today(tmp_path, monkeypatch):
+def test_first_transcript_is_the_current_output(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "scripts"))
     monkeypatch.chdir(tmp_path)
     import doc_transcripts
 
-    said = json.loads((DOCS / "transcripts.json").read_text(encoding="utf-8"))
-    assert {name: tuple(command for command, _ in lines) for name, lines in said.items()} == doc_transcripts.SCRIPTS
+    transcripts = json.loads((DOCS / "transcripts.json").read_text(encoding="utf-8"))
+    assert {
+        name: tuple(command for command, _ in lines) for name, lines in transcripts.items()
+    } == doc_transcripts.COMMANDS
     save_mesh(doc_transcripts.hero(), "hero.obj")
     save_mesh(doc_transcripts.step(), "pose.obj")
-    for command, answer in said["first"]:
+    for command, output in transcripts["first"]:
         lines = [
             re.sub(r"[\d.]+ s$", "", text, flags=re.MULTILINE)
-            for text in (doc_transcripts.answered(command).output, answer)
+            for text in (doc_transcripts.run_command(command).output, output)
         ]
         assert lines[0] == lines[1], "run python scripts/draw_docs.py transcripts"
 

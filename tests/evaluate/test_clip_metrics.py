@@ -1,9 +1,9 @@
-"""Metrics of clips: exact values of known faults, naive twins, and what each of them is blind to."""
+"""Metrics of clips: exact values for known errors, naive implementations, and the errors that each ignores."""
 
 import numpy as np
 import pytest
 
-from mimesh.evaluate.metrics import clip_pmd, foot_skate, jitter, liveliness, path_error_mm, unrest_mm
+from mimesh.evaluate.metrics import acceleration_ratio, clip_pmd, foot_skate, jitter, largest_step_mm, path_error_mm
 
 FPS = 10.0
 
@@ -13,32 +13,34 @@ def clips(seed: int = 0, frames: int = 6, vertices: int = 20):
     return rng.normal(size=(frames, vertices, 3)), rng.normal(size=(frames, vertices, 3))
 
 
-def test_the_truth_itself_is_perfect():
+def test_error_of_the_truth_is_zero():
     truth, _ = clips()
     assert clip_pmd(truth, truth) == path_error_mm(truth, truth, 1.7) == jitter(truth, truth, 1.7, FPS) == 0
-    still = np.repeat(truth[:1], 4, axis=0)
-    assert unrest_mm(still, 1.7) == 0
-    assert foot_skate(still, still, 1.7, FPS) == 0
+    static = np.repeat(truth[:1], 4, axis=0)
+    assert largest_step_mm(static, 1.7) == 0
+    assert foot_skate(static, static, 1.7, FPS) == 0
 
 
-def test_pmd_against_a_naive_twin():
+def test_clip_pmd_equals_a_naive_implementation():
     result, truth = clips(1)
     total = 0.0
-    for ours, theirs in zip(result, truth, strict=True):
-        middle, target = ours.mean(axis=0), theirs.mean(axis=0)
-        size = max(np.linalg.norm(p - target) for p in theirs)
-        total += sum((((p - middle) - (q - target)) ** 2).sum() / size**2 for p, q in zip(ours, theirs, strict=True))
+    for frame, true in zip(result, truth, strict=True):
+        centre, true_centre = frame.mean(axis=0), true.mean(axis=0)
+        size = max(np.linalg.norm(p - true_centre) for p in true)
+        total += sum(
+            (((p - centre) - (q - true_centre)) ** 2).sum() / size**2 for p, q in zip(frame, true, strict=True)
+        )
     assert clip_pmd(result, truth) == pytest.approx(total / truth.shape[0] / truth.shape[1])
 
 
-def test_pmd_is_blind_to_where_frames_stand_and_to_the_unit():
+def test_clip_pmd_ignores_translation_and_unit():
     result, truth = clips(2)
     moved = result + np.random.default_rng(3).normal(size=(len(result), 1, 3))
     assert clip_pmd(moved, truth) == pytest.approx(clip_pmd(result, truth))
     assert clip_pmd(1000 * result, 1000 * truth) == pytest.approx(clip_pmd(result, truth))
 
 
-def test_path_error_is_the_drift():
+def test_path_error_is_the_mean_drift():
     truth, _ = clips(4)
     drift = truth + np.arange(len(truth))[:, None, None] * [0.01, 0.0, 0.0]
     mean = 10 * np.arange(len(truth)).mean()
@@ -47,17 +49,17 @@ def test_path_error_is_the_drift():
     assert path_error_mm(truth + [5.0, 0, 0], truth, 1.7) == pytest.approx(0, abs=1e-9)
 
 
-def test_liveliness_is_that_of_the_truth_at_the_truth_and_grows_with_flicker():
+def test_acceleration_ratio_is_one_for_the_truth_and_grows_with_flicker():
     _, truth = clips(7)
-    assert liveliness(truth, truth) == pytest.approx(1)
-    assert liveliness(2 * truth + 3, truth) == pytest.approx(2)
+    assert acceleration_ratio(truth, truth) == pytest.approx(1)
+    assert acceleration_ratio(2 * truth + 3, truth) == pytest.approx(2)
     flicker = 0.05 * (-1.0) ** np.arange(len(truth))[:, None, None] * [0, 1, 0]
-    assert liveliness(truth[:1] + flicker, truth[:1] + 0.5 * flicker) == pytest.approx(2)
-    assert liveliness(truth[:2], truth[:2]) is None
-    assert liveliness(truth, np.repeat(truth[:1], len(truth), axis=0)) is None
+    assert acceleration_ratio(truth[:1] + flicker, truth[:1] + 0.5 * flicker) == pytest.approx(2)
+    assert acceleration_ratio(truth[:2], truth[:2]) is None
+    assert acceleration_ratio(truth, np.repeat(truth[:1], len(truth), axis=0)) is None
 
 
-def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():
+def test_jitter_equals_a_naive_implementation_and_ignores_constant_errors():
     result, truth = clips(5)
     lengths = [
         np.linalg.norm(
@@ -76,34 +78,34 @@ def test_jitter_against_a_naive_twin_and_blind_to_steady_faults():
     assert jitter(truth[:2], truth[:2], 1.7, FPS) is None
 
 
-def test_unrest_is_the_largest_step_of_any_vertex():
+def test_largest_step_is_that_of_any_vertex():
     result = np.zeros((4, 3, 3))
     result[2, 1] = [0.003, 0.0, 0.004]
-    assert unrest_mm(result, 1.7) == pytest.approx(5.0)
-    assert unrest_mm(result, 0.85) == pytest.approx(10.0)
-    assert unrest_mm(result[:1], 1.7) == 0
+    assert largest_step_mm(result, 1.7) == pytest.approx(5.0)
+    assert largest_step_mm(result, 0.85) == pytest.approx(10.0)
+    assert largest_step_mm(result[:1], 1.7) == 0
 
 
-def test_skate_counts_what_stands_in_the_truth_alone():
-    """Of four vertices one stands, one is above the floor, one runs, one is lifted half way."""
+def test_foot_skate_counts_vertices_in_contact_in_the_truth():
+    """Four vertices: one in contact, one above the floor, one moving on the floor, one lifted halfway through."""
     frames = np.arange(5)[:, None]
     truth = np.zeros((5, 4, 3))
     truth[:, 1, 1] = 0.5
     truth[:, 2, :1] = 0.1 * frames
     truth[2:, 3, 1] = 0.2
-    result = truth + np.arange(5)[:, None, None] * [0.003, 0.5, 0.004]  # 5 mm a frame along the ground
+    result = truth + np.arange(5)[:, None, None] * [0.003, 0.5, 0.004]  # 5 mm per frame along the ground
     assert foot_skate(result, truth, 1.7, FPS) == pytest.approx(5.0)
     assert foot_skate(truth, truth, 1.7, FPS) == 0
-    only = truth.copy()
-    only[1:, 0, 0] += [1, 2, 3, 4]
-    assert foot_skate(only[:, :3], truth[:, :3], 1.7, FPS) == pytest.approx(100 * FPS)
+    sliding = truth.copy()
+    sliding[1:, 0, 0] += [1, 2, 3, 4]
+    assert foot_skate(sliding[:, :3], truth[:, :3], 1.7, FPS) == pytest.approx(100 * FPS)
     assert foot_skate(result[:, 2:3], truth[:, 2:3], 1.7, FPS) is None
 
 
 @pytest.mark.parametrize(("metric", "more"), [(clip_pmd, ()), (path_error_mm, (1.7,)), (jitter, (1.7, FPS)),
                                               (foot_skate, (1.7, FPS))])  # fmt: skip
 @pytest.mark.parametrize("cut", [np.s_[1:], np.s_[:, 1:]])
-def test_nothing_is_broadcast(metric, more, cut):
+def test_different_shapes_are_refused(metric, more, cut):
     result, truth = clips()
     with pytest.raises(ValueError, match="must have one shape"):
         metric(result, truth[cut], *more)

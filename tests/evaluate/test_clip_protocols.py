@@ -1,4 +1,4 @@
-"""Clips: truth is the target in the driving's motion in every frame, splits are disjoint, the test set is fixed."""
+"""Clip protocol: truth is the identity in the driving motion, splits are disjoint, the test set is fixed."""
 
 import itertools
 
@@ -23,16 +23,17 @@ GOLDEN = {
     "unseen": (346027.344300, 292397.494547),
     "procedural": (300780.210840, 286580.716474),
 }
-"""Sums over the coordinates of truth and driving (metres) of the first test trial; unseen: of files written here."""
+"""Sums over the coordinates of truth and driving clip (metres) of the first test trial; those of `unseen` are for the
+clips that this test writes."""
 
 
 @pytest.fixture(scope="module")
 def protocol(tmp_path_factory):
-    """With clips of our own in the place of DeepMimic's."""
+    """The protocol with generated clips instead of those of DeepMimic."""
     return clips_aniformer(write_folder(tmp_path_factory.mktemp("deepmimic")))
 
 
-def test_the_papers_numbers():
+def test_protocol_has_the_numbers_of_the_paper():
     assert len(CLIPS_ANIFORMER.seen(human())) == sum(SEEN.values()) == 80
     assert len({motion.name for motion in CLIPS_ANIFORMER.seen(human())}) == 80
     assert CLIPS_ANIFORMER.train_motions(human()).shape == (80, 30, 31, 3, 3)
@@ -43,39 +44,39 @@ def test_the_papers_numbers():
     assert [CLIPS_ANIFORMER.count(kind, 3) for kind in KINDS] == [3, 3, 3]
 
 
-def test_all_motions_are_whole_rotations_from_the_origin_to_the_front():
+def test_motions_are_rotations_that_begin_at_the_origin_facing_front():
     rotmat, root = CLIPS_ANIFORMER.train_motions(human()), CLIPS_ANIFORMER.train_paths(human())
     np.testing.assert_allclose(np.linalg.det(rotmat[:, ::10]), 1, atol=1e-9)
     np.testing.assert_array_equal(root[:, 0, [0, 2]], 0)
     front = rotmat[:, 0, 0, :, 2]
     np.testing.assert_allclose(front[:, 0], 0, atol=1e-12)
     assert front[:, 2].min() > 0
-    assert np.linalg.norm(np.diff(root, axis=1), axis=-1).max() < 0.2  # metres a frame: nothing jumps
+    assert np.linalg.norm(np.diff(root, axis=1), axis=-1).max() < 0.2  # metres per frame: no jumps
 
 
-def test_seconds_are_disjoint_pieces_of_the_training_takes():
-    """Every second is found in its take at its place, and no place serves twice."""
-    places = set()
+def test_seconds_are_disjoint_windows_of_the_training_takes():
+    """Every second equals its window of its take, and no frame is used twice."""
+    used = set()
     for motion in CLIPS_ANIFORMER.seen(human())[: SEEN["seconds"]]:
         take, offset = motion.name.split("@")
         first = round(sum(map(float, offset.split("+"))) * 30)
         np.testing.assert_array_equal(motion.rotmat[:, 1:], load_motion(take).rotmat[first : first + 30, 1:])
         assert any(name == take and 30 * a <= first <= 30 * b - 30 for name, a, b in SPLITS["train"])
         frames = {(take, t) for t in range(first, first + 30)}
-        assert not frames & places
-        places |= frames
+        assert not frames & used
+        used |= frames
 
 
-def test_the_first_seen_trials_are_spread_and_all_are_taken_once():
+def test_seen_trials_use_every_motion_once_and_begin_with_all_sources():
     names = [CLIPS_ANIFORMER.motion("test", "seen", i).name for i in range(80)]
     assert len(set(names)) == 80
-    sorts = [[n for n in names[:24] if word in n] for word in ("mirrored", "walk", "spline")]
-    assert all(2 <= len(some) <= 6 for some in sorts)
+    by_source = [[n for n in names[:24] if word in n] for word in ("mirrored", "walk", "spline")]
+    assert all(2 <= len(found) <= 6 for found in by_source)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_truth_is_the_target_in_the_drivings_motion(protocol, kind):
-    """In every frame: shuffled alike, copying is wrong by body shape alone, a wrong order or frame by far more."""
+def test_truth_is_the_identity_in_the_driving_motion(protocol, kind):
+    """In every frame: `copy` is wrong by the body shape only, a wrong vertex order by far more."""
     trial = protocol.pair("test", kind, 1)
     assert trial.truth_frames.shape == trial.clip.vertices.shape == trial.aligned_frames.shape == (30, 6890, 3)
     assert trial.clip.fps == 30
@@ -92,7 +93,7 @@ def test_truth_is_the_target_in_the_drivings_motion(protocol, kind):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_a_pair_holds_is_the_first_frame(protocol, kind):
+def test_fields_of_a_pair_are_those_of_the_first_frame(protocol, kind):
     trial = protocol.pair("test", kind, 2)
     np.testing.assert_array_equal(trial.driving.vertices, trial.clip.vertices[0])
     np.testing.assert_array_equal(trial.clip.mesh.faces, trial.driving.faces)
@@ -104,8 +105,8 @@ def test_what_a_pair_holds_is_the_first_frame(protocol, kind):
     identity, driving = trial.markers.T
     np.testing.assert_allclose(trial.aligned[identity], trial.driving.vertices[driving], atol=1e-12)
     np.testing.assert_allclose(trial.aligned_reference[identity], trial.reference[driving], atol=1e-12)
-    still = trial.identity.vertices
-    assert pmd_of_pair(resized(trial.aligned_reference, still), still) < 80e-4  # one pose, two people
+    rest = trial.identity.vertices
+    assert pmd_of_pair(resized(trial.aligned_reference, rest), rest) < 80e-4  # one pose, two people
 
 
 def edge_lengths(vertices, trial):
@@ -113,27 +114,27 @@ def edge_lengths(vertices, trial):
     return np.linalg.norm(np.diff(vertices[edge], axis=1)[:, 0], axis=1)
 
 
-def test_truth_is_posed_anew_on_a_path_as_long_as_its_legs():
-    trial = CLIPS_ANIFORMER.whole("val", "procedural", 9, np.random.default_rng(0))
+def test_path_of_the_truth_is_scaled_by_leg_length():
+    trial = CLIPS_ANIFORMER.unshuffled_pair("val", "procedural", 9, np.random.default_rng(0))
     motion = CLIPS_ANIFORMER.motion("val", "procedural", 9)
     shape = sample_shape(human(), CLIPS_ANIFORMER.seed("val"), 1, CLIPS_ANIFORMER.spread)
     legs = [leg_length(joints, human().joint_names) for joints in (human().shaped(shape)[1], human().joints)]
-    there = human().posed(shape, motion.rotmat[20], motion.root[20] * legs[0] / legs[1])
-    np.testing.assert_allclose(trial.truth_frames[20], there, atol=1e-12)
+    expected = human().posed(shape, motion.rotmat[20], motion.root[20] * legs[0] / legs[1])
+    np.testing.assert_allclose(trial.truth_frames[20], expected, atol=1e-12)
     assert abs(legs[0] / legs[1] - 1) > 0.01
 
 
-def test_people_are_eight_targets_and_new_actors_in_streams_of_their_own():
+def test_identities_are_eight_and_driving_people_new():
     seeds = [CLIPS_ANIFORMER.seed(stream) for stream in STREAMS]
     assert len(set(seeds)) == len(STREAMS)
     first = [sample_shape(human(), seed, 0) for seed in seeds]
     assert all(not np.allclose(a, b) for a, b in itertools.combinations(first, 2))
-    one, nine = (CLIPS_ANIFORMER.pair("val", "seen", i) for i in (0, 8))
-    assert one.height == nine.height
-    assert not np.allclose(np.ptp(one.clip.vertices[0], axis=0), np.ptp(nine.clip.vertices[0], axis=0))
+    first_trial, ninth_trial = (CLIPS_ANIFORMER.pair("val", "seen", i) for i in (0, 8))
+    assert first_trial.height == ninth_trial.height
+    assert not np.allclose(np.ptp(first_trial.clip.vertices[0], axis=0), np.ptp(ninth_trial.clip.vertices[0], axis=0))
 
 
-def test_motions_of_val_are_later_seconds_and_need_no_folder():
+def test_motions_of_val_are_other_seconds_and_need_no_folder():
     train = {frame[1:].tobytes() for motion in CLIPS_ANIFORMER.seen(human()) for frame in motion.rotmat}
     for kind in ("unseen", "procedural"):
         for i in range(14 if kind == "unseen" else 4):
@@ -156,7 +157,7 @@ def test_trials_are_a_pure_function_of_the_seed():
     assert not np.array_equal(first.truth_frames, other.truth_frames)
 
 
-def test_what_is_missing_is_told_before_anything_is_measured(tmp_path, monkeypatch):
+def test_missing_data_are_reported_before_measuring(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(InputError, match="DeepMimic clips: expected a folder or an installed pybullet"):
         CLIPS_ANIFORMER.check("test")
@@ -168,7 +169,7 @@ def test_what_is_missing_is_told_before_anything_is_measured(tmp_path, monkeypat
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_test_set_is_the_published_one(protocol, kind):
+def test_first_trial_of_each_kind_is_the_published_one(protocol, kind):
     trial = protocol.pair("test", kind, 0)
     sums = [np.abs(trial.truth_frames).sum(), np.abs(trial.clip.vertices).sum()]
     assert np.allclose(sums, GOLDEN[kind], rtol=1e-7), sums

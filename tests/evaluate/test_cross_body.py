@@ -1,4 +1,4 @@
-"""Characters of others take our poses by joint names; splits share nobody; truth is the identity in that pose."""
+"""Characters by other authors take the shipped body's poses by joint names; splits share no character."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from mimesh.bodies.body_model import landmarks
 from mimesh.bodies.joint_names import named_joints
 from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.evaluate.cross_body import check_person, cross_body, landmarks_on, pose_at_rest, pose_on_rig
+from mimesh.evaluate.cross_body import check_character, cross_body, find_landmarks, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.io.gltf.skin import read_skin
 from mimesh.motions.retarget import BONES, to_local
 
-MADE = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")
-"""Whose names characters in the tests bear."""
+SCHEMES = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")
+"""Naming schemes of joints that the tests use."""
 
 
 @pytest.fixture(scope="module")
@@ -30,9 +30,9 @@ def body():
 
 
 @pytest.fixture(scope="module")
-def crowd(tmp_path_factory) -> Path:
-    """Three men with CMU's names, three women with mixamo's who stand in an A-pose, one of nobody else's skeleton."""
-    folder = tmp_path_factory.mktemp("crowd")
+def characters(tmp_path_factory) -> Path:
+    """A folder with three characters with CMU names, three in an A-pose with mixamo names, and one other skeleton."""
+    folder = tmp_path_factory.mktemp("characters")
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(load_body()))
     for i in range(3):
         rigs.character(folder / f"man{i}.glb", shape=i, faces=400 if i == 1 else 300, frames=i)
@@ -47,7 +47,7 @@ def pose(body, i: int = 0) -> np.ndarray:
 
 
 def posed_with(known: set[str], body, rotmat: np.ndarray) -> np.ndarray:
-    """A character's vertices on our body, whose joints of other names follow their parents."""
+    """Vertices of a character made of the shipped body; joints whose names are not `known` follow their parents."""
     world, _ = body.skinning_transforms(body.joints, rotmat)
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         world[j] = world[j] if joint in known else world[parent]
@@ -55,7 +55,7 @@ def posed_with(known: set[str], body, rotmat: np.ndarray) -> np.ndarray:
 
 
 def joints_in(rig, rotmat, body) -> dict[str, np.ndarray]:
-    """Where the rig's joints are, by our names, in a pose of ours."""
+    """Positions of the rig's joints in a pose of the shipped body, by the body's joint names."""
     transforms = rig.skinning_transforms(pose_on_rig(rig, body, rotmat))
     return {n: (transforms[j] @ [*rig.joints[j], 1])[:3] for n, j in named_joints(rig.joint_names, rig.parents).items()}
 
@@ -64,27 +64,27 @@ def unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-@pytest.mark.parametrize("scheme", MADE)
-def test_our_body_under_other_names_takes_our_poses(scheme, body, tmp_path):
-    """Exactly; joints that a scheme does not have follow their parent."""
-    rig = check_person(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_shipped_body_with_other_joint_names_takes_its_own_poses(scheme, body, tmp_path):
+    """The vertices are equal; joints that a naming scheme lacks follow their parent."""
+    rig = check_character(read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme))), "a")
     expected = posed_with(set(named_joints(rig.joint_names, rig.parents)), body, pose(body))
     np.testing.assert_allclose(rig.posed(pose_on_rig(rig, body, pose(body))), expected, atol=3e-6)
 
 
-def test_limbs_point_where_ours_point_whatever_the_rest_pose(body, tmp_path):
+def test_limb_directions_are_those_of_the_body_for_any_rest_pose(body, tmp_path):
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(body))
-    ours, place = body.skinning_transforms(body.joints, pose(body))
-    ours = (ours @ body.joints[..., None])[..., 0] + place
+    rotation, offset = body.skinning_transforms(body.joints, pose(body))
+    body_joints = (rotation @ body.joints[..., None])[..., 0] + offset
     for rest in (None, lowered, rotvec_to_rotmat(sample_pose(body, 1, 0))):
         rig = read_skin(rigs.character(tmp_path / "a.glb", shape=3, rest=rest, frames=2))
-        theirs = joints_in(rig, pose(body), body)
+        rig_joints = joints_in(rig, pose(body), body)
         for joint, tail in BONES.items():
-            expected = unit(ours[body.joint(tail)] - ours[body.joint(joint)])
-            np.testing.assert_allclose(unit(theirs[tail] - theirs[joint]), expected, atol=1e-6)
+            expected = unit(body_joints[body.joint(tail)] - body_joints[body.joint(joint)])
+            np.testing.assert_allclose(unit(rig_joints[tail] - rig_joints[joint]), expected, atol=1e-6)
 
 
-def test_the_pose_at_rest_is_the_rest(body, tmp_path):
+def test_pose_at_rest_gives_the_rest_pose(body, tmp_path):
     rig = read_skin(rigs.character(tmp_path / "a.glb", shape=3, rest=rotvec_to_rotmat(lowered_arms(body))))
     local = pose_on_rig(rig, body, pose_at_rest(rig, body))
     np.testing.assert_allclose(local, np.tile(np.eye(3), (len(local), 1, 1)), atol=1e-12)
@@ -92,8 +92,8 @@ def test_the_pose_at_rest_is_the_rest(body, tmp_path):
     np.testing.assert_allclose(arm, rotvec_to_rotmat(lowered_arms(body))[body.joint("LeftArm")], atol=0.1)
 
 
-def test_legs_that_hang_on_a_root_beside_the_hips_stay_on_them(body, tmp_path):
-    """Some rigs do so: a tilt of the hips takes the root, and so the legs, along."""
+def test_legs_that_are_children_of_the_root_follow_the_hips(body, tmp_path):
+    """Some rigs are built so: the root, and with it the legs, rotates like the hips."""
     hold, names = {"LowerBack": "LHipJoint", "LeftUpLeg": "Hips"}, {"Hips": "Root", "LHipJoint": "Hips"}
     path = rigs.character(tmp_path / "a.glb", shape=None, hold=hold, name=lambda name: names.get(name, name))
     rig = read_skin(path)
@@ -103,87 +103,91 @@ def test_legs_that_hang_on_a_root_beside_the_hips_stay_on_them(body, tmp_path):
     np.testing.assert_allclose(rig.posed(pose_on_rig(rig, body, tilted)), expected, atol=3e-6)
 
 
-def test_characters_of_one_skeleton_get_the_same_rotations(body, crowd):
-    one, other = cross_body(crowd).casts("test")[0]
-    rest = [np.stack(list(joints_in(rig, pose_at_rest(rig, body), body).values())) for rig in (one, other)]
-    assert np.abs(rest[0] - rest[1]).max() > 0.005  # two people
+def test_characters_of_one_skeleton_get_the_same_rotations(body, characters):
+    first, second = cross_body(characters).character_pairs("test")[0]
+    rest = [np.stack(list(joints_in(rig, pose_at_rest(rig, body), body).values())) for rig in (first, second)]
+    assert np.abs(rest[0] - rest[1]).max() > 0.005  # two different characters
     for i in range(3):
-        a, b = (pose_on_rig(rig, body, pose(body, i)) for rig in (one, other))
-        fixed = [one.joint_names.index(name) for name in ("Hips", "Spine", "Spine1", "Head", "LeftShoulder")]
-        np.testing.assert_allclose(a[fixed], b[fixed], atol=1e-12)
+        a, b = (pose_on_rig(rig, body, pose(body, i)) for rig in (first, second))
+        trunk = [first.joint_names.index(name) for name in ("Hips", "Spine", "Spine1", "Head", "LeftShoulder")]
+        np.testing.assert_allclose(a[trunk], b[trunk], atol=1e-12)
 
 
 @pytest.mark.parametrize("scheme", ["cmu", "quaternius"])
-def test_landmarks_are_where_our_body_has_them(scheme, body, tmp_path):
-    """In an A-pose, in another unit, with toes or without; a thinned body has them near by."""
+def test_landmarks_are_those_of_the_shipped_body(scheme, body, tmp_path):
+    """In an A-pose, with and without toes; on a decimated body within 5 cm."""
     lowered = rotvec_to_rotmat(0.6 * lowered_arms(body))
     rig = read_skin(rigs.character(tmp_path / "a.glb", shape=None, name=renamed(scheme), rest=lowered, faces=3000))
-    found = body.posed(np.zeros(1), lowered)[list(landmarks(body).values())]
-    np.testing.assert_allclose(rig.mesh.vertices[landmarks_on(rig)], found, atol=0.05)
+    expected = body.posed(np.zeros(1), lowered)[list(landmarks(body).values())]
+    np.testing.assert_allclose(rig.mesh.vertices[find_landmarks(rig)], expected, atol=0.05)
 
 
-def test_splits_share_no_character(crowd):
-    protocol = cross_body(crowd)
-    test, val = protocol.casts("test"), protocol.casts("val")
-    names = [(mover.mesh.name, actor.mesh.name) for mover, actor in test]
+def test_splits_share_no_character(characters):
+    protocol = cross_body(characters)
+    test, val = protocol.character_pairs("test"), protocol.character_pairs("val")
+    names = [(identity_rig.mesh.name, driving_rig.mesh.name) for identity_rig, driving_rig in test]
     assert names == [("man1", "man2"), ("man2", "man1"), ("woman1", "woman2"), ("woman2", "woman1")]
-    assert [(mover.mesh.name, actor.mesh.name) for mover, actor in val] == [("man0", "woman0"), ("woman0", "man0")]
-    assert all(mover.bones() == actor.bones() for mover, actor in test)
+    assert [(identity_rig.mesh.name, driving_rig.mesh.name) for identity_rig, driving_rig in val] == [
+        ("man0", "woman0"),
+        ("woman0", "man0"),
+    ]
+    assert all(identity_rig.bones() == driving_rig.bones() for identity_rig, driving_rig in test)
 
 
-def test_two_of_a_skeleton_are_test_alone(crowd, tmp_path):
+def test_two_characters_of_a_skeleton_belong_to_test_only(characters, tmp_path):
     for name in ("man0.glb", "man2.glb"):
-        shutil.copy(crowd / name, tmp_path / name)
+        shutil.copy(characters / name, tmp_path / name)
     protocol = cross_body(tmp_path)
-    assert len(protocol.casts("test")) == 2
+    assert len(protocol.character_pairs("test")) == 2
     with pytest.raises(InputError, match=r"expected two skeletons of three characters each .* found skeletons of 2 "):
-        protocol.casts("val")
+        protocol.character_pairs("val")
 
 
 @pytest.mark.parametrize("split", ["val", "test"])
-def test_truth_is_the_identity_in_the_driving_pose(body, crowd, split):
-    protocol = cross_body(crowd)
-    stands = set()
+def test_truth_is_the_identity_in_the_driving_pose(body, characters, split):
+    protocol = cross_body(characters)
+    in_rest_pose = set()
     for kind in protocol.kinds:
         for i in range(4):
-            pair = protocol.whole(split, kind, i, protocol.rng(split, kind, i))
-            mover, actor = next(
-                cast for cast in protocol.casts(split)
-                if pair.identity.name.startswith(cast[0].mesh.name) and pair.driving.name.startswith(cast[1].mesh.name)
-            )  # fmt: skip
+            pair = protocol.unshuffled_pair(split, kind, i, protocol.rng(split, kind, i))
+            identity_rig, driving_rig = next(
+                (first, second)
+                for first, second in protocol.character_pairs(split)
+                if pair.identity.name.startswith(first.mesh.name) and pair.driving.name.startswith(second.mesh.name)
+            )
             edge = pair.identity.faces[:, :2]
             lengths = [
-                np.linalg.norm(np.diff(v[edge], axis=1)[:, 0], axis=1) for v in (mover.mesh.vertices, pair.truth)
+                np.linalg.norm(np.diff(v[edge], axis=1)[:, 0], axis=1) for v in (identity_rig.mesh.vertices, pair.truth)
             ]
             assert np.median(np.abs(lengths[1] / lengths[0] - 1)) < 0.05
             assert pair.reference is not None
-            assert pair.reference.shape == pair.driving.vertices.shape == actor.mesh.vertices.shape
-            at_rest = np.abs(pair.identity.vertices - mover.mesh.vertices).max() < 1e-9
+            assert pair.reference.shape == pair.driving.vertices.shape == driving_rig.mesh.vertices.shape
+            at_rest = np.abs(pair.identity.vertices - identity_rig.mesh.vertices).max() < 1e-9
             assert at_rest == pair.identity.name.endswith("_rest")
-            stands.add(at_rest)
-            assert abs(pair.height / np.ptp(mover.mesh.vertices[:, 1]) - 1) < 1e-12
-            heads = []
-            for rig, vertices in ((mover, pair.truth), (actor, pair.driving.vertices)):
+            in_rest_pose.add(at_rest)
+            assert abs(pair.height / np.ptp(identity_rig.mesh.vertices[:, 1]) - 1) < 1e-12
+            directions = []
+            for rig, vertices in ((identity_rig, pair.truth), (driving_rig, pair.driving.vertices)):
                 head = rig.weights * (rig.joint_of == named_joints(rig.joint_names, rig.parents)["Head"])
                 hips = rig.weights * (rig.joint_of == named_joints(rig.joint_names, rig.parents)["Hips"])
-                heads.append(unit(np.average(vertices, axis=0, weights=head.sum(1)) -
+                directions.append(unit(np.average(vertices, axis=0, weights=head.sum(1)) -
                                   np.average(vertices, axis=0, weights=hips.sum(1))))  # fmt: skip
-            assert heads[0] @ heads[1] > 0.98
-    assert stands == {True, False}
+            assert directions[0] @ directions[1] > 0.98
+    assert in_rest_pose == {True, False}
 
 
-def test_copy_is_there_where_two_share_their_triangles(crowd):
-    """man2 and the women have the same thinned body; man1 has another."""
-    protocol = cross_body(crowd)
-    pairs = [protocol.whole("test", "table6", i, np.random.default_rng(i)) for i in range(4)]
+def test_copy_exists_for_characters_with_the_same_triangles(characters):
+    """man2 and the women have the same decimated body; man1 has another one."""
+    protocol = cross_body(characters)
+    pairs = [protocol.unshuffled_pair("test", "table6", i, np.random.default_rng(i)) for i in range(4)]
     assert [pair.aligned is not None for pair in pairs] == [False, False, True, True]
     for pair in pairs[2:]:
         copied = resized(pair.aligned, pair.truth)
         assert pmd_of_pair(copied, pair.truth) < 60e-4 < 100e-4 < pmd_of_pair(pair.identity.vertices, pair.truth)
 
 
-def test_pairs_are_a_pure_function_of_split_kind_and_number(crowd):
-    protocol = cross_body(crowd)
+def test_pairs_are_a_pure_function_of_split_kind_and_number(characters):
+    protocol = cross_body(characters)
     for kind in protocol.kinds:
         (first, second), (again, _) = (list(protocol.trials("test", kind, 2)) for _ in range(2))
         np.testing.assert_array_equal(first.truth, again.truth)
@@ -195,7 +199,7 @@ def test_pairs_are_a_pure_function_of_split_kind_and_number(crowd):
     assert len(list(protocol.trials("test", "clips"))) == 12
 
 
-def test_what_is_no_folder_of_characters_is_refused(crowd, tmp_path):
+def test_folders_without_characters_are_refused(characters, tmp_path):
     with pytest.raises(InputError, match="nowhere: expected a folder of rigged characters, found none; "):
         cross_body(tmp_path / "nowhere")
     with pytest.raises(
@@ -203,19 +207,22 @@ def test_what_is_no_folder_of_characters_is_refused(crowd, tmp_path):
     ):
         cross_body(tmp_path)
     with pytest.raises(InputError, match="train: expected val or test of cross-body, found no such split; "):
-        cross_body(crowd).casts("train")
+        cross_body(characters).character_pairs("train")
 
 
 def refused(path: Path, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
-        check_person(read_skin(path), path)
+        check_character(read_skin(path), path)
     assert str(caught.value).startswith(f"{path}: expected ")
     assert "\n" not in str(caught.value)
 
 
-def test_who_cannot_take_our_poses_is_refused(body, tmp_path):
-    odd = rigs.character(tmp_path / "a.glb", name=lambda name: name.replace("Left", "Port"))
-    refused(odd, r"found none for LeftUpLeg, LeftLeg, LeftArm, LeftForeArm, LeftFoot, LeftHand among Hips, .*; rename")
+def test_characters_that_cannot_take_the_poses_are_refused(body, tmp_path):
+    unknown_names = rigs.character(tmp_path / "a.glb", name=lambda name: name.replace("Left", "Port"))
+    refused(
+        unknown_names,
+        r"found none for LeftUpLeg, LeftLeg, LeftArm, LeftForeArm, LeftFoot, LeftHand among Hips, .*; rename",
+    )
     feet = rigs.character(tmp_path / "b.glb", hold={"LeftFoot": "Hips"})
     refused(feet, "LeftFoot below LeftLeg, found it elsewhere")
     back = rigs.character(tmp_path / "c.glb", turn=rotvec_to_rotmat(np.array([0.0, np.pi, 0.0])))
@@ -224,7 +231,7 @@ def test_who_cannot_take_our_poses_is_refused(body, tmp_path):
     refused(lying, r"stands y up and faces \+z")
 
 
-def test_one_bad_character_of_a_shared_skeleton_stops_the_protocol(tmp_path):
+def test_unusable_character_of_a_shared_skeleton_is_refused(tmp_path):
     for name in "ab":
         rigs.character(tmp_path / f"{name}.glb", hold={"LeftFoot": "Hips"})
     with pytest.raises(InputError, match=r"a\.glb: expected LeftFoot below LeftLeg"):

@@ -1,4 +1,4 @@
-"""Figures: every kind of row can be drawn; colours follow numbers; missing data are told."""
+"""Figures of the papers: every kind of row can be drawn, colours follow vertices, missing data are reported."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from PIL import Image
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
-from mimesh.evaluate.figures import FIGURES, by_number, figure_command, vertex_orders
+from mimesh.evaluate.figures import FIGURES, figure_command, vertex_index_colors, vertex_order_rows
 from mimesh.io import save_mesh
 
 
@@ -24,7 +24,7 @@ def people(tmp_path_factory):
 
 
 @pytest.mark.parametrize("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12"])
-def test_a_figure_is_a_page_of_rows(name, network, people, tmp_path):
+def test_figure_is_drawn_with_one_row(name, network, people, tmp_path):
     out = tmp_path / "figure.png"
     assert figure_command(name, out, (network,), 1, people) == 1
     picture = np.asarray(Image.open(out))
@@ -33,21 +33,21 @@ def test_a_figure_is_a_page_of_rows(name, network, people, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["aniformer-5", "aniformer-noise"])
-def test_a_figure_of_motion_has_rows_of_frames(name, people, tmp_path):
+def test_figure_of_a_clip_has_rows_of_frames(name, people, tmp_path):
     network = str(write_sequence_network(tmp_path / "tiny.onnx"))
     assert figure_command(name, tmp_path / "figure.png", (network,), 1, people) == 2
     assert np.asarray(Image.open(tmp_path / "figure.png")).shape[1] >= 6 * 300
 
 
-def test_colours_follow_the_vertices_through_a_shuffle(network):
-    first, second = vertex_orders((network,), 2, None)
+def test_colours_follow_the_vertices_of_a_shuffled_pair(network):
+    first, second = vertex_order_rows((network,), 2, None)
     for tile in first + second:
-        assert np.array_equal(tile.colors, by_number(len(tile.mesh.vertices)))
+        assert np.array_equal(tile.colors, vertex_index_colors(len(tile.mesh.vertices)))
     assert not np.array_equal(first[0].mesh.vertices, second[0].mesh.vertices)
     assert np.allclose(*(np.sort(row[0].mesh.vertices, axis=0) for row in (first, second)))
 
 
-def test_what_is_missing_is_told(tmp_path, network):
+def test_unknown_figures_and_missing_data_are_reported(tmp_path, network):
     with pytest.raises(InputError, match="npt-6, npt-7"):
         figure_command("npt-5", tmp_path / "a.png")
     with pytest.raises(InputError, match="give one"):

@@ -1,4 +1,4 @@
-"""Metrics against naive twins and by their properties."""
+"""Metrics compared with naive implementations, and their properties."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def test_pmd_never_broadcasts():
         pmd(np.zeros((1, 3)), np.zeros((5, 3)))
 
 
-def test_pair_pmd_ignores_place_and_unit():
+def test_pmd_of_pair_ignores_translation_and_unit():
     rng = np.random.default_rng(1)
     result, truth = rng.normal(size=(2, 20, 3))
     moved = pmd_of_pair(100 * result + [1, 2, 3], 100 * truth - [4, 5, 6])
@@ -40,21 +40,21 @@ def test_pair_pmd_ignores_place_and_unit():
     assert pmd_of_pair(truth + 1.0, truth) == pytest.approx(0, abs=1e-30)
 
 
-def test_unit_sphere_is_the_truths():
+def test_unit_sphere_is_that_of_the_truth():
     truth = np.random.default_rng(2).normal(size=(30, 3))
     result, again = in_unit_sphere_of(truth, 2 * truth, truth)
     assert np.linalg.norm(again, axis=1).max() == pytest.approx(1)
     assert np.linalg.norm(result, axis=1).max() == pytest.approx(2)
 
 
-def test_millimetres_of_a_person():
+def test_mean_error_is_scaled_to_the_height_of_the_person():
     truth = np.random.default_rng(3).normal(size=(40, 3))
     shift = np.tile([[0.01, 0, 0], [-0.01, 0, 0]], (20, 1))
     assert mean_error_mm(truth + shift, truth, height=1.7) == pytest.approx(10)
     assert mean_error_mm(truth + shift, truth, height=0.85) == pytest.approx(20)
 
 
-def test_the_public_metric_is_a_third_with_its_own_centring():
+def test_public_pmd_equals_a_naive_implementation_and_a_third_of_pmd_on_symmetric_meshes():
     rng = np.random.default_rng(4)
     result, truth = rng.normal(size=(2, 25, 3))
     radius = max(np.linalg.norm(point - truth.mean(axis=0)) for point in truth)
@@ -72,7 +72,7 @@ def naive_edges(faces):
     return {tuple(sorted((int(a), int(b)))) for f in faces for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))}
 
 
-def test_edge_measures_against_naive_twins():
+def test_edge_metrics_equal_naive_implementations():
     mesh = zoo.tetrahedron()
     truth, pairs = mesh.vertices, edges(mesh.faces)
     result = truth + np.random.default_rng(5).normal(scale=0.2, size=truth.shape)
@@ -87,7 +87,7 @@ def test_edge_measures_against_naive_twins():
     assert largest_stretch(truth, truth, pairs) == 1
 
 
-def test_edges_without_length_are_left_out():
+def test_edges_of_length_zero_are_left_out():
     truth = np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]])
     pairs = edges(np.array([[0, 1, 2]]))
     result = np.array([[0.0, 0, 0], [0, 9, 0], [1, 0, 0]])
@@ -96,7 +96,7 @@ def test_edges_without_length_are_left_out():
     assert largest_stretch(truth[:0], truth[:0], pairs[:0]) == 1
 
 
-def test_flipped_triangles_are_those_seen_from_behind():
+def test_flipped_counts_triangles_that_face_away():
     mesh = zoo.tetrahedron()
     truth, faces = mesh.vertices, mesh.faces
     assert flipped(truth, truth, faces) == 0
@@ -110,10 +110,10 @@ def test_flipped_triangles_are_those_seen_from_behind():
     assert flipped(up, up, two[:0]) == 0
 
 
-def test_chamfer_against_a_naive_twin_and_any_order():
+def test_chamfer_equals_a_naive_implementation_in_any_vertex_order():
     rng = np.random.default_rng(6)
     result, truth = rng.normal(size=(12, 3)), rng.normal(size=(20, 3))
-    there = np.mean([min(((p - q) ** 2).sum() for q in truth) for p in result])
-    back = np.mean([min(((p - q) ** 2).sum() for q in result) for p in truth])
-    assert chamfer(result, truth) == pytest.approx(there + back)
+    to_truth = np.mean([min(((p - q) ** 2).sum() for q in truth) for p in result])
+    to_result = np.mean([min(((p - q) ** 2).sum() for q in result) for p in truth])
+    assert chamfer(result, truth) == pytest.approx(to_truth + to_result)
     assert chamfer(truth[rng.permutation(20)], truth) == 0

@@ -1,4 +1,4 @@
-"""Test sets: splits are disjoint, truth and help are aligned, pairs are a pure function of the seed."""
+"""Test sets: splits are disjoint, truth and extra inputs are aligned, pairs are a pure function of the seed."""
 
 import itertools
 
@@ -8,7 +8,7 @@ import pytest
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.evaluate.pairs import human
-from mimesh.evaluate.protocols import CONTACT, CROSS_TOPOLOGY, DRESSED, HUMAN_NPT, NOISE, PROTOCOLS, bank_of
+from mimesh.evaluate.protocols import CONTACT, CROSS_TOPOLOGY, DRESSED, HUMAN_NPT, NOISE, PROTOCOLS, split_pose_bank
 
 CASES = [(p, kind) for p in PROTOCOLS.values() for kind in p.kinds]
 IDS = [f"{p.name}-{kind}" for p, kind in CASES]
@@ -53,8 +53,8 @@ def test_truth_is_the_identity_in_the_driving_pose(protocol, kind):
 
 
 @pytest.mark.parametrize(("protocol", "kind"), CASES, ids=IDS)
-def test_help_for_methods_is_aligned(protocol, kind):
-    """Markers meet the same place of both people; the third mesh is the driving person in the identity's pose."""
+def test_extra_inputs_of_methods_are_aligned(protocol, kind):
+    """Markers are corresponding vertices; the third mesh is the driving person in the identity's pose."""
     pair = protocol.pair("val", kind, 1)
     assert pair.markers.shape == (13, 2)
     identity, driving = pair.markers[pair.markers[:, 1] >= 0].T
@@ -83,24 +83,26 @@ def test_pairs_are_a_pure_function_of_the_seed(protocol, kind):
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS.values(), ids=PROTOCOLS)
-def test_splits_have_streams_of_their_own(protocol):
-    """People and poses are drawn from the seed of the split (and the kind), so those of two splits never meet."""
+def test_splits_have_different_seeds_and_people(protocol):
+    """People and poses are drawn from the seed of the split (and the kind), so two splits share none."""
     names = [(p.name, split) for p in PROTOCOLS.values() for split in ("train", "val", "test")]
     assert len({PROTOCOLS[name].seed(split) for name, split in names}) == len(names)
-    # Human vertices come first before the shuffle; garments may differ.
+    # Before the shuffle the vertices of the plain body come first; garments may differ.
     kind = protocol.kinds[-1]
-    val, test = (protocol.whole(split, kind, 0, protocol.rng(split, kind, 0)).truth[:6890] for split in ("val", "test"))
+    val, test = (
+        protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth[:6890] for split in ("val", "test")
+    )
     assert not np.allclose(val, test, atol=1e-3)
 
 
 def test_motions_of_the_splits_are_disjoint():
-    banks = {split: {row.tobytes() for row in bank_of(split)} for split in ("train", "val", "test")}
+    banks = {split: {row.tobytes() for row in split_pose_bank(split)} for split in ("train", "val", "test")}
     assert all(banks.values())
     for a, b in itertools.combinations(banks.values(), 2):
         assert not a & b
 
 
-def test_people_of_the_paper():
+def test_human_npt_has_the_numbers_of_the_paper():
     assert len(HUMAN_NPT.train_people(human())) == 16
     assert len(HUMAN_NPT.train_poses(human())) == 400
     assert (HUMAN_NPT.new_people, HUMAN_NPT.pairs) == (14, 72)
@@ -111,29 +113,29 @@ def test_seen_poses_are_training_poses():
     pair = HUMAN_NPT.pair("test", "seen", 0)
     rng = np.random.default_rng(np.random.SeedSequence([HUMAN_NPT.seed("test"), True, 0]))
     rng.choice(HUMAN_NPT.new_people, 2, replace=False)
-    played = train[rng.choice(HUMAN_NPT.poses, 2, replace=False)[1]]
-    index = int(np.flatnonzero((train == played).all((1, 2)))[0])
-    np.testing.assert_array_equal(played, sample_pose(human(), HUMAN_NPT.seed("train"), index))
-    span = np.ptp(human().posed(np.zeros(1), rotvec_to_rotmat(played))[:, 1])
+    pose = train[rng.choice(HUMAN_NPT.poses, 2, replace=False)[1]]
+    index = int(np.flatnonzero((train == pose).all((1, 2)))[0])
+    np.testing.assert_array_equal(pose, sample_pose(human(), HUMAN_NPT.seed("train"), index))
+    span = np.ptp(human().posed(np.zeros(1), rotvec_to_rotmat(pose))[:, 1])
     assert abs(np.ptp(pair.truth[:, 1]) / span - 1) < 0.35
     unseen = HUMAN_NPT.pair("test", "unseen", 0)
     assert not np.allclose(pair.truth[:10], unseen.truth[:10])
 
 
 @pytest.mark.parametrize("percent", [0, 1, 5])
-def test_noise_is_as_large_as_it_says(percent):
+def test_noise_has_the_amplitude_of_its_kind(percent):
     kind = f"noise-{percent}"
-    noisy = NOISE.whole("val", kind, 0, NOISE.rng("val", kind, 0))
-    still = NOISE.clean("val", 0).driving.vertices
-    radius = np.linalg.norm(still - still.mean(axis=0), axis=1).max()
-    moved = np.abs(noisy.driving.vertices - still).max()
-    assert moved <= percent / 100 * radius * (1 + 1e-12)
-    assert moved >= percent / 100 * radius * 0.99
-    np.testing.assert_array_equal(noisy.truth.shape, still.shape)
+    noisy = NOISE.unshuffled_pair("val", kind, 0, NOISE.rng("val", kind, 0))
+    clean = NOISE.clean_pair("val", 0).driving.vertices
+    radius = np.linalg.norm(clean - clean.mean(axis=0), axis=1).max()
+    offset = np.abs(noisy.driving.vertices - clean).max()
+    assert offset <= percent / 100 * radius * (1 + 1e-12)
+    assert offset >= percent / 100 * radius * 0.99
+    np.testing.assert_array_equal(noisy.truth.shape, clean.shape)
 
 
 @pytest.mark.parametrize("protocol", [NOISE, CROSS_TOPOLOGY], ids=lambda protocol: protocol.name)
-def test_kinds_of_damage_share_their_people_and_poses(protocol):
+def test_corrupted_kinds_share_people_and_poses(protocol):
     identities = [protocol.pair("val", kind, 2).identity.vertices for kind in protocol.kinds]
     truths = [protocol.pair("val", kind, 2).truth for kind in protocol.kinds]
     for arrays in (identities, truths):
@@ -141,16 +143,16 @@ def test_kinds_of_damage_share_their_people_and_poses(protocol):
         assert all(np.array_equal(first, other) for other in others)
 
 
-def test_noise_is_on_the_vertices_that_copy_is_given_too():
+def test_copy_gets_the_same_noise():
     rng = NOISE.rng("val", "noise-5", 0)
-    pair = NOISE.whole("val", "noise-5", 0, rng)
+    pair = NOISE.unshuffled_pair("val", "noise-5", 0, rng)
     np.testing.assert_array_equal(pair.aligned, pair.driving.vertices)
 
 
 @pytest.mark.parametrize(("protocol", "kind"), CASES, ids=IDS)
-def test_the_test_set_is_the_published_one(protocol, kind):
-    """Figures of two installations compare only if both make the same meshes, whatever libraries they have."""
+def test_first_pair_of_each_test_set_is_the_published_one(protocol, kind):
+    """Results of two installations are comparable only if both generate the same meshes with any library versions."""
     pair = protocol.pair("test", kind, 0)
     sums = [np.abs(pair.truth).sum(), np.abs(pair.driving.vertices).sum(), len(pair.driving.vertices)]
-    # Contacts are solved for, to a tolerance.
+    # Contacts are solved iteratively to a tolerance, so they depend on the libraries.
     assert np.allclose(sums, GOLDEN[f"{protocol.name}/{kind}"], rtol=1e-3 if protocol is CONTACT else 1e-7)

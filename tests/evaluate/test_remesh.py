@@ -1,4 +1,4 @@
-"""Other meshings lie on the body, follow it, and have the counts they promise; damage takes what it says."""
+"""Remeshings: their points are on the body in any pose, and vertex counts and removed parts are as documented."""
 
 import numpy as np
 import pytest
@@ -17,68 +17,68 @@ def rng():
     return np.random.default_rng(0)
 
 
-WHOLE = {
+COMPLETE = {
     "decimated": remesh.decimated,
     "retriangulated": remesh.retriangulated,
     "subdivided": remesh.subdivided,
     "points": lambda: remesh.points(BODY, 500, rng()),
 }
-PARTS = {
+DAMAGED = {
     "holes": lambda: remesh.holes(BODY, rng()),
     "cropped": lambda: remesh.cropped(BODY, rng()),
     "half": lambda: remesh.half(BODY, POSED, rng()),
 }
 
 
-@pytest.mark.parametrize("name", [*WHOLE, *PARTS])
+@pytest.mark.parametrize("name", [*COMPLETE, *DAMAGED])
 def test_points_lie_on_the_posed_body(name):
-    """Each is a weighted mean of the corners of one triangle, or of one edge, or is a vertex."""
-    made = (WHOLE | PARTS)[name]()
-    assert np.allclose(made.weights.sum(axis=1), 1)
-    assert made.weights.min() > -1e-9
+    """Each point is a weighted mean of the corners of one triangle or edge, or is a vertex."""
+    remeshed = (COMPLETE | DAMAGED)[name]()
+    assert np.allclose(remeshed.barycentric.sum(axis=1), 1)
+    assert remeshed.barycentric.min() > -1e-9
     whole = {frozenset(face) for face in BODY.faces.tolist()}
     parts = {frozenset(edge) for edge in edges(BODY.faces).tolist()} | {frozenset([v]) for v in range(len(POSED))}
-    assert {frozenset(corners) for corners in made.corners.tolist()} <= whole | parts
-    naive = sum(made.weights[7, k] * POSED[made.corners[7, k]] for k in range(3))
-    assert np.allclose(made.at(POSED)[7], naive)
-    assert made.faces.max(initial=0) < len(made.corners)
+    assert {frozenset(corners) for corners in remeshed.corners.tolist()} <= whole | parts
+    naive = sum(remeshed.barycentric[7, k] * POSED[remeshed.corners[7, k]] for k in range(3))
+    assert np.allclose(remeshed.positions(POSED)[7], naive)
+    assert remeshed.faces.max(initial=0) < len(remeshed.corners)
 
 
-@pytest.mark.parametrize("name", WHOLE)
-def test_whole_meshings_cover_the_body(name):
-    gap = KDTree(WHOLE[name]().at(POSED)).query(POSED)[0]
+@pytest.mark.parametrize("name", COMPLETE)
+def test_complete_remeshings_cover_the_body(name):
+    gap = KDTree(COMPLETE[name]().positions(POSED)).query(POSED)[0]
     assert gap.max() < 0.25
 
 
 @pytest.mark.parametrize("name", ["decimated", "retriangulated", "subdivided"])
-def test_surfaces_keep_their_area_and_stay_closed(name):
-    made = WHOLE[name]()
-    assert face_areas(made.at(BODY.vertices), made.faces).sum() == pytest.approx(
+def test_remeshed_surfaces_keep_their_area_and_stay_closed(name):
+    remeshed = COMPLETE[name]()
+    assert face_areas(remeshed.positions(BODY.vertices), remeshed.faces).sum() == pytest.approx(
         face_areas(BODY.vertices, BODY.faces).sum(), rel=0.02
     )
-    assert len(edges(made.faces)) == pytest.approx(len(made.faces) * 3 / 2, rel=2e-3)
+    assert len(edges(remeshed.faces)) == pytest.approx(len(remeshed.faces) * 3 / 2, rel=2e-3)
 
 
-def test_counts():
+def test_counts_of_vertices_and_triangles():
     assert len(remesh.decimated().faces) == pytest.approx(len(BODY.faces) / 5, abs=3)
     assert (len(remesh.subdivided().corners), len(remesh.subdivided().faces)) == (27_554, 4 * len(BODY.faces))
     assert len(remesh.retriangulated().faces) == pytest.approx(len(BODY.faces), abs=3)
-    shared = KDTree(BODY.vertices).query(remesh.retriangulated().at(BODY.vertices))[0]
+    shared = KDTree(BODY.vertices).query(remesh.retriangulated().positions(BODY.vertices))[0]
     assert (shared < 1e-6).mean() < 0.5
 
 
-def test_damage_takes_what_it_says():
-    left = {name: len(make().corners) / len(BODY.vertices) for name, make in PARTS.items()}
-    assert 0.5 < left["holes"] < 0.97
-    assert 0.8 < left["cropped"] < 0.97
-    assert 0.4 < left["half"] < 0.8
+def test_damaged_remeshings_remove_the_documented_share():
+    remaining = {name: len(make().corners) / len(BODY.vertices) for name, make in DAMAGED.items()}
+    assert 0.5 < remaining["holes"] < 0.97
+    assert 0.8 < remaining["cropped"] < 0.97
+    assert 0.4 < remaining["half"] < 0.8
     area = face_areas(POSED, BODY.faces).sum()
-    seen = remesh.half(BODY, POSED, rng())
-    assert face_areas(seen.at(POSED), seen.faces).sum() == pytest.approx(area / 2, rel=0.15)
+    one_side = remesh.half(BODY, POSED, rng())
+    assert face_areas(one_side.positions(POSED), one_side.faces).sum() == pytest.approx(area / 2, rel=0.15)
 
 
-def test_landmarks_find_their_nearest_point():
-    made = remesh.decimated()
-    wanted = np.array([10, 3000, 6000])
-    naive = [np.linalg.norm(made.at(POSED) - POSED[v], axis=1).argmin() for v in wanted]
-    assert np.array_equal(made.nearest(POSED, wanted), naive)
+def test_nearest_equals_a_naive_search():
+    remeshed = remesh.decimated()
+    selected = np.array([10, 3000, 6000])
+    naive = [np.linalg.norm(remeshed.positions(POSED) - POSED[v], axis=1).argmin() for v in selected]
+    assert np.array_equal(remeshed.nearest(POSED, selected), naive)

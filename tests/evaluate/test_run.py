@@ -1,4 +1,4 @@
-"""Evaluation end to end: rows, provenance, resuming, tables, files, pictures, and names that do not exist."""
+"""Evaluation end to end: rows, provenance, resuming, tables, files, pictures, and unknown names."""
 
 import dataclasses
 import json
@@ -14,7 +14,15 @@ from mimesh.core.normalization import bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.measure import GIVEN, given, measure, measure_clip, moved, moved_clip, summary
+from mimesh.evaluate.measure import (
+    EXTRA_INPUTS,
+    extra_inputs,
+    measure,
+    measure_clip,
+    result_frames,
+    result_vertices,
+    summary,
+)
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
@@ -24,7 +32,7 @@ from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT
 from mimesh.pipeline import transfer
 
 
-def test_copy_stands_where_the_protocol_puts_it(tmp_path):
+def test_report_of_copy_has_rows_and_provenance(tmp_path):
     out, calls = tmp_path / "figures.json", []
     report = evaluate_command(
         "human-npt", ["copy"], out, pairs=6, progress=lambda done, total: calls.append((done, total))
@@ -42,15 +50,15 @@ def test_copy_stands_where_the_protocol_puts_it(tmp_path):
     assert list(tmp_path.iterdir()) == [out]
 
 
-def test_a_network_is_measured_through_the_pipeline_and_twice_alike(tmp_path):
+def test_evaluating_a_network_is_reproducible(tmp_path):
     network = str(write_network(tmp_path / "tiny.onnx"))
     first, second = (evaluate_command("human-npt", [network], split="val", pairs=1) for _ in range(2))
     for a, b in zip(first["results"], second["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"] > 0
 
 
-def test_a_stopped_run_goes_on_where_it_was(tmp_path, monkeypatch):
-    whole = evaluate_command("human-npt", ["copy"], split="val", pairs=3)
+def test_interrupted_run_is_continued(tmp_path, monkeypatch):
+    uninterrupted = evaluate_command("human-npt", ["copy"], split="val", pairs=3)
     out, measured = tmp_path / "figures.json", []
 
     def counted(pair, method, **options):
@@ -64,14 +72,14 @@ def test_a_stopped_run_goes_on_where_it_was(tmp_path, monkeypatch):
         evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
     assert not out.exists()
     with (tmp_path / "figures.json.partial").open("a") as file:
-        file.write('[["copy", 0, "unseen", 1], {"pmd')  # as a kill in the middle of a line leaves it
+        file.write('[["copy", 0, "unseen", 1], {"pmd')  # a line cut off when the process was killed
     monkeypatch.setattr("mimesh.evaluate.run.summary", interrupted)
     with pytest.raises(KeyboardInterrupt):
         evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
     monkeypatch.setattr("mimesh.evaluate.run.summary", summary)
     resumed = evaluate_command("human-npt", ["copy"], out, split="val", pairs=3)
     assert len(measured) == 5 + 2
-    for a, b in zip(resumed["results"], whole["results"], strict=True):
+    for a, b in zip(resumed["results"], uninterrupted["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"]
     assert list(tmp_path.iterdir()) == [out]
 
@@ -80,29 +88,29 @@ def interrupted(*_):
     raise KeyboardInterrupt
 
 
-def test_a_network_without_a_size_of_its_own_is_given_the_truths(tmp_path):
-    """As its training validates it."""
+def test_network_without_a_size_gets_that_of_the_truth(tmp_path):
+    """As in the validation of its training."""
     network = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     pair = HUMAN_NPT.pair("val", "unseen", 0)
-    sized = moved(pair, network)
+    sized = result_vertices(pair, network)
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
     free = transfer(pair.identity, pair.driving, network, **axes, refine=False)
     assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
     same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
-    sizes = [np.ptp(points, axis=0).max() for points in (sized, moved(pair, same))]
+    sizes = [np.ptp(points, axis=0).max() for points in (sized, result_vertices(pair, same))]
     radii = [radius(points - bbox_centre(points)) for points in (pair.truth, pair.identity.vertices)]
     assert np.isclose(sizes[0] / sizes[1], radii[0] / radii[1])
-    assert "true size" in given(network)
-    assert "true size" not in given(same)
+    assert "true size" in extra_inputs(network)
+    assert "true size" not in extra_inputs(same)
 
 
-def test_a_broken_network_stops_the_run(tmp_path):
+def test_broken_network_stops_the_run(tmp_path):
     (tmp_path / "odd.onnx").write_bytes(b"no network")
     with pytest.raises(InputError, match="ONNX"):
         evaluate_command("human-npt", [str(tmp_path / "odd.onnx")], split="val", pairs=1)
 
 
-def test_figures_of_another_question_are_not_taken_over(tmp_path):
+def test_partial_results_of_another_configuration_are_not_used(tmp_path):
     out = tmp_path / "figures.json"
     (tmp_path / "figures.json.partial").write_text(
         '{"split": "test"}\n' + json.dumps([["copy", 0, "seen", 0], {"pmd_e4": 0.0}]) + "\n"
@@ -111,7 +119,7 @@ def test_figures_of_another_question_are_not_taken_over(tmp_path):
     assert (tmp_path / "figures.json.partial.old").exists()
 
 
-def test_what_a_method_cannot_do_is_a_row_that_says_so():
+def test_row_of_an_inapplicable_method_has_the_reason():
     pair = CROSS_TOPOLOGY.pair("val", "points", 0)
     row = summary("copy", "points", [measure(dataclasses.replace(pair, aligned=None), "copy")])
     assert (row["pairs"], row["not_applicable"]) == (0, 1)
@@ -125,7 +133,7 @@ def test_what_a_method_cannot_do_is_a_row_that_says_so():
     assert "not applicable" in markdown(report)
 
 
-def test_a_papers_table_has_its_figures_beside_ours(tmp_path):
+def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
     out = tmp_path / "figures.json"
     report = evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
     for name, table in TABLES.items():
@@ -135,18 +143,18 @@ def test_a_papers_table_has_its_figures_beside_ours(tmp_path):
     assert "| 1.1 | 9.3 | not measured |" in paper_table("npt-1", report)
     assert "| 12.1 | 16.9 |" in paper_table("npt-2", report)
     assert "| 27.4 | 31.1 |" in paper_table("npt-7", report)
-    # A method that was measured on another test set has no figures here.
+    # A method that was measured on another protocol has no values here.
     assert paper_table("aniformer-1", report).count("not measured") == 5 * len(TABLES["aniformer-1"].rows)
     with pytest.raises(InputError, match="npt-1, npt-2, npt-7"):
         table_command("npt-3")
 
 
-def test_every_row_of_a_table_can_be_trained_and_is_told_where_it_is_missing(tmp_path, monkeypatch):
+def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "scripts")
     trained = {*pytest.importorskip("train_ablations").ROWS, "npt-table", "mime-table"}
     assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *GIVEN, *MODELS}
+    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT_FIT, *EXTRA_INPUTS, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*train_ablations"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)
@@ -182,12 +190,12 @@ CLIP_COLUMNS = {"path_mm", "jitter", "still_mm", "skate_cm_s"}
 
 @pytest.fixture(scope="module")
 def trial():
-    """A clip of validation with few frames, people whole."""
+    """A trial of `val` with few frames and all vertices."""
     return shortened(CLIPS_ANIFORMER.pair("val", "procedural", 0), 4)
 
 
 def shortened(trial, frames):
-    """The first frames of a clip."""
+    """Return the first frames of a trial."""
     clip = dataclasses.replace(trial.clip, vertices=trial.clip.vertices[:frames])
     return dataclasses.replace(
         trial, clip=clip, truth_frames=trial.truth_frames[:frames], aligned_frames=trial.aligned_frames[:frames]
@@ -195,13 +203,13 @@ def shortened(trial, frames):
 
 
 @pytest.mark.parametrize("scale", ["identity", "truth"])
-def test_a_network_moves_a_clip_as_animate_does(trial, scale, tmp_path):
-    """Prepared once, then frame by frame what it makes of each frame alone."""
+def test_clip_of_a_network_equals_its_single_frames(trial, scale, tmp_path):
+    """Prepared once, the network gives each frame the result that it gives that frame alone."""
     network = str(write_network(tmp_path / f"{scale}.onnx", "global_max", scale))
-    frames = moved_clip(trial, network)
+    frames = result_frames(trial, network)
     assert frames.shape == trial.truth_frames.shape
     for t in (0, 3):
-        alone = moved(trial.frame(t), network)
+        alone = result_vertices(trial.frame(t), network)
         assert np.allclose(resized(frames[t], alone), resized(alone, alone), atol=1e-4)
     assert not np.allclose(resized(frames[0], alone), resized(alone, alone), atol=1e-2)
     figures = measure_clip(trial, network)
@@ -210,10 +218,12 @@ def test_a_network_moves_a_clip_as_animate_does(trial, scale, tmp_path):
 
 
 @pytest.mark.parametrize("write", [write_network, write_sequence_network])
-def test_a_network_without_sizes_is_given_that_of_each_frames_truth(trial, write, tmp_path):
+def test_network_without_a_size_gets_that_of_each_true_frame(trial, write, tmp_path):
     network = str(write(tmp_path / "sizeless.onnx", target_scale="truth"))
     growing = dataclasses.replace(trial, truth_frames=trial.truth_frames * 2.0 ** np.arange(4)[:, None, None])
-    for t, (frame, grown) in enumerate(zip(moved_clip(trial, network), moved_clip(growing, network), strict=True)):
+    for t, (frame, grown) in enumerate(
+        zip(result_frames(trial, network), result_frames(growing, network), strict=True)
+    ):
         sizes = [radius(points - bbox_centre(points)) for points in (frame, grown)]
         assert sizes[1] / sizes[0] == pytest.approx(2.0**t, rel=1e-9)
 
@@ -221,19 +231,19 @@ def test_a_network_without_sizes_is_given_that_of_each_frames_truth(trial, write
 @pytest.mark.parametrize(
     "method", ["copy", "deformation-transfer-dense", pytest.param("deformation-transfer-13", marks=pytest.mark.slow)]
 )
-def test_unlearned_methods_move_clips(trial, method):
+def test_methods_without_training_are_measured_on_clips(trial, method):
     figures = measure_clip(shortened(trial, 2), method)
     assert 0 < figures["pmd_e4"] < 100
     assert figures["still_mm"] == pytest.approx(0, abs=1e-3)
     assert figures["jitter"] is None  # of two frames
 
 
-def test_what_a_method_lacks_on_a_clip_is_told(trial):
-    bare = dataclasses.replace(trial, driving=dataclasses.replace(trial.driving, faces=trial.driving.faces[:0]))
-    assert "found points" in measure_clip(bare, "deformation-transfer-13")["why"]
+def test_clip_of_an_inapplicable_method_has_the_reason(trial):
+    point_cloud = dataclasses.replace(trial, driving=dataclasses.replace(trial.driving, faces=trial.driving.faces[:0]))
+    assert "found points" in measure_clip(point_cloud, "deformation-transfer-13")["why"]
 
 
-def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_path, monkeypatch):
+def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeypatch):
     out, measured = tmp_path / "figures.json", []
 
     def counted(trial, method, **options):
@@ -260,7 +270,7 @@ def test_clips_are_evaluated_into_rows_with_their_own_figures_and_resumed(tmp_pa
         generate_command("clips-aniformer", tmp_path, "val")
 
 
-def test_clips_that_are_not_there_are_missed_before_anything_is_measured(tmp_path, monkeypatch):
+def test_missing_clips_are_reported_before_measuring(tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", None)
     with pytest.raises(InputError, match="expected a folder or an installed pybullet"):
@@ -269,14 +279,14 @@ def test_clips_that_are_not_there_are_missed_before_anything_is_measured(tmp_pat
         evaluate_command("clips-aniformer", ["copy"], split="val", data=tmp_path)
 
 
-def test_the_worst_frame_of_a_clip_is_drawn(trial, tmp_path, monkeypatch):
+def test_worst_frame_of_a_clip_is_drawn(trial, tmp_path, monkeypatch):
     monkeypatch.setattr("mimesh.evaluate.clip_protocols.ClipsAniformer.pair", lambda *_: trial)
     figures = [measure_clip(trial, "copy")]
     paths = dump_worst(CLIPS_ANIFORMER, "val", "procedural", "copy", {}, figures, tmp_path / "worst")
     assert [path.name for path in paths] == ["copy-procedural-1.png"]
 
 
-def test_the_worst_are_drawn(tmp_path):
+def test_worst_pairs_are_drawn(tmp_path):
     figures = [measure(HUMAN_NPT.pair("val", "seen", i), "copy") for i in range(2)]
     paths = dump_worst(HUMAN_NPT, "val", "seen", "copy", {}, figures, tmp_path / "worst")
     assert [path.name for path in paths] == ["copy-seen-1.png", "copy-seen-2.png"]
@@ -291,7 +301,7 @@ def test_the_worst_are_drawn(tmp_path):
         (("human-npt", ["gone.onnx"]), "an .onnx file, found neither"),
     ],
 )
-def test_unknown_names_say_what_there_is(arguments, message):
+def test_unknown_names_are_refused_with_the_known_ones(arguments, message):
     with pytest.raises(InputError, match=message):
         evaluate_command(*arguments)
     with pytest.raises(InputError, match="train, val, test"):

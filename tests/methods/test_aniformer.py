@@ -171,6 +171,6 @@ def test_point_clouds_pass(network):
 )
 def test_unknown_metadata_is_told(tmp_path, fact):
     pytest.importorskip("onnx")
-    path = write_sequence_network(tmp_path / "odd.onnx", said=fact)
+    path = write_sequence_network(tmp_path / "odd.onnx", metadata=fact)
     with pytest.raises(InputError, match=next(iter(fact))):
         find_method(str(path))

@@ -1,4 +1,4 @@
-"""Tiny networks with the inputs and metadata of ours, so that the contract is tested without trained weights."""
+"""Writes tiny networks with the inputs, outputs and metadata of the real ones, for tests without trained weights."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 def write_network(
     path: Path, pose_code: str = "per_vertex", target_scale: str = "identity", metadata: bool = True
 ) -> Path:
-    """NPT in small: 1x1 convolutions and instance norm of the driving, added to the identity with a gate."""
+    """Write a tiny NPT: 1x1 convolutions and instance norm of the driving, times a gate, added to the identity."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
@@ -55,16 +55,16 @@ def write_network(
 
 
 def write_sequence_network(
-    path: Path, frames: int = 3, head: str = "frames", target_scale: str = "identity", said: dict | None = None
+    path: Path, frames: int = 3, head: str = "frames", target_scale: str = "identity", metadata: dict | None = None
 ) -> Path:
-    """AniFormer in small: frames mixed by fixed weights, then as `write_network` does; `said` changes the metadata."""
+    """Write a tiny AniFormer: frames mixed by fixed weights, then as `write_network`; `metadata` overrides the card."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
     rng = np.random.default_rng(0)
-    given = 1 if head == "regression" else frames
+    output_frames = 1 if head == "regression" else frames
     weights = {
-        "mix": rng.uniform(0.1, 1.0, size=(given, frames)),
+        "mix": rng.uniform(0.1, 1.0, size=(output_frames, frames)),
         "w1": rng.normal(size=(3, 8)) / 2,
         "w2": rng.normal(size=(8, 3)) / 4,
         "gate": rng.normal(size=(3, 3)) / 4,
@@ -88,31 +88,34 @@ def write_sequence_network(
         nodes,
         "tiny",
         [value("identity", TensorProto.FLOAT, [1, "V", 3]), value("driving", TensorProto.FLOAT, [1, frames, "V", 3])],
-        [value("result", TensorProto.FLOAT, [1, given, "V", 3])],
+        [value("result", TensorProto.FLOAT, [1, output_frames, "V", 3])],
         [numpy_helper.from_array(array.astype(np.float32), name) for name, array in weights.items()]
         + [numpy_helper.from_array(np.array([1]), "axis")],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
-    card = {"model": "aniformer", "frames": frames, "head": head, "target_scale": target_scale, "config": {}} | (
-        said or {}
-    )
+    card = {"model": "aniformer", "frames": frames, "head": head, "target_scale": target_scale, "config": {}}
+    card |= metadata or {}
     helper.set_model_props(model, {"mimesh": json.dumps(card)})
     onnx.save(model, str(path))
     return path
 
 
 def write_mime_network(path: Path, points: int = 64) -> Path:
-    """mime in small: three joints, of which two turn by how far the points lie apart; the left holds what is left."""
+    """Write a tiny mime network with three joints.
+
+    Two joints rotate by the mean distance of the points from their centroid; the skinning scores depend on x, so the
+    left joint moves the left side.
+    """
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
-    still, cosine, sine = np.zeros((3, 1, 3, 3, 3))
-    still[0, :, 2, 2] = still[0, 0, 0, 0] = still[0, 0, 1, 1] = 1
+    identity, cosine, sine = np.zeros((3, 1, 3, 3, 3))
+    identity[0, :, 2, 2] = identity[0, 0, 0, 0] = identity[0, 0, 1, 1] = 1
     cosine[0, 1:, 0, 0] = cosine[0, 1:, 1, 1] = 1
     for joint, sign in ((1, 1), (2, -1)):
         sine[0, joint, 0, 1], sine[0, joint, 1, 0] = -sign, sign
     weights = {
-        "still": still,
+        "constant": identity,
         "cosine": cosine,
         "sine": sine,
         "offsets": np.array([[[0, 0, 0], [0.2, 0.4, 0], [-0.2, 0.4, 0]]]),
@@ -120,18 +123,19 @@ def write_mime_network(path: Path, points: int = 64) -> Path:
     }
     node = helper.make_node
     nodes = [
-        node("ReduceMean", ["points"], ["middle"], axes=[1], keepdims=1),
-        node("Add", ["middle", "offsets"], ["joints"]),
-        node("Sub", ["points", "middle"], ["centred"]),
-        node("Abs", ["centred"], ["apart"]),
-        node("ReduceMean", ["apart"], ["angle"], keepdims=0),
+        node("ReduceMean", ["points"], ["centroid"], axes=[1], keepdims=1),
+        node("Add", ["centroid", "offsets"], ["joints"]),
+        node("Sub", ["points", "centroid"], ["centred"]),
+        node("Abs", ["centred"], ["distance"]),
+        node("ReduceMean", ["distance"], ["angle"], keepdims=0),
         node("Cos", ["angle"], ["c"]),
         node("Sin", ["angle"], ["s"]),
         node("Mul", ["cosine", "c"], ["turned1"]),
         node("Mul", ["sine", "s"], ["turned2"]),
         node("Add", ["turned1", "turned2"], ["turned"]),
-        node("Add", ["turned", "still"], ["rotation"]),
+        node("Add", ["turned", "constant"], ["rotation"]),
         node("MatMul", ["vertices", "sides"], ["scores1"]),
+        # Normals are inputs of the real network; here they count with a factor of 0 so that the graph uses them.
         node("ReduceSum", ["normals"], ["zero1"], keepdims=0),
         node("ReduceSum", ["vertex_normals"], ["zero2"], keepdims=0),
         node("Mul", ["zero1", "none"], ["zero3"]),

@@ -1,4 +1,4 @@
-"""Tiny named meshes, sound and broken ones, that tests run over."""
+"""Tiny named meshes, valid and degenerate, for tests that run over all of them."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from mimesh.core.mesh import Mesh
 
 
 def tetrahedron() -> Mesh:
-    """Closed, 4 vertices, 4 faces."""
+    """Make a closed mesh of 4 vertices and 4 triangles."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     return Mesh(vertices, np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]), name="tetrahedron")
 
 
 def cube() -> Mesh:
-    """Closed, 8 vertices, 12 triangles, side 1, outward faces."""
+    """Make a closed unit cube of 8 vertices and 12 triangles that face outwards."""
     vertices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
@@ -22,7 +22,7 @@ def cube() -> Mesh:
 
 
 def grid(n: int = 5) -> Mesh:
-    """Open sheet of n x n vertices in the plane z = 0, facing +z."""
+    """Make an open sheet of n x n vertices in the plane z = 0 that faces +z."""
     x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n), indexing="ij")
     vertices = np.stack([x, y, 0 * x], -1).reshape(-1, 3)
     corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
@@ -33,21 +33,22 @@ def grid(n: int = 5) -> Mesh:
 
 
 def two_parts() -> Mesh:
-    """Two components: a tetrahedron and a cube beside it."""
+    """Make a mesh of two connected components: a tetrahedron and a cube."""
     first, second = tetrahedron(), cube()
     vertices = np.concatenate([first.vertices, second.vertices + [3, 0, 0]])
     return Mesh(vertices, np.concatenate([first.faces, second.faces + 4]), name="two_parts")
 
 
 def bow_tie() -> Mesh:
-    """Non-manifold: two triangles that share one vertex, and three triangles at one edge."""
+    """Make a non-manifold mesh: two triangles that share only a vertex, and three triangles at one edge."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0], [0, 0, 1], [0.5, 0.5, 1]], float)
     return Mesh(vertices, np.array([[0, 1, 2], [0, 3, 4], [0, 1, 5], [0, 1, 6]]), name="bow_tie")
 
 
 def point_cloud() -> Mesh:
-    """No faces."""
+    """Make a mesh of 50 points without faces."""
     return Mesh(np.random.default_rng(0).normal(size=(50, 3)), np.zeros((0, 3), int), name="point_cloud")
 
 
 ZOO = (tetrahedron, cube, grid, two_parts, bow_tie, point_cloud)
+"""All of them."""

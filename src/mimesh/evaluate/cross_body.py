@@ -1,12 +1,13 @@
-"""`cross-body`: characters that others made and rigged. Driving and truth are two of them in one pose.
+"""`cross-body`: rigged characters by other authors. The driving mesh and the truth are two of them in the same pose.
 
-The characters are a folder of .glb, .gltf or .vrm files (y up, facing +z). A pose of our own body becomes rotations of
-their bones by joint names, after each limb has been turned from where it rests to where ours rests. So a pose means the
-same directions in the world for everybody, and characters of one skeleton that rest alike get the same bone rotations.
+The characters are a folder of .glb, .gltf or .vrm files (y up, facing +z). A pose of the shipped body becomes rotations
+of their joints, which are found by name, after each limb has been turned from its own rest direction to that of the
+shipped body. So a pose means the same directions in the world for every character, and characters with one skeleton and
+one rest pose get the same joint rotations.
 
-Who is in which split: of each skeleton that three or more characters share, the first by file name belongs to `val`,
-and all others to `test`. No character is in both. A pair of `test` stays within one skeleton, a pair of `val` goes
-across two. The poses are drawn as those of `human-wide`, with seeds of their own.
+Splits: of each skeleton that three or more characters share, the first one by file name belongs to `val` and the others
+to `test`; no character is in both. Pairs of `test` have one skeleton, pairs of `val` have two different ones. Poses are
+drawn like those of `human-wide`, with other seeds.
 """
 
 from __future__ import annotations
@@ -36,97 +37,106 @@ SUFFIXES = (".glb", ".gltf", ".vrm")
 
 @dataclass(frozen=True)
 class CrossBody(Wide):
-    """Pairs of the characters in a folder, who stand as their files have them (two of three) or as in `human-wide`."""
+    """Pairs of characters of a folder. Two of three identities are in the rest pose of their file."""
 
     data: Path = Path()
+    """The folder of characters."""
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        casts = self.casts(split)
-        mover, actor = casts[(i + self.kinds.index(kind)) % len(casts)]
-        as_made = rng.random() < 2 / 3
-        stand = Pose(pose_at_rest(mover, human()), "rest") if as_made else self.rest(split, kind, i, rng)
-        played = self.played(split, kind, i, rng)
-        return _stage(mover, actor, stand, played)
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        pairs = self.character_pairs(split)
+        identity, driving = pairs[(i + self.kinds.index(kind)) % len(pairs)]
+        in_file_pose = rng.random() < 2 / 3
+        file_pose = Pose(pose_at_rest(identity, human()), "rest")
+        rest = file_pose if in_file_pose else self.sample_rest_pose(split, kind, i, rng)
+        pose = self.sample_driving_pose(split, kind, i, rng)
+        return _make_pair(identity, driving, rest, pose)
 
-    def casts(self, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
-        """Who is moved and who drives, in all ordered pairs of the split.
+    def character_pairs(self, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
+        """Return all ordered pairs (identity, driving) of characters of a split.
 
         Raises:
-            InputError: the folder has no pairs for this split, or a character that cannot take our poses.
+            InputError: the folder has no pairs for this split, or a character that `check_character` refuses.
         """
         if split not in ("val", "test"):
             raise InputError(f"{split}: expected val or test of {self.name}, found no such split; nobody trains on it")
-        return _casts(self.data, split)
+        return _character_pairs(self.data, split)
 
 
 def cross_body(data: str | Path) -> CrossBody:
-    """The protocol over the characters of a folder.
+    """Return the protocol for the characters of a folder.
 
     Raises:
-        InputError: no folder, or one without two characters of one skeleton.
+        InputError: no folder, or one without two characters with the same skeleton.
     """
     protocol = CrossBody("cross-body", 1, ("table6", "limits", "clips"), pairs=12, spread=0.0, data=Path(data))
-    protocol.casts("test")
+    protocol.character_pairs("test")
     return protocol
 
 
 def pose_on_rig(
     rig: SkinnedCharacter, body: RiggedBody, rotmat: Float[np.ndarray, "J 3 3"]
 ) -> Float[np.ndarray, "R 3 3"]:
-    """Local joint rotations that give the rig the pose of our body.
+    """Return local joint rotations that give a rig the pose of the shipped body.
 
-    Limb bones point exactly where ours point. Joints that we have no name for follow their parent, and a root above
-    the hips moves as the hips do (some rigs hang their legs on it).
+    Limb bones get exactly the directions of the body's bones. Joints without a known name follow their parent, and a
+    root above the hips rotates like the hips, because in some rigs the legs are children of that root.
     """
     index = named_joints(rig.joint_names, rig.parents)
     aligned = alignments(rig.joints, index, body)
-    turned, _ = body.skinning_transforms(body.joints, rotmat)
-    own = {j: turned[body.joint(joint)] @ aligned.get(joint, np.eye(3)).T for joint, j in index.items()}
+    body_world, _ = body.skinning_transforms(body.joints, rotmat)
+    # World rotation of a named joint: first from the rig's rest direction to the body's, then as the body's joint.
+    named = {j: body_world[body.joint(joint)] @ aligned.get(joint, np.eye(3)).T for joint, j in index.items()}
     world = np.empty((len(rig.parents), 3, 3))
     for j, parent in enumerate(rig.parents):
-        world[j] = own[j] if j in own else world[parent] if parent >= 0 else own[index["Hips"]]
+        world[j] = named[j] if j in named else world[parent] if parent >= 0 else named[index["Hips"]]
     return to_local(world[None], rig.parents)[0]
 
 
 def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
-    """Our body's local rotations in the pose in which the rig rests: an A-pose, a T-pose with bent elbows."""
+    """Return the local joint rotations that give the shipped body the rest pose of a rig, such as an A-pose."""
     aligned = alignments(rig.joints, named_joints(rig.joint_names, rig.parents), body)
     world = np.stack([aligned.get(joint, np.eye(3)) for joint in body.joint_names])
     return to_local(world[None], body.parents)[0]
 
 
-def landmarks_on(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
-    """Vertices of the rig at `bodies.landmarks.LANDMARKS`: found as on our body, in its T-pose and at its height."""
+def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
+    """Find the vertices of a rig at the landmarks of the shipped body (`body_model.LANDMARKS`).
+
+    The rig in the body's T-pose and at its height is wrapped as a RiggedBody with the body's joints, on which
+    `landmarks` works as on the shipped body. Each vertex is weighted to the nearest named joint above its own joint.
+    """
     body, index = human(), named_joints(rig.joint_names, rig.parents)
-    tee = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
-    transforms = rig.skinning_transforms(tee)
-    size = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
-    joints, role = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
-    stand_in = {joint: index[joint.replace("ToeBase", "Foot")] for joint in ("LeftToeBase", "RightToeBase")}
-    for joint, j in {**stand_in, **index}.items():  # a foot without toes begins where the toes would
-        joints[body.joint(joint)] = size * (transforms[j] @ [*rig.joints[j], 1.0])[:3]
+    t_pose = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
+    transforms = rig.skinning_transforms(t_pose)
+    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
+    joints, body_joint = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
+    # Rigs without toes get the position of the ankle for them; where toes exist, `index` overrides it.
+    substitutes = {joint: index[joint.replace("ToeBase", "Foot")] for joint in ("LeftToeBase", "RightToeBase")}
+    for joint, j in {**substitutes, **index}.items():
+        joints[body.joint(joint)] = scale * (transforms[j] @ [*rig.joints[j], 1.0])[:3]
     for j, parent in enumerate(rig.parents):
-        role.setdefault(j, role.get(parent, 0))
+        body_joint.setdefault(j, body_joint.get(parent, 0))
     weights = np.zeros((len(rig.weights), len(body.parents)))
-    held_by = np.array([role[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
-    np.add.at(weights, (np.arange(len(weights))[:, None], held_by), rig.weights)
-    none, no_joint = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
-    twin = RiggedBody("", size * rig.posed(tee), rig.mesh.faces, none, joints, no_joint, weights,
-                      body.joint_names, body.parents)  # fmt: skip
-    return np.array(list(landmarks(twin).values()))
+    # The last entry is for influences of the fixed world (index J of `joint_of`); they count as the root joint.
+    columns = np.array([body_joint[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
+    np.add.at(weights, (np.arange(len(weights))[:, None], columns), rig.weights)
+    no_shapes, no_joint_shapes = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
+    wrapped = RiggedBody("", scale * rig.posed(t_pose), rig.mesh.faces, no_shapes, joints, no_joint_shapes, weights,
+                         body.joint_names, body.parents)  # fmt: skip
+    return np.array(list(landmarks(wrapped).values()))
 
 
-def check_person(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
-    """Return the rig if it can take the poses of our body.
+def check_character(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
+    """Return the rig if it can take the poses of the shipped body.
 
     Raises:
-        InputError: limb joints of unknown names, limbs that are no chains (feet on a root of their own), or a person
-            who does not stand y up and face +z.
+        InputError: limb joints with unknown names, limbs that are not chains (such as feet that are children of the
+            root), or a character that is not y up and facing +z.
     """
     index = named_joints(rig.joint_names, rig.parents)
     require_joints(index, NEEDED, rig.joint_names, path)
     for joint, tail in BONES.items():
-        if not _hangs_on(rig, index[tail], index[joint]):
+        if not _is_below(rig, index[tail], index[joint]):
             raise InputError(
                 f"{path}: expected {rig.joint_names[index[tail]]} below {rig.joint_names[index[joint]]}, found it "
                 "elsewhere in the skeleton; export the deforming bones as chains"
@@ -141,50 +151,57 @@ def check_person(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:
 
 
 @cache
-def _casts(data: Path, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
+def _character_pairs(data: Path, split: str) -> list[tuple[SkinnedCharacter, SkinnedCharacter]]:
+    """Return the ordered pairs of a split; see the module for who is in which split."""
     skeletons = _skeletons(data)
     if split == "test":
         groups = [group[1:] if len(group) > 2 else group for group in skeletons]
-        casts = [pair for group in groups for pair in permutations(group, 2)]
-        needed = "two characters of one skeleton"
+        pairs = [pair for group in groups for pair in permutations(group, 2)]
+        expected = "two characters of one skeleton"
     else:
-        casts = list(permutations([group[0] for group in skeletons if len(group) > 2], 2))
-        needed = "two skeletons of three characters each"
-    if not casts:
+        pairs = list(permutations([group[0] for group in skeletons if len(group) > 2], 2))
+        expected = "two skeletons of three characters each"
+    if not pairs:
         raise InputError(
-            f"{data}: expected {needed} among its .glb, .gltf and .vrm files for the split {split}, found skeletons of "
-            f"{', '.join(str(len(group)) for group in skeletons) or 'no'} characters; add some"
+            f"{data}: expected {expected} among its .glb, .gltf and .vrm files for the split {split}, found skeletons "
+            f"of {', '.join(str(len(group)) for group in skeletons) or 'no'} characters; add some"
         )
-    return casts
+    return pairs
 
 
 @cache
 def _skeletons(data: Path) -> list[list[SkinnedCharacter]]:
-    """The characters of a folder by skeleton (equal joint names and parents), by file name."""
+    """Read the characters of a folder, sorted by file name, and group them by skeleton (joint names and parents).
+
+    Skeletons of one character are left out.
+    """
     if not data.is_dir():
         raise InputError(f"{data}: expected a folder of rigged characters, found none; give it with --data")
     groups: dict[frozenset[tuple[str, str]], dict[Path, SkinnedCharacter]] = {}
     for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
         rig = read_skin(path)
         groups.setdefault(rig.bones(), {})[path] = rig
-    return [[check_person(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
+    return [[check_character(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
 
 
-def _stage(mover: SkinnedCharacter, actor: SkinnedCharacter, stand: Pose, played: Pose) -> Pair:
-    """The mover stands, the actor plays; truth is the mover playing. `copy` needs both to have the same triangles."""
-    rest, reference = (rig.posed(pose_on_rig(rig, human(), stand.rotmat)) for rig in (mover, actor))
-    truth, driving = (rig.posed(pose_on_rig(rig, human(), played.rotmat)) for rig in (mover, actor))
-    twins = np.array_equal(mover.mesh.faces, actor.mesh.faces)
+def _make_pair(identity: SkinnedCharacter, driving: SkinnedCharacter, rest: Pose, pose: Pose) -> Pair:
+    """Make a pair from two characters and two poses; see `pairs.make_pair`.
+
+    The baseline `copy` needs a true correspondence, which exists only if both characters have the same triangles.
+    """
+    identity_rest, reference = (rig.posed(pose_on_rig(rig, human(), rest.rotmat)) for rig in (identity, driving))
+    truth, driving_posed = (rig.posed(pose_on_rig(rig, human(), pose.rotmat)) for rig in (identity, driving))
+    same_topology = np.array_equal(identity.mesh.faces, driving.mesh.faces)
     return Pair(
-        identity=_mesh(mover, rest, stand.label),
-        driving=_mesh(actor, driving, played.label),
+        identity=_mesh(identity, identity_rest, rest.label),
+        driving=_mesh(driving, driving_posed, pose.label),
         truth=truth,
-        height=float(np.ptp(mover.mesh.vertices[:, 1])),
-        aligned=driving if twins else None,
-        aligned_reference=reference if twins else None,
+        height=float(np.ptp(identity.mesh.vertices[:, 1])),
+        aligned=driving_posed if same_topology else None,
+        aligned_reference=reference if same_topology else None,
         reference=reference,
-        markers=np.stack([landmarks_on(mover), landmarks_on(actor)], axis=1),
-        truth_name=f"{mover.mesh.name}_{played.label}",
+        markers=np.stack([find_landmarks(identity), find_landmarks(driving)], axis=1),
+        truth_name=f"{identity.mesh.name}_{pose.label}",
     )
 
 
@@ -193,7 +210,8 @@ def _mesh(rig: SkinnedCharacter, vertices: Float[np.ndarray, "V 3"], pose: str) 
     return dataclasses.replace(rig.mesh, vertices=vertices, corner_normals=None, source=None, name=name)
 
 
-def _hangs_on(rig: SkinnedCharacter, joint: int, holder: int) -> bool:
-    while joint >= 0 and joint != holder:
+def _is_below(rig: SkinnedCharacter, joint: int, ancestor: int) -> bool:
+    """Return whether a joint is a descendant of another, or that joint itself."""
+    while joint >= 0 and joint != ancestor:
         joint = rig.parents[joint]
-    return joint == holder
+    return joint == ancestor

@@ -1,4 +1,4 @@
-"""Pictures of the worst pairs of a method: what the means hide."""
+"""Draw the pairs with the largest errors of a method, which the means of a report do not show."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from .clip_protocols import ClipPair
-from .measure import moved, moved_clip
+from .measure import result_frames, result_vertices
 from .metrics import in_unit_sphere_of, pmd_of_pair
 from .pairs import Pair
 from .protocols import Protocol
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 WORST = 3
-"""Pairs of each method and kind that are drawn."""
+"""Number of pairs of each method and kind that are drawn."""
 
 
 def dump_worst(
@@ -31,8 +31,8 @@ def dump_worst(
     figures: list[dict[str, Any]],
     folder: Path,
 ) -> list[Path]:
-    """Draw the pairs with the largest errors as `<folder>/<method>-<kind>-<rank>.png`; gives the paths."""
-    errors = {i: f["pmd_e4"] for i, f in enumerate(figures) if "why" not in f}
+    """Draw the WORST pairs with the largest PMD as `<folder>/<method>-<kind>-<rank>.png` and return the paths."""
+    errors = {i: metrics["pmd_e4"] for i, metrics in enumerate(figures) if "why" not in metrics}
     worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -45,20 +45,20 @@ def dump_worst(
 
 
 def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
-    """A trial and its result; of a clip, its worst frame."""
+    """Return a pair and the method's result; for a clip, those of the frame with the largest PMD."""
     if not isinstance(pair, ClipPair):
-        return pair, moved(pair, method, **options)
-    frames = moved_clip(pair, method, **options)
+        return pair, result_vertices(pair, method, **options)
+    frames = result_frames(pair, method, **options)
     worst = int(np.argmax([pmd_of_pair(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 
 
 def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
-    """Identity, driving, result and truth in a row; below it the result's heat map in mm of a 1.7 m person."""
+    """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m)."""
     from ..render.heat import heat_map
     from ..render.sheet import stack, transfer_sheet
 
-    sized, truth = in_unit_sphere_of(pair.truth, result, pair.truth)
+    centred = in_unit_sphere_of(pair.truth, result, pair.truth)
     metres = np.linalg.norm(pair.truth - pair.truth.mean(axis=0), axis=1).max() * 1.7 / pair.height
-    shown, target = (dataclasses.replace(pair.identity, vertices=points * metres) for points in (sized, truth))
-    return stack([transfer_sheet(pair.identity, pair.driving, shown, target), heat_map(shown, target)])
+    shown, truth = (dataclasses.replace(pair.identity, vertices=points * metres) for points in centred)
+    return stack([transfer_sheet(pair.identity, pair.driving, shown, truth), heat_map(shown, truth)])

@@ -1,4 +1,4 @@
-"""The figures of both papers with our people and methods: one page each. NPT's have a row a trial."""
+"""Draw the figures of both papers with the shipped body and our methods, each as one picture of rows of meshes."""
 
 from __future__ import annotations
 
@@ -19,41 +19,47 @@ from ..io import load_mesh
 from ..pipeline import animate, transfer
 from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer
 from .cross_body import SUFFIXES
-from .measure import as_known, moved, moved_clip
-from .pairs import Pair, shuffled
+from .measure import on_supported_vertices, result_frames, result_vertices
+from .pairs import Pair, shuffle_vertices
 from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE, with_noise
 from .run import check_method
 
 if TYPE_CHECKING:
     from PIL import Image
 
-ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
-
-IN_MOTION = ("aniformer-regression", "aniformer-plain", "aniformer-motion", "aniformer-appearance", "aniformer-equal")
-
-
+NPT_ABLATIONS = ("npt-concat1", "npt-no-spadain", "npt-no-edge", "npt-equal")
+ANIFORMER_ABLATIONS = (
+    "aniformer-regression",
+    "aniformer-plain",
+    "aniformer-motion",
+    "aniformer-appearance",
+    "aniformer-equal",
+)
 TILE = (300, 360)
-
-
-SHOWN = np.linspace(2, FRAMES - 3, 5).round().astype(int)
-"""Frames that are drawn."""
+"""Width and height (pixels) of the picture of one mesh."""
+SHOWN_FRAMES = np.linspace(2, FRAMES - 3, 5).round().astype(int)
+"""Frames of a clip that are drawn: five, evenly spaced."""
 
 
 class Tile(NamedTuple):
-    """One mesh of a page; `colors` a vertex instead of its materials."""
+    """One mesh of a picture and its caption."""
 
     label: str
     mesh: Mesh
     colors: Float[np.ndarray, "V 3"] | None = None
+    """Colours of the vertices (linear RGB in 0..1) instead of the mesh's materials."""
 
 
 class Figure(NamedTuple):
-    """What a figure shows and how its rows are made from the models, a number of rows and a folder of meshes."""
+    """A figure of a paper."""
 
     title: str
     rows: Callable[[tuple[str, ...], int, Path | None], Iterator[list[Tile]]]
+    """Makes the rows from the models, the number of rows and a folder of meshes (`--data`)."""
     models: tuple[str, ...]
+    """Models that are drawn unless others are given."""
     count: int
+    """Number of rows unless another is given."""
 
 
 def figure_command(
@@ -64,7 +70,11 @@ def figure_command(
     data: Path | None = None,
     progress: Progress | None = None,
 ) -> int:
-    """What `mimesh figure` does: draw a figure of the paper into a picture; gives how many rows it has."""
+    """Draw a figure of a paper into a picture (`mimesh figure`) and return its number of rows.
+
+    Raises:
+        InputError: no such figure or model, or no folder of people where the figure needs one.
+    """
     from ..render.sheet import stack
     from ..tools.preview import save_picture
 
@@ -75,44 +85,43 @@ def figure_command(
         check_method(model)
     count, pages = rows or figure.count, []
     for tiles in figure.rows(models or figure.models, count, data):
-        pages.append(drawn(tiles))
+        pages.append(draw_row(tiles))
         if progress is not None:
             progress(len(pages), max(count, len(pages)))
     save_picture(stack(pages), out)
     return len(pages)
 
 
-def compared(
-    models: tuple[str, ...], count: int, data: Path | None, *, protocol=HUMAN_NPT, kind: str
-) -> Iterator[list[Tile]]:
-    """Identity, driving, a result for each model, truth."""
+def comparison_rows(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
+    """Make one row per pair of human-npt: identity, driving, a result of each model, truth."""
     for i in range(count):
-        yield _trial(protocol.pair("test", kind, i), models)
+        yield _pair_row(HUMAN_NPT.pair("test", kind, i), models)
 
 
-def vertex_orders(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """One pair again and again, its vertices shuffled anew in each row and coloured by their number (Fig. 8, 15)."""
-    pair = HUMAN_NPT.whole("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
+def vertex_order_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of one pair with another vertex order in each row, coloured by vertex index (NPT Fig. 8, 15)."""
+    pair = HUMAN_NPT.unshuffled_pair("test", "unseen", 0, HUMAN_NPT.rng("test", "unseen", 0))
     for i in range(count):
-        again = shuffled(pair, np.random.default_rng(i)) if i else pair
-        results = [(model, dataclasses.replace(again.identity, vertices=moved(again, model))) for model in models]
-        shown = [("identity", again.identity), ("driving", again.driving), *results]
-        yield [Tile(label, mesh, by_number(len(mesh.vertices))) for label, mesh in shown]
+        ordered = shuffle_vertices(pair, np.random.default_rng(i)) if i else pair
+        identity = ordered.identity
+        results = [(model, dataclasses.replace(identity, vertices=result_vertices(ordered, model))) for model in models]
+        shown = [("identity", identity), ("driving", ordered.driving), *results]
+        yield [Tile(label, mesh, vertex_index_colors(len(mesh.vertices))) for label, mesh in shown]
 
 
-def noisy(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """More noise on the driving vertices in each row (Fig. 12, 16)."""
+def noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of one pair with 1 % more noise on the driving vertices in each row (NPT Fig. 12, 16)."""
     for percent in range(min(count, 6)):
-        kind = f"noise-{percent}"
+        # The same generator state in every row: the noise grows but keeps its pattern.
         rng = NOISE.rng("test", "noise-0", 0)
-        pair = NOISE.whole("test", "noise-0", 0, rng)
-        identity, driving, *others = _trial(NOISE.noisy(pair, percent / 100, rng), models)
-        yield [identity, driving._replace(label=f"driving, {kind.replace('-', ' ')} %"), *others]
+        pair = NOISE.unshuffled_pair("test", "noise-0", 0, rng)
+        identity, driving, *others = _pair_row(NOISE.noisy_pair(pair, percent / 100, rng), models)
+        yield [identity, driving._replace(label=f"driving, noise {percent} %"), *others]
 
 
-def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """Identities from other makers in poses of our people (Fig. 10, 17, 18)."""
-    for i, path in enumerate(folder_of_people(data)[:count]):
+def foreign_identity_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of identities from a folder in poses of the shipped body (NPT Fig. 10, 17, 18)."""
+    for i, path in enumerate(mesh_files(data)[:count]):
         driving = HUMAN_WIDE.pair("test", "clips", i).driving
         identity = load_mesh(path)
         for model in models:
@@ -120,80 +129,98 @@ def others_moved(models: tuple[str, ...], count: int, data: Path | None) -> Iter
             yield [Tile(path.stem, identity), Tile("driving", driving), Tile(model, result.mesh)]
 
 
-def others_driving(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """Poses from other makers on our people (Fig. 11)."""
-    for i, path in enumerate(folder_of_people(data)[:count]):
+def foreign_driving_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of driving meshes from a folder, applied to people of the shipped body (NPT Fig. 11)."""
+    for i, path in enumerate(mesh_files(data)[:count]):
         identity = HUMAN_WIDE.pair("test", "clips", i).identity
         driving = load_mesh(path)
         results = [Tile(m, transfer(identity, driving, m, up="+y", front="+z").mesh) for m in models]
         yield [Tile("identity", identity), Tile(path.stem, driving), *results]
 
 
-def by_number(count: int) -> Float[np.ndarray, "V 3"]:
-    """A rainbow over vertex numbers, linear RGB in 0..1."""
+def vertex_index_colors(count: int) -> Float[np.ndarray, "V 3"]:
+    """Return a rainbow over vertex indices, linear RGB in 0..1."""
     return np.array([colorsys.hsv_to_rgb(0.8 * k / count, 0.65, 0.85) for k in range(count)])
 
 
-def clips_compared(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
-    """Identity and driving, a result for each model, truth (Fig. 3 and 4)."""
+def clip_comparison_rows(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
+    """Make the rows of clips: driving, a result of each model, truth (AniFormer Fig. 3, 4)."""
     for i in range(count):
-        yield from _clip_trial(clips_aniformer(data).pair("test", kind, 5 * i), models)
+        # Every fifth trial, to cover the whole list of motions with few rows.
+        yield from _clip_rows(clips_aniformer(data).pair("test", kind, 5 * i), models)
 
 
-def clips_noisy(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """More noise on the driving clip in each pair of rows, drawn anew in every frame (last row of Fig. 5)."""
+def clip_noise_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of one clip with 1 % more noise in each group of rows (AniFormer Fig. 5, last row).
+
+    The noise is independent in every frame.
+    """
     for percent in range(min(count, 6)):
         trial = CLIPS_ANIFORMER.pair("test", "procedural", 0)
         rng = CLIPS_ANIFORMER.rng("test", "procedural", 0)
         frames = np.stack([with_noise(frame, percent / 100, rng) for frame in trial.clip.vertices])
         mesh = Mesh(frames[0], trial.driving.faces, name=f"noise {percent} %")
         noisy = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, frames, trial.clip.fps))
-        yield from [*_clip_trial(noisy, models)][:-1]
+        yield from [*_clip_rows(noisy, models)][:-1]  # without the row of the truth
 
 
-def others_in_motion(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
-    """Identities from other makers, of any vertex count, moved as one of our people (Fig. 5)."""
-    for i, path in enumerate(folder_of_people(data)[:count]):
+def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make rows of identities from a folder, driven by clips of the shipped body (AniFormer Fig. 5)."""
+    for i, path in enumerate(mesh_files(data)[:count]):
         clip = CLIPS_ANIFORMER.pair("test", "procedural", i).clip
-        yield _frames("driving", clip.vertices, clip.mesh.faces)
+        yield _frame_tiles("driving", clip.vertices, clip.mesh.faces)
         identity = load_mesh(path)
         for model in models:
             result = animate(identity, clip, model, driving_up="+y", driving_front="+z")
-            tiles = [Tile(model, result.clip.mesh.with_vertices(result.clip.vertices[t])) for t in SHOWN]
+            tiles = [Tile(model, result.clip.mesh.with_vertices(result.clip.vertices[t])) for t in SHOWN_FRAMES]
             yield [Tile(path.stem, identity), *tiles]
 
 
-DT = ("deformation-transfer-5", "deformation-transfer-13")
+SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
-    "npt-6": Figure("seen poses, beside deformation transfer", partial(compared, kind="seen"), (*DT, "npt"), 4),
-    "npt-7": Figure("unseen poses, beside deformation transfer", partial(compared, kind="unseen"), (*DT, "npt"), 4),
-    "npt-8": Figure("vertex order as colour", vertex_orders, ("npt",), 2),
-    "npt-9": Figure("ablations", partial(compared, kind="unseen"), ABLATIONS, 3),
-    "npt-10": Figure("identities from other makers (--data)", others_moved, ("npt",), 3),
-    "npt-11": Figure("poses from other makers (--data)", others_driving, ("npt",), 3),
-    "npt-12": Figure("noise, beside deformation transfer", noisy, ("deformation-transfer-13", "npt"), 4),
-    "npt-13": Figure("other baselines", partial(compared, kind="unseen"), ("skeleton", "npt-maxpool", "npt"), 4),
-    "npt-15": Figure("more vertex orders", vertex_orders, ("npt",), 5),
-    "npt-16": Figure("more noise", noisy, ("npt",), 6),
-    "npt-17": Figure("more identities from other makers (--data)", others_moved, ("npt",), 12),
-    "npt-19": Figure("more seen poses", partial(compared, kind="seen"), ("npt",), 8),
-    "npt-20": Figure("more unseen poses", partial(compared, kind="unseen"), ("npt",), 8),
+    "npt-6": Figure(
+        "seen poses, beside deformation transfer",
+        partial(comparison_rows, kind="seen"),
+        (*SPARSE_DT, "npt"),
+        4,
+    ),
+    "npt-7": Figure(
+        "unseen poses, beside deformation transfer",
+        partial(comparison_rows, kind="unseen"),
+        (*SPARSE_DT, "npt"),
+        4,
+    ),
+    "npt-8": Figure("vertex order as colour", vertex_order_rows, ("npt",), 2),
+    "npt-9": Figure("ablations", partial(comparison_rows, kind="unseen"), NPT_ABLATIONS, 3),
+    "npt-10": Figure("identities from other makers (--data)", foreign_identity_rows, ("npt",), 3),
+    "npt-11": Figure("poses from other makers (--data)", foreign_driving_rows, ("npt",), 3),
+    "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt"), 4),
+    "npt-13": Figure("other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt"), 4),
+    "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt",), 5),
+    "npt-16": Figure("more noise", noise_rows, ("npt",), 6),
+    "npt-17": Figure("more identities from other makers (--data)", foreign_identity_rows, ("npt",), 12),
+    "npt-19": Figure("more seen poses", partial(comparison_rows, kind="seen"), ("npt",), 8),
+    "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt",), 8),
     "aniformer-3": Figure(
         "unseen motions, beside methods that go frame by frame (--data)",
-        partial(clips_compared, kind="unseen"),
+        partial(clip_comparison_rows, kind="unseen"),
         ("npt-frames", "limp", "aniformer-equal"),
         1,
     ),
-    "aniformer-4": Figure("ablations in motion (--data)", partial(clips_compared, kind="unseen"), IN_MOTION, 1),
-    "aniformer-5": Figure("identities from other makers in motion (--data)", others_in_motion, ("aniformer-equal",), 3),
-    "aniformer-noise": Figure("noise on the driving clip", clips_noisy, ("aniformer-equal",), 3),
+    "aniformer-4": Figure(
+        "ablations in motion (--data)", partial(clip_comparison_rows, kind="unseen"), ANIFORMER_ABLATIONS, 1
+    ),
+    "aniformer-5": Figure(
+        "identities from other makers in motion (--data)", foreign_clip_rows, ("aniformer-equal",), 3
+    ),
+    "aniformer-noise": Figure("noise on the driving clip", clip_noise_rows, ("aniformer-equal",), 3),
 }
-"""NPT's figures 14 (animals) and 18 (a registered data set) wait for their data; 17 takes any folder of people. The
-last row of AniFormer's figure 5, noise, is a figure of its own."""
+"""Name -> figure. NPT's figures 14 (animals) and 18 (a registered data set) are missing, because there are no data for
+them here; 17 takes any folder of people. The last row of AniFormer's figure 5 (noise) is a separate figure."""
 
 
-def drawn(tiles: list[Tile]) -> Image.Image:
-    """One row of a page."""
+def draw_row(tiles: list[Tile]) -> Image.Image:
+    """Render a row of tiles side by side, with captions."""
     from ..render.camera import fit
     from ..render.raster import render, render_mesh
     from ..render.sheet import captioned, page
@@ -209,11 +236,11 @@ def drawn(tiles: list[Tile]) -> Image.Image:
     return page(pictures, len(pictures))
 
 
-def folder_of_people(data: Path | None) -> list[Path]:
-    """Mesh files of a folder.
+def mesh_files(data: Path | None) -> list[Path]:
+    """List the mesh files of a folder, sorted by name.
 
     Raises:
-        InputError: no folder given, or none with meshes.
+        InputError: no folder given, or one without meshes.
     """
     if data is None or not data.is_dir():
         raise InputError(f"--data: expected a folder of people in {', '.join(SUFFIXES)} files, found {data}; give one")
@@ -223,20 +250,21 @@ def folder_of_people(data: Path | None) -> list[Path]:
     return paths
 
 
-def _trial(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
+def _pair_row(pair: Pair, models: tuple[str, ...]) -> list[Tile]:
     identity, faces = pair.identity, pair.identity.faces
-    results = [Tile(model, Mesh(moved(pair, model), faces)) for model in models]
+    results = [Tile(model, Mesh(result_vertices(pair, model), faces)) for model in models]
     return [Tile("identity", identity), Tile("driving", pair.driving), *results, Tile("truth", Mesh(pair.truth, faces))]
 
 
-def _clip_trial(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:
+def _clip_rows(trial: ClipPair, models: tuple[str, ...]) -> Iterator[list[Tile]]:
     identity, faces = Tile("identity", trial.identity), trial.identity.faces
-    yield [identity, *_frames(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
+    yield [identity, *_frame_tiles(trial.driving.name, trial.clip.vertices, trial.driving.faces)]
     for model in models:
-        known = as_known(trial, model)
-        yield [Tile(model, known.identity), *_frames(model, moved_clip(known, model), known.identity.faces)]
-    yield [identity, *_frames("truth", trial.truth_frames, faces)]
+        supported = on_supported_vertices(trial, model)
+        frames = result_frames(supported, model)
+        yield [Tile(model, supported.identity), *_frame_tiles(model, frames, supported.identity.faces)]
+    yield [identity, *_frame_tiles("truth", trial.truth_frames, faces)]
 
 
-def _frames(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
-    return [Tile(f"{label}, frame {t}", Mesh(frames[t].astype(np.float64), faces)) for t in SHOWN]
+def _frame_tiles(label: str, frames: Float[np.ndarray, "T V 3"], faces: Int[np.ndarray, "F 3"]) -> list[Tile]:
+    return [Tile(f"{label}, frame {t}", Mesh(frames[t].astype(np.float64), faces)) for t in SHOWN_FRAMES]

@@ -1,4 +1,4 @@
-"""Write a protocol's meshes as files, named as the public NPT data are: id<person>_<pose>.obj."""
+"""Write the meshes of a protocol as files, named like the public NPT data: id<person>_<pose>.obj."""
 
 from __future__ import annotations
 
@@ -22,11 +22,18 @@ def generate_command(
     progress: Progress | None = None,
     data: Path | None = None,
 ) -> dict[str, int]:
-    """What `mimesh generate` does; gives how many files were written.
+    """Write the meshes of a split (`mimesh generate`) and return the number of files.
 
-    Every kind of pair gets a list `<split>-<kind>.txt` with a line "identity pose truth" for each pair, and a folder
-    with those meshes. Vertices stand in the body's order in all of them, as in the public data: shuffle before use.
-    The split `train` of human-npt is the 16 x 400 table.
+    Each kind of pair gets a list `<split>-<kind>.txt` with one line "identity pose truth" per pair, and a folder
+    with these meshes. Vertices are in the body's order in all of them, as in the public data: shuffle before use.
+    The split `train` of human-npt is the table of 16 people x 400 poses.
+
+    Args:
+        pairs: number of pairs of each kind; 0 for the protocol's own.
+        data: folder of a protocol that reads one.
+
+    Raises:
+        InputError: no such protocol or split, a protocol of clips, or `train` of another protocol than human-npt.
     """
     chosen = find_protocol(protocol, data)
     if isinstance(chosen, ClipsAniformer):
@@ -50,13 +57,14 @@ def generate_command(
 
 
 def _write_pair(protocol: Protocol, split: str, kind: str, i: int, out: Path) -> list[str]:
-    pair = protocol.whole(split, kind, i, protocol.rng(split, kind, i))
+    """Write identity, driving mesh and truth of a pair and return their paths relative to `out`."""
+    pair = protocol.unshuffled_pair(split, kind, i, protocol.rng(split, kind, i))
     truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
     folder = out / f"{split}-{kind}"
     folder.mkdir(parents=True, exist_ok=True)
     names = []
     for mesh in (pair.identity, pair.driving, truth):
-        # A point cloud cannot be an OBJ of faces; PLY holds both.
+        # A point cloud has no faces and so cannot be written as OBJ; PLY stores both.
         path = folder / f"{mesh.name}{'.obj' if len(mesh.faces) else '.ply'}"
         save_mesh(mesh, path)
         names.append(f"{folder.name}/{path.name}")
@@ -64,6 +72,7 @@ def _write_pair(protocol: Protocol, split: str, kind: str, i: int, out: Path) ->
 
 
 def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> int:
+    """Write every training person in every training pose and return the number of files."""
     if not isinstance(protocol, HumanNpt) or protocol.name != HUMAN_NPT.name:
         raise InputError(
             f"{protocol.name}: expected {HUMAN_NPT.name} for the split train, found a test set without training data; "
@@ -74,7 +83,7 @@ def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> in
     poses = [protocol.pose("train", i) for i in range(protocol.poses)]
     total = len(people) * len(poses)
     for k in range(total):
-        mesh = people[k // len(poses)].mesh(poses[k % len(poses)].rotmat, poses[k % len(poses)].label)
+        mesh = people[k // len(poses)].posed_mesh(poses[k % len(poses)])
         save_mesh(mesh, out / f"{mesh.name}.obj")
         if progress is not None:
             progress(k + 1, total)

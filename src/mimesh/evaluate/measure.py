@@ -1,4 +1,8 @@
-"""One method on one pair: what the method is given, and how far its result is from the truth."""
+"""Run one method on one pair or clip of a test set, and measure how far its result is from the truth.
+
+Rows of the papers' tables need inputs besides the two meshes (a true correspondence, control points, a third mesh, the
+true size). This module passes these inputs on and names them in every report.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +21,10 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre, radius
 from ..methods.base import Method
 from ..methods.find import find_method, weights_path
-from ..pipeline import animate, transfer
+from ..pipeline import ClipResult, animate, transfer
 from .clip_protocols import ClipPair, on_template
 from .metrics import (
+    acceleration_ratio,
     chamfer,
     clip_pmd,
     edge_score,
@@ -27,58 +32,62 @@ from .metrics import (
     foot_skate,
     in_unit_sphere_of,
     jitter,
+    largest_step_mm,
     largest_stretch,
-    liveliness,
     mean_error_mm,
     path_error_mm,
     pmd_of_pair,
     pmd_public,
     resized,
-    unrest_mm,
 )
 from .pairs import Pair
 
-GIVEN = {
+EXTRA_INPUTS = {
     "copy": "true dense correspondence, true size",
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
     "deformation-transfer-5": "third mesh, 5 control points",
     "skeleton": "our body model and its joint limits",
 }
-"""What a method is given besides the two meshes and their axes; for networks see `given`."""
+"""Inputs of a method besides the two meshes and their axes, for reports; for networks see `extra_inputs`."""
 TRAINED_ON = {
     "table6": "16 people x 400 poses",
-    "wide": "endless people and poses",
+    "wide": "random people and poses",
     "clips80": "16 people x 80 motions",
-    "clips": "endless people and motions",
+    "clips": "random people and motions",
 }
-"""Kinds of training data, in words."""
-CLIP_FIGURES = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
-"""Figures that only clips have, and their decimals; the mean is over the clips that have them."""
+"""Description of each kind of training data (`data.kind` of a configuration), for reports."""
+CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
+"""Metrics that are defined for clips only, and their decimals; means are over the clips that have a value."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
-RESAMPLES = 2000
-"""Draws of the bootstrap behind the confidence intervals."""
+"""Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
+BOOTSTRAP_SAMPLES = 2000
+"""Number of resamplings for the confidence intervals."""
+STATIC_FRAMES = 5
+"""Number of frames of the static clip that `still_mm` is measured on."""
 
 
 class NotApplicableError(InputError):
-    """A method cannot work on a pair by its nature."""
+    """A method cannot be applied to a pair, because an input that it needs does not exist there."""
 
 
-def given(method: str) -> str:
-    """What a method knows besides the two meshes and their axes."""
-    if method in GIVEN:
-        return GIVEN[method]
+def extra_inputs(method: str) -> str:
+    """Describe the inputs of a method besides the two meshes and their axes, for reports."""
+    if method in EXTRA_INPUTS:
+        return EXTRA_INPUTS[method]
     network = find_method(method)
-    more = (
-        ", true size" if knows_no_size(network) else ", which it fits" if getattr(network, "fits_body", False) else ""
-    )
-    return f"trained on our body{more}"
+    if needs_true_size(network):
+        return "trained on our body, true size"
+    return "trained on our body, which it fits" if getattr(network, "fits_body", False) else "trained on our body"
 
 
-def trained(method: str) -> str:
-    """The training behind a method, from the card beside its weights; `before` are trainings that it went on from."""
+def training_summary(method: str) -> str:
+    """Describe the training of a method, for reports, from the card next to its weights.
+
+    `before` in a card lists the earlier stages of a training in several stages; time and pairs are their sums.
+    """
     path = weights_path(method)
-    if method in GIVEN:
+    if method in EXTRA_INPUTS:
         return "none"
     if not path.with_suffix(".json").exists():
         return "unknown"
@@ -90,91 +99,98 @@ def trained(method: str) -> str:
     return f"{minutes}; {sum(stage['pairs'] for stage in stages):,} pairs of {count:,} vertices; {data}"
 
 
-def moved(pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "V 3"]:
-    """The identity's vertices as a method moves them, in metres.
+def result_vertices(
+    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False
+) -> Float[np.ndarray, "V 3"]:
+    """Run a method on a pair and return the result's vertices in metres.
 
-    By name it is one of GIVEN, of `methods.MODELS` or in an `.onnx` file; else it is one of your own.
+    Methods that take the true size are not refined.
 
-    Axes are given to all alike: finding them is not what is measured here. Networks that were told the true size are
-    not refined.
+    Args:
+        method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
 
     Raises:
-        NotApplicableError: the method cannot work on this pair, such as deformation transfer of a point cloud.
+        NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
     """
     if not isinstance(method, str):
         return transfer(pair.identity, pair.driving, method, **AXES, refine=refine).vertices
     if method == "copy":
-        return resized(needed(pair.aligned, method), pair.truth)
+        return resized(required_input(pair.aligned, method), pair.truth)
     if method.startswith("deformation-transfer"):
-        driving, helps = helped(pair, method)
-        return transfer(pair.identity, driving, "deformation-transfer", **AXES, **helps).vertices
+        driving, inputs = deformation_transfer_inputs(pair, method)
+        return transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs).vertices
     network = find_method(method, ensemble=ensemble)
-    if knows_no_size(network):
+    if needs_true_size(network):
         clip = Clip.still(pair.driving)
-        return in_true_size(network, pair.identity, clip, pair.truth[None])[0]
+        return frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0]
     return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=refine).vertices
 
 
-def helped(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
-    """The driving mesh, and the third mesh and the markers, that a deformation transfer of GIVEN is given.
+def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
+    """Return the driving mesh for a deformation transfer of EXTRA_INPUTS, and its reference mesh and markers.
 
     Raises:
-        NotApplicableError: it cannot work on this pair.
+        NotApplicableError: the pair has no correspondence or no triangles.
     """
     if method == "deformation-transfer-dense":
-        driving, third = (
-            Mesh(needed(points, method), pair.identity.faces)
+        driving, reference = (
+            Mesh(required_input(points, method), pair.identity.faces)
             for points in (pair.aligned, pair.aligned_reference)
         )  # fmt: skip
-        return driving, {"reference": third}
+        return driving, {"reference": reference}
     if len(pair.driving.faces) == 0:
         raise NotApplicableError(f"{method}: expected triangles to take gradients of, found points")
-    reference = dataclasses.replace(pair.driving, vertices=needed(pair.reference, method))
-    markers = needed(pair.markers, method)[: 5 if method.endswith("-5") else 13]
+    reference = dataclasses.replace(pair.driving, vertices=required_input(pair.reference, method))
+    # The first 5 landmarks are the paper's 5 control points; markers that the driving mesh lacks are left out.
+    markers = required_input(pair.markers, method)[: 5 if method.endswith("-5") else 13]
     return pair.driving, {"reference": reference, "markers": markers[markers[:, 1] >= 0]}
 
 
-def knows_no_size(method: Method) -> bool:
-    """Whether the unit of a network's results is the truth's radius, which the papers' tables give away."""
+def needs_true_size(method: Method) -> bool:
+    """Return whether a network's unit is the radius of the truth, as in the papers' tables: no user has that number."""
     return getattr(method, "target_scale", "identity") == "truth"
 
 
-def in_true_size(
+def frames_at_true_size(
     network: Any, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
 ) -> Float[np.ndarray, "T V 3"]:
-    """What such a network makes of a clip: each frame in the size of its truth, the path in that of the first frame."""
+    """Run a network that needs the true size on a clip and return the frames in metres.
+
+    Each frame gets the radius of its truth; the path of the centres gets the radius of the first frame's truth.
+    """
     unit = dataclasses.replace(network, target_scale="identity")
-    own, theirs = Normalization.fit(identity, "+y", "+z"), Normalization.fit(clip.mesh, "+y", "+z")
+    identity_norm = Normalization.fit(identity, "+y", "+z")
+    driving_norm = Normalization.fit(clip.mesh, "+y", "+z")
     identity, driving = (
-        dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
-        for mesh, frame in ((identity, own), (clip.mesh, theirs))
+        dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
+        for mesh, norm in ((identity, identity_norm), (clip.mesh, driving_norm))
     )
-    results = unit.prepare(identity, Clip.still(driving))(theirs.apply(vertices) for vertices in clip.vertices)
+    results = unit.prepare(identity, Clip.still(driving))(driving_norm.apply(vertices) for vertices in clip.vertices)
     sizes = [radius(true - bbox_centre(true)) for true in truth]
-    middles_and_sizes = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
-    return np.stack([(result - middle) * size + middle * sizes[0] for result, middle, size in middles_and_sizes])
+    centred = ((result, bbox_centre(result), size) for result, size in zip(results, sizes, strict=True))
+    return np.stack([(result - centre) * size + centre * sizes[0] for result, centre, size in centred])
 
 
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Figures of one pair, or {"why": ...} where the method cannot work on it."""
+    """Measure a method on one pair and return its metrics, or {"why": reason} if the method cannot be applied."""
     started = time.perf_counter()
     try:
-        result = moved(pair, method, **options)
+        result = result_vertices(pair, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
     faces = pair.identity.faces
-    return {**shape_figures(result, pair.truth, faces, geometry.edges(faces), pair.height), "seconds": seconds}
+    return {**shape_metrics(result, pair.truth, faces, geometry.edges(faces), pair.height), "seconds": seconds}
 
 
-def shape_figures(
+def shape_metrics(
     result: Float[np.ndarray, "V 3"],
     truth: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     edges: Int[np.ndarray, "E 2"],
     height: float,
 ) -> dict[str, float]:
-    """All figures of one mesh against its truth."""
+    """Return all metrics of one mesh against its truth; `height` is the person's (metres)."""
     sized, true = in_unit_sphere_of(truth, result, truth)
     return {
         "pmd_e4": 1e4 * pmd_of_pair(result, truth),
@@ -188,117 +204,114 @@ def shape_figures(
 
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """One row: means, and the tail of the errors, where users live."""
-    done = [f for f in figures if "why" not in f]
-    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(done)}
-    row |= {"given": given(method), "trained": trained(method)}
-    if len(done) < len(figures):
-        row["not_applicable"] = len(figures) - len(done)
-        row["why"] = next(f["why"] for f in figures if "why" in f)
-    if not done:
+    """Summarise the metrics of all pairs of one kind as a row of a report: means, and the distribution of the PMD."""
+    measured = [metrics for metrics in figures if "why" not in metrics]
+    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
+    row |= {"given": extra_inputs(method), "trained": training_summary(method)}
+    if len(measured) < len(figures):
+        row["not_applicable"] = len(figures) - len(measured)
+        row["why"] = next(metrics["why"] for metrics in figures if "why" in metrics)
+    if not measured:
         return row
-    errors = np.array([f["pmd_e4"] for f in done])
+    errors = np.array([metrics["pmd_e4"] for metrics in measured])
     row |= {
         "pmd_e4": round(float(errors.mean()), 4),
-        "pmd_e4_ci95": round(half_interval(errors), 4),
+        "pmd_e4_ci95": round(bootstrap_half_interval(errors), 4),
         "pmd_e4_median": round(float(np.median(errors)), 4),
         "pmd_e4_p90": round(float(np.quantile(errors, 0.9)), 4),
         "pmd_e4_max": round(float(errors.max()), 4),
     }
     for name, digits in (("pmd_mse_e4", 4), ("chamfer_e4", 4), ("mm", 2), ("edge_score", 4), ("flipped", 5)):
-        row[name] = round(float(np.mean([f[name] for f in done])), digits)
-    for name, digits in CLIP_FIGURES.items():
-        known = [f[name] for f in done if f.get(name) is not None]
-        if known:
-            row[name] = round(float(np.mean(known)), digits)
-    row["stretch_max"] = round(max(f["stretch"] for f in done), 2)
-    row["seconds_per_frame"] = round(float(np.median([f["seconds"] for f in done])), 4)
+        row[name] = round(float(np.mean([metrics[name] for metrics in measured])), digits)
+    for name, digits in CLIP_METRICS.items():
+        values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
+        if values:
+            row[name] = round(float(np.mean(values)), digits)
+    row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
+    row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
     return row
 
 
-def needed(array: Any, method: str) -> Any:
-    """Help that a method asks for; raises NotApplicableError where the test set has none."""
+def required_input(array: Any, method: str) -> Any:
+    """Return an extra input of a method; raise NotApplicableError if the test set does not have it."""
     if array is None:
         raise NotApplicableError(f"{method}: expected a correspondence, found none in this test set")
     return array
 
 
-def half_interval(errors: Float[np.ndarray, " N"]) -> float:
-    """Half of the 95 % confidence interval of the mean, by bootstrap over pairs."""
-    drawn = np.random.default_rng(0).integers(len(errors), size=(RESAMPLES, len(errors)))
-    low, high = np.quantile(errors[drawn].mean(axis=1), [0.025, 0.975])
+def bootstrap_half_interval(errors: Float[np.ndarray, " N"]) -> float:
+    """Return half of the 95 % confidence interval of the mean, by bootstrap over pairs."""
+    resampled = np.random.default_rng(0).integers(len(errors), size=(BOOTSTRAP_SAMPLES, len(errors)))
+    low, high = np.quantile(errors[resampled].mean(axis=1), [0.025, 0.975])
     return float(high - low) / 2
 
 
-STILL = 5
-"""Frames of the clip that stands still."""
+def result_frames(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "T V 3"]:
+    """Run a method on a clip and return the result's vertices in all frames, in metres; see `result_vertices`.
 
-
-def moved_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "T V 3"]:
-    """The identity's vertices in all frames, in metres; methods and their help are those of `measure.moved`.
-
-    `copy` is the driving person in one size for the whole clip: its mean radius is that of the truth.
+    The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
 
     Raises:
-        NotApplicableError: the method cannot work on this clip.
+        NotApplicableError: the method cannot be applied to this clip.
     """
     if method == "copy":
         sizes = [np.mean([radius(v - v.mean(axis=0)) for v in c]) for c in (trial.truth_frames, trial.aligned_frames)]
         return trial.aligned_frames * (sizes[0] / sizes[1])
     if method.startswith("deformation-transfer"):
-        driving, helps = helped(trial, method)
+        driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, frames, trial.clip.fps)
-        return _frames(animate(trial.identity, clip, "deformation-transfer", **AXES, **helps))
+        return _frames(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
     network = find_method(method, ensemble=ensemble)
-    if knows_no_size(network):
-        return in_true_size(network, trial.identity, trial.clip, trial.truth_frames)
+    if needs_true_size(network):
+        return frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames)
     return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=refine))
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
-    """Figures of one clip, or {"why": ...} where the method cannot work on it.
+    """Measure a method on one clip and return its metrics, or {"why": reason} if the method cannot be applied.
 
-    Those of shape are means over the frames (the worst, for stretch); `seconds` are those of a frame, all included.
-    LIMP knows its template alone, so it is measured on the trial's vertices that are the template's.
+    Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame. LIMP is
+    measured on the vertices of its template only, because its network has a fixed set of vertices.
     """
-    trial = as_known(trial, method)
+    trial = on_supported_vertices(trial, method)
     started = time.perf_counter()
     try:
-        result = moved_clip(trial, method, **options)
+        result = result_frames(trial, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = (time.perf_counter() - started) / len(result)
     truth, fps = trial.truth_frames, trial.clip.fps
     faces = trial.identity.faces
     surface = (faces, edges(faces), trial.height)
-    shapes = [shape_figures(a, b, *surface) for a, b in zip(result, truth, strict=True)]
-    figures = {name: float(np.mean([shape[name] for shape in shapes])) for name in shapes[0]}
-    return figures | {
+    frames = [shape_metrics(a, b, *surface) for a, b in zip(result, truth, strict=True)]
+    metrics = {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]}
+    return metrics | {
         "pmd_e4": 1e4 * clip_pmd(result, truth),
-        "stretch": max(shape["stretch"] for shape in shapes),
+        "stretch": max(frame["stretch"] for frame in frames),
         "path_mm": path_error_mm(result, truth, trial.height),
         "jitter": jitter(result, truth, trial.height, fps),
-        "liveliness": liveliness(result, truth),
-        "still_mm": unrest_mm(moved_clip(standing_still(trial), method, **options), trial.height),
+        "liveliness": acceleration_ratio(result, truth),
+        "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
         "seconds": seconds,
     }
 
 
-def as_known(trial: ClipPair, method: str) -> ClipPair:
-    """The trial on all vertices, or on those of the template that LIMP knows."""
-    return on_template(trial) if method not in GIVEN and getattr(find_method(method), "template_only", False) else trial
+def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
+    """Return the trial on the vertices that a method supports: those of the template for LIMP, all for the others."""
+    limited = method not in EXTRA_INPUTS and getattr(find_method(method), "template_only", False)
+    return on_template(trial) if limited else trial
 
 
-def standing_still(trial: ClipPair) -> ClipPair:
-    """The same trial with its first frame in all frames, a few of them."""
+def repeat_first_frame(trial: ClipPair) -> ClipPair:
+    """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
     frames = {
-        name: np.repeat(getattr(trial, name)[:1], STILL, axis=0) for name in ("truth_frames", "aligned_frames")
+        name: np.repeat(getattr(trial, name)[:1], STATIC_FRAMES, axis=0) for name in ("truth_frames", "aligned_frames")
     }  # fmt: skip
-    clip = dataclasses.replace(trial.clip, vertices=np.repeat(trial.clip.vertices[:1], STILL, axis=0))
+    clip = dataclasses.replace(trial.clip, vertices=np.repeat(trial.clip.vertices[:1], STATIC_FRAMES, axis=0))
     return dataclasses.replace(trial, clip=clip, **frames)
 
 
-def _frames(result) -> Float[np.ndarray, "T V 3"]:
+def _frames(result: ClipResult) -> Float[np.ndarray, "T V 3"]:
     return result.clip.vertices.astype(np.float64)

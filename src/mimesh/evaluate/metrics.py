@@ -1,4 +1,4 @@
-"""How far a result is from the truth. Shapes are never broadcast; every function says what it divides by."""
+"""Metrics of a result against the truth. Shapes are never broadcast; docstrings state the divisor and the unit."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..core.normalization import bbox_centre
 def pmd(
     result: Float[np.ndarray, "*B V 3"], truth: Float[np.ndarray, "*C W 3"]
 ) -> Float[np.ndarray, "*B"] | np.float64:
-    """Point-wise mesh Euclidean distance: mean over vertices of the squared distance (NPT Eq. 7, AniFormer Eq. 7).
+    """Compute the point-wise mesh Euclidean distance: mean squared vertex distance (NPT Eq. 7, AniFormer Eq. 7).
 
     Divides by V, not by 3 V as the public evaluators do. In the square of the inputs' unit; papers print it x1e4.
 
@@ -29,36 +29,36 @@ def pmd(
 def in_unit_sphere_of(
     truth: Float[np.ndarray, "V 3"], *meshes: Float[np.ndarray, "V 3"]
 ) -> tuple[Float[np.ndarray, "V 3"], ...]:
-    """Each mesh centred on its own vertex centroid and divided by the truth's radius: the scale the papers print in."""
+    """Centre each mesh on its vertex centroid and divide it by the truth's radius: the scale of the papers' figures."""
     radius = np.linalg.norm(truth - truth.mean(axis=0), axis=1).max()
     return tuple((m - m.mean(axis=0)) / radius for m in meshes)
 
 
 def resized(mesh: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "V 3"]:
-    """The mesh centred and given the truth's radius, as if both had been put into the unit sphere."""
+    """Centre a mesh on its vertex centroid and scale it to the truth's radius (about the truth's centroid)."""
     return in_unit_sphere_of(mesh, mesh)[0] * np.linalg.norm(truth - truth.mean(axis=0), axis=1).max()
 
 
 def pmd_of_pair(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
-    """PMD of two meshes in metres, both put into the truth's unit sphere first."""
+    """Compute the PMD of two meshes of any common unit, both in the truth's unit sphere."""
     return float(pmd(*in_unit_sphere_of(truth, result, truth)))
 
 
 def pmd_public(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"]) -> float:
-    """What the papers' public evaluators print: mean over V and xyz, each mesh centred on its own bounding box.
+    """Compute the error of the papers' public evaluators: the mean squared difference over V vertices x 3 coordinates.
 
-    That is (Eq. 7 + d^2) / 3, with d the difference of the two meshes' offsets between vertex centroid and middle of
-    the box. So it is never less than a third of Eq. 7; in docs/results it is 0.35 to 0.60 of it in 246 of 255 rows.
-    In the truth's unit sphere (those evaluators leave the metres in).
+    Each mesh is centred on its own bounding box. The value is (Eq. 7 + d^2) / 3, where d is the difference of the two
+    meshes' offsets from vertex centroid to box centre. So it is never less than a third of Eq. 7; in docs/results it is
+    0.35 to 0.60 of it in 246 of 255 rows. Computed in the truth's unit sphere (the public evaluators use metres).
     """
     result, truth = in_unit_sphere_of(truth, result, truth)
     return float(np.square((result - bbox_centre(result)) - (truth - bbox_centre(truth))).mean())
 
 
 def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], height: float) -> float:
-    """Mean distance in millimetres, scaled to a 1.7 m person; `height` is this person's at rest, in the meshes' unit.
+    """Compute the mean vertex distance in millimetres for a person scaled to 1.7 m.
 
-    Both meshes are centred on their vertex centroids first.
+    Both meshes are centred on their vertex centroids. `height` is the person's height at rest, in the meshes' unit.
     """
     difference = (result - result.mean(axis=0)) - (truth - truth.mean(axis=0))
     return float(np.linalg.norm(difference, axis=-1).mean() * 1.7 / height * 1e3)
@@ -67,52 +67,56 @@ def mean_error_mm(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 
 def edge_score(
     result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], edges: Int[np.ndarray, "E 2"]
 ) -> float:
-    """Mean over edges of |length / true length - 1|: how rough or stretched the surface is. 0 is perfect.
+    """Compute the mean over edges of |length / true length - 1|, a measure of rough or stretched surface; 0 is exact.
 
-    Edges without a true length are left out; a point cloud scores 0.
+    Edges with a true length of 0 are left out; the value of a point cloud is 0.
     """
     new, old = (np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (result, truth))
-    real = old > 0
-    return float(np.abs(new[real] / old[real] - 1.0).mean()) if real.any() else 0.0
+    valid = old > 0
+    return float(np.abs(new[valid] / old[valid] - 1.0).mean()) if valid.any() else 0.0
 
 
 def largest_stretch(
     result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], edges: Int[np.ndarray, "E 2"]
 ) -> float:
-    """How many times too long the worst edge is, among edges of at least a tenth of the mean length; 1 is perfect."""
+    """Compute the largest ratio of an edge's length to its true length; 1 is exact.
+
+    Edges shorter than a tenth of the mean true length are left out, since their ratios are dominated by rounding.
+    """
     new, old = (np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1) for points in (result, truth))
-    real = old >= 0.1 * old.mean() if len(old) else np.zeros(0, bool)
-    return float((new[real] / old[real]).max(initial=1.0))
+    valid = old >= 0.1 * old.mean() if len(old) else np.zeros(0, bool)
+    return float((new[valid] / old[valid]).max(initial=1.0))
 
 
 def flipped(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> float:
-    """Share of triangles that face away from where the truth's do (more than 90 degrees)."""
+    """Compute the fraction of triangles whose normal is more than 90 degrees from that of the truth's triangle."""
     if len(faces) == 0:
         return 0.0
     return float(((face_vectors(result, faces) * face_vectors(truth, faces)).sum(axis=1) < 0).mean())
 
 
 def chamfer(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "W 3"]) -> float:
-    """Mean squared distance to the nearest vertex of the other set, both ways added; any vertex counts.
+    """Compute the chamfer distance: mean squared distance to the nearest vertex of the other set, both ways added.
 
-    In the square of the inputs' unit. Vertices, not surfaces: two meshings of one surface do not score 0.
+    In the square of the inputs' unit; vertex counts may differ. It compares vertices, not surfaces, so two different
+    meshings of one surface do not give 0.
     """
     from scipy.spatial import KDTree
 
-    there, back = KDTree(truth).query(result)[0], KDTree(result).query(truth)[0]
-    return float(np.square(there).mean() + np.square(back).mean())
+    to_truth, to_result = KDTree(truth).query(result)[0], KDTree(result).query(truth)[0]
+    return float(np.square(to_truth).mean() + np.square(to_result).mean())
 
 
-FLOOR = 0.03
-"""What is nearer to the floor than this (metres of a 1.7 m person) may stand on it."""
-STILL = 0.1
-"""What moves more slowly than this (metres a second of a 1.7 m person) stands."""
+FLOOR_HEIGHT = 0.03
+"""Metres for a person of 1.7 m: a vertex can be in contact with the floor only below this height."""
+MAX_STANDING_SPEED = 0.1
+"""Metres per second for a person of 1.7 m: a vertex near the floor that is slower than this is in contact with it."""
 
 
 def clip_pmd(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"]) -> float:
-    """AniFormer Eq. 7: mean over frames of the PMD, each frame centred and in the unit sphere of the truth's frame.
+    """Compute the PMD of a clip (AniFormer Eq. 7): the mean over frames, each in the unit sphere of its true frame.
 
-    Divides by T and by V. Where the whole stands does not count here; see `path_error_mm`.
+    Divides by T and by V. Each frame is centred, so the global translation does not count; see `path_error_mm`.
 
     Raises:
         ValueError: shapes differ; neither frames nor vertices are broadcast.
@@ -122,21 +126,23 @@ def clip_pmd(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3
 
 
 def path_error_mm(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"], height: float) -> float:
-    """Mean distance (mm) between the two paths of the vertex centroid, both from their place in frame 0.
+    """Compute the mean distance (mm, for a person of 1.7 m) between the two paths of the vertex centroid.
 
-    A mesh has no root joint, so its centroid stands for it. Frame 0 counts, with 0.
+    Both paths are relative to their frame 0, which counts with distance 0. The centroid is used because a mesh has no
+    root joint.
     """
     _same_shape(result, truth)
-    ours, theirs = (clip.mean(axis=1) - clip[0].mean(axis=0) for clip in (result, truth))
-    return float(np.linalg.norm(ours - theirs, axis=1).mean() * 1.7 / height * 1e3)
+    result_path, true_path = (clip.mean(axis=1) - clip[0].mean(axis=0) for clip in (result, truth))
+    return float(np.linalg.norm(result_path - true_path, axis=1).mean() * 1.7 / height * 1e3)
 
 
 def jitter(
     result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"], height: float, fps: float
 ) -> float | None:
-    """Mean length (m/s²) of the difference of the vertices' accelerations, by second differences.
+    """Compute the mean length (m/s², for a person of 1.7 m) of the difference of the vertices' accelerations.
 
-    Blind to what is wrong in all frames alike. None for fewer than three frames.
+    Accelerations are second differences, so errors that are equal in all frames do not count. None for fewer than
+    three frames.
     """
     _same_shape(result, truth)
     if len(truth) < 3:
@@ -144,38 +150,44 @@ def jitter(
     return float(np.linalg.norm(np.diff(result - truth, 2, axis=0), axis=-1).mean() * fps**2 * 1.7 / height)
 
 
-def liveliness(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"]) -> float | None:
-    """Mean length of the result's accelerations over that of the truth's: above 1, more is going on than should.
+def acceleration_ratio(result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"]) -> float | None:
+    """Compute the ratio of the mean vertex acceleration of the result to that of the truth (`liveliness` in reports).
 
-    None for fewer than three frames, and where the truth moves evenly.
+    Above 1 the result flickers, below 1 it is too smooth. None for fewer than three frames, and for a truth without
+    acceleration.
     """
     _same_shape(result, truth)
-    ours, theirs = (np.linalg.norm(np.diff(clip, 2, axis=0), axis=-1) for clip in (result, truth))
-    return float(ours.mean() / theirs.mean()) if theirs.any() else None
+    of_result, of_truth = (np.linalg.norm(np.diff(clip, 2, axis=0), axis=-1) for clip in (result, truth))
+    return float(of_result.mean() / of_truth.mean()) if of_truth.any() else None
 
 
-def unrest_mm(result: Float[np.ndarray, "T V 3"], height: float) -> float:
-    """Farthest that any vertex goes from one frame to the next (mm): 0 is right where the driving clip stands still."""
+def largest_step_mm(result: Float[np.ndarray, "T V 3"], height: float) -> float:
+    """Compute the largest distance (mm, for a person of 1.7 m) that a vertex moves from one frame to the next.
+
+    For a static driving clip the correct value is 0 (`still_mm` in reports).
+    """
     return float(np.linalg.norm(np.diff(result, axis=0), axis=-1).max(initial=0.0) * 1.7 / height * 1e3)
 
 
 def foot_skate(
     result: Float[np.ndarray, "T V 3"], truth: Float[np.ndarray, "S W 3"], height: float, fps: float
 ) -> float | None:
-    """Mean speed along the ground (cm/s) of vertices that the truth keeps still on the floor, from frame to frame.
+    """Compute the mean horizontal speed (cm/s, for a person of 1.7 m) of vertices that are in contact with the floor.
 
-    The floor is where the truth's lowest vertex of the clip is; hands and knees may stand on it too. None where
-    nothing ever stands.
+    A vertex is in contact between two frames if, in the truth, it is near the floor in both and hardly moves. The floor
+    is the height of the truth's lowest vertex in the clip; hands and knees can be in contact too. None for a clip
+    without contact.
     """
     _same_shape(result, truth)
-    size = 1.7 / height
-    above = (truth[..., 1] - truth[..., 1].min()) * size
-    speed = np.linalg.norm(np.diff(truth, axis=0), axis=-1) * fps * size
-    stands = (above[1:] < FLOOR) & (above[:-1] < FLOOR) & (speed < STILL)
-    if not stands.any():
+    scale = 1.7 / height
+    above_floor = (truth[..., 1] - truth[..., 1].min()) * scale
+    speed = np.linalg.norm(np.diff(truth, axis=0), axis=-1) * fps * scale
+    near_floor = above_floor < FLOOR_HEIGHT
+    contact = near_floor[1:] & near_floor[:-1] & (speed < MAX_STANDING_SPEED)
+    if not contact.any():
         return None
     slip = np.linalg.norm(np.diff(result, axis=0)[..., [0, 2]], axis=-1)
-    return float(slip[stands].mean() * fps * size * 100)
+    return float(slip[contact].mean() * fps * scale * 100)
 
 
 def _same_shape(result: np.ndarray, truth: np.ndarray) -> None:

@@ -1,9 +1,8 @@
-"""One trial of a test set, how it is staged from people, and how its vertices are shuffled."""
+"""A pair of a test set: how it is made from two people and two poses, and how its vertices are shuffled."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -15,111 +14,124 @@ from ..bodies.body_model import landmarks
 from ..core.mesh import Mesh, permute_vertices
 from .remesh import Remesh
 
-LOST = 0.08
-"""Metres from a landmark to the nearest vertex left, beyond which a damaged mesh has lost it."""
+MISSING_DISTANCE = 0.08
+"""Metres. A landmark is missing on a damaged mesh if no vertex is closer than this. 8 cm because coarse meshings, whose
+vertices are some centimetres apart, must keep their landmarks."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """One trial in metres. Methods get `identity` and `driving`; the rest is truth, or help that a method may ask for.
+    """A pair of a test set, in metres: the meshes that methods get, the true result, and extra inputs for some methods.
 
-    Arrays with V rows are in the identity's vertex order, those with U rows in the driving's.
+    Arrays with V rows are in the identity's vertex order, those with U rows in the driving mesh's.
     """
 
     identity: Mesh
+    """The mesh to be moved; methods get this and `driving`."""
     driving: Mesh
+    """The mesh that has the wanted pose."""
     truth: Float[np.ndarray, "V 3"]
+    """The true result: the identity person in the driving pose."""
     height: float
     """The identity person's height at rest in metres, without hair or shoes."""
     aligned: Float[np.ndarray, "V 3"] | None = None
-    """The driving person with true correspondence, dressed as the identity, whole: what the row `copy` is made of."""
+    """The driving person with true correspondence, complete and dressed like the identity, for the baseline `copy`."""
     aligned_reference: Float[np.ndarray, "V 3"] | None = None
-    """The same in the identity's pose; None where the driving mesh as given has other vertices."""
+    """`aligned` in the identity's pose; None where the driving mesh has other vertices than the identity."""
     reference: Float[np.ndarray, "U 3"] | None = None
-    """The same on the driving's own vertices: the third mesh that deformation transfer is given."""
+    """The driving mesh in the identity's pose: the third mesh of deformation transfer."""
     markers: Int[np.ndarray, "M 2"] | None = None
-    """Identity and driving vertex of each of `bodies.landmarks.LANDMARKS`; -1 where the driving mesh lacks it."""
+    """Identity and driving vertex of each landmark of the body; -1 where the driving mesh lacks it."""
     truth_name: str = "truth"
-
-
-@dataclass(frozen=True, eq=False)
-class Person:
-    """Somebody in a pose."""
-
-    body: RiggedBody
-    """Whose vertices; may be dressed."""
-    shape: Float[np.ndarray, " K"]
-    label: str
-
-    def posed(self, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "V 3"]:
-        """Vertices in metres."""
-        return self.body.posed(self.shape, rotmat)
-
-    def mesh(self, rotmat: Float[np.ndarray, "J 3 3"], pose: str) -> Mesh:
-        """The same as a mesh, called id<person>_<pose> as the papers' released data are."""
-        return Mesh(self.posed(rotmat), self.body.faces, name=f"id{self.label}_{pose}")
+    """Name of the true result's file: id<person>_<pose>."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Joint rotations and what they are called."""
+    """Local joint rotations of the shipped body, and a name."""
 
     rotmat: Float[np.ndarray, "J 3 3"]
     label: str
 
 
+@dataclass(frozen=True, eq=False)
+class Person:
+    """A body of a shape."""
+
+    body: RiggedBody
+    """The shipped body, plain or dressed."""
+    shape: Float[np.ndarray, " K"]
+    """Shape coefficients."""
+    label: str
+    """The person's number in file names."""
+
+    def posed_vertices(self, rotmat: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "V 3"]:
+        """Return the vertices (metres) in a pose, given as local joint rotations."""
+        return self.body.posed(self.shape, rotmat)
+
+    def posed_mesh(self, pose: Pose) -> Mesh:
+        """Return the mesh in a pose, named id<person>_<pose> like the papers' released data."""
+        return Mesh(self.posed_vertices(pose.rotmat), self.body.faces, name=f"id{self.label}_{pose.label}")
+
+
 @cache
 def human() -> RiggedBody:
-    """The shipped body, read once."""
+    """Return the shipped body, read once."""
     return load_body()
 
 
-def stage(mover: Person, actor: Person, stand: Pose, played: Pose) -> Pair:
-    """The mover stands, the actor plays; truth is the mover playing. No vertex is shuffled yet."""
-    twin = dataclasses.replace(mover, shape=actor.shape)
-    # Garments come after the body's own vertices, so its landmarks keep their numbers.
+def make_pair(identity: Person, driving: Person, rest: Pose, pose: Pose) -> Pair:
+    """Make a pair from two people and two poses, in the body's vertex order.
+
+    The identity mesh is the identity person in the pose `rest`, the driving mesh is the driving person in `pose`, and
+    the true result is the identity person in `pose`.
+    """
+    # The driving person's shape with the identity's garments has the identity's vertices: the true correspondence.
+    aligned = dataclasses.replace(identity, shape=driving.shape)
+    # Garments come after the body's own vertices, so landmarks have the same numbers on a dressed body.
     points = list(landmarks(human()).values())
     return Pair(
-        identity=mover.mesh(stand.rotmat, stand.label),
-        driving=actor.mesh(played.rotmat, played.label),
-        truth=mover.posed(played.rotmat),
-        height=float(np.ptp(human().shaped(mover.shape)[0][:, 1])),
-        aligned=twin.posed(played.rotmat),
-        aligned_reference=twin.posed(stand.rotmat),
-        reference=actor.posed(stand.rotmat),
+        identity=identity.posed_mesh(rest),
+        driving=driving.posed_mesh(pose),
+        truth=identity.posed_vertices(pose.rotmat),
+        height=float(np.ptp(human().shaped(identity.shape)[0][:, 1])),
+        aligned=aligned.posed_vertices(pose.rotmat),
+        aligned_reference=aligned.posed_vertices(rest.rotmat),
+        reference=driving.posed_vertices(rest.rotmat),
         markers=np.stack([points, points], axis=1),
-        truth_name=f"id{mover.label}_{played.label}",
+        truth_name=f"id{identity.label}_{pose.label}",
     )
 
 
-def remeshed(pair: Pair, remesh: Remesh, noise: Callable[[Float[np.ndarray, "U 3"]], np.ndarray] | None = None) -> Pair:
-    """The driving mesh (and its reference alike) on other vertices; `noise` then moves those of the driving alone."""
+def remesh_driving(pair: Pair, remesh: Remesh) -> Pair:
+    """Replace the vertices and triangles of the driving mesh, and of its reference alike, by those of a remeshing."""
     assert pair.reference is not None
     assert pair.markers is not None
-    vertices = remesh.at(pair.driving.vertices)
+    vertices = remesh.positions(pair.driving.vertices)
     nearest = remesh.nearest(pair.driving.vertices, pair.markers[:, 1])
-    away = np.linalg.norm(vertices[nearest] - pair.driving.vertices[pair.markers[:, 1]], axis=1)
+    distance = np.linalg.norm(vertices[nearest] - pair.driving.vertices[pair.markers[:, 1]], axis=1)
     return dataclasses.replace(
         pair,
-        driving=Mesh(vertices if noise is None else noise(vertices), remesh.faces, name=pair.driving.name),
-        reference=remesh.at(pair.reference),
+        driving=Mesh(vertices, remesh.faces, name=pair.driving.name),
+        reference=remesh.positions(pair.reference),
         aligned_reference=None,
-        markers=np.stack([pair.markers[:, 0], np.where(away < LOST, nearest, -1)], axis=1),
+        markers=np.stack([pair.markers[:, 0], np.where(distance < MISSING_DISTANCE, nearest, -1)], axis=1),
     )
 
 
-def shuffled(pair: Pair, rng: np.random.Generator) -> Pair:
-    """Both meshes with their vertices in random orders, independent of each other; truth and markers follow."""
-    return reordered(pair, *random_orders(pair, rng))
+def shuffle_vertices(pair: Pair, rng: np.random.Generator) -> Pair:
+    """Shuffle the vertices of both meshes independently; truth, extra inputs and markers follow."""
+    return reorder_vertices(pair, *random_orders(pair, rng))
 
 
 def random_orders(pair: Pair, rng: np.random.Generator) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " U"]]:
-    """New orders of the identity's and of the driving's vertices."""
+    """Draw a random order of the identity's vertices and one of the driving mesh's."""
     return rng.permutation(len(pair.identity.vertices)), rng.permutation(len(pair.driving.vertices))
 
 
-def reordered(pair: Pair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Pair:
-    """The pair with its identity's and its driving's vertices in other orders; truth and markers follow."""
+def reorder_vertices(pair: Pair, order: Int[np.ndarray, " V"], driving_order: Int[np.ndarray, " U"]) -> Pair:
+    """Reorder the vertices of a pair: new vertex k of the identity is old vertex `order[k]`, and so on."""
+    # Markers are vertex numbers, so they need the inverse orders: the rank of each old vertex in the new order.
     ranks = np.argsort(order), np.argsort(driving_order)
     markers = None
     if pair.markers is not None:

@@ -1,9 +1,9 @@
-"""Named test sets, shipped as seeds: who poses, who is moved, and the truth. `train`, `val` and `test` are disjoint.
+"""Named test sets, generated from seeds: pairs of an identity and a driving mesh, with the true result.
 
-`human-npt` is the paper's: 16 training people x 400 Table 6 poses; 14 new people; 72 pairs whose driving pose was in
-the training and 72 whose pose was not. Both meshes of a pair are new people; the identity stands in a training pose.
-The others have new people and new poses in every split. Pairs are made when asked for, in milliseconds; nothing is
-cached but the meshings.
+`human-npt` is the protocol of the NPT paper (section 4.1): 16 training people x 400 poses of Table 6, 14 new people,
+and 72 test pairs each with a driving pose of the training (`seen`) and with a new one (`unseen`). Both meshes of a pair
+are new people; the identity is in a training pose. All other protocols have new people and new poses in every split.
+`train`, `val` and `test` are disjoint. A pair takes milliseconds and is generated on demand; only meshings are cached.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..bodies.dress import GARMENTS, dressed_body
 from ..bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions import pose_bank
 from . import remesh
-from .pairs import Pair, Person, Pose, human, remeshed, shuffled, stage
+from .pairs import Pair, Person, Pose, human, make_pair, remesh_driving, shuffle_vertices
 
 Split = Literal["train", "val", "test"]
 SPLITS: tuple[str, ...] = get_args(Split)
@@ -37,113 +37,127 @@ class Protocol:
     name: str
     version: int
     kinds: tuple[str, ...]
-    """The columns of its table."""
+    """Kinds of pairs; each is a column of the protocol's table."""
     pairs: int
-    """Of each kind."""
+    """Number of pairs of each kind."""
     spread: float
     """Standard deviation of the shape coefficients."""
 
     def seed(self, split: str) -> int:
-        """Seed of one stream of samples: a hash of the protocol's name, version and the stream's name."""
+        """Return the seed of a stream of samples: a checksum of the protocol's name, version and the stream's name."""
         return zlib.crc32(f"{self.name}/{self.version}/{split}".encode())
 
     def rng(self, split: str, kind: str, i: int) -> np.random.Generator:
-        """All that is random in one pair. Kinds count from the last, so that one put in front changes no other."""
+        """Return the random generator of pair `i`.
+
+        Kinds are numbered from the last one, so that a kind added in front leaves the pairs of all others as they are.
+        """
         return np.random.default_rng([self.seed(split), len(self.kinds) - 1 - self.kinds.index(kind), i])
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        """Pair `i` with its vertices in the order of the body: what each protocol defines."""
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        """Generate pair `i` with its vertices in the order of the body. Each protocol defines this method."""
         raise NotImplementedError
 
     def pair(self, split: str, kind: str, i: int) -> Pair:
-        """Pair `i` as methods get it: shuffled."""
+        """Generate pair `i` with the vertices of both meshes shuffled, as methods get it."""
         rng = self.rng(split, kind, i)
-        return shuffled(self.whole(split, kind, i, rng), rng)
+        return shuffle_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
 
-    def count(self, kind: str, asked: int = 0) -> int:
-        """How many pairs of a kind are measured, if so many are asked for (0: as many as usual)."""
+    def count(self, kind: str, requested: int = 0) -> int:
+        """Return the number of pairs of a kind to measure: the requested number, or the protocol's own for 0."""
         assert kind in self.kinds
-        return asked or self.pairs
+        return requested or self.pairs
 
     def check(self, split: str) -> None:
-        """Raise InputError if this split cannot be made here, before any of it is."""
+        """Raise InputError if this split cannot be generated on this machine. The base class has no such split."""
 
     def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
-        """The pairs of a split and kind, the first `count` of them if given."""
+        """Generate the first `count` pairs of a split and kind; 0 for the protocol's own number."""
         return (self.pair(split, kind, i) for i in range(self.count(kind, count)))
 
 
 @dataclass(frozen=True)
 class HumanNpt(Protocol):
-    """NPT 4.1: Table 6 poses, seen in the training or not."""
+    """NPT, section 4.1: people in poses of Table 6, either training poses (`seen`) or new ones (`unseen`)."""
 
     people: int = 16
+    """Number of training people."""
     poses: int = 400
+    """Number of training poses."""
     new_people: int = 14
+    """Number of people of each of `val` and `test`."""
 
     def train_people(self, body: RiggedBody) -> Float[np.ndarray, "P K"]:
-        """Shape coefficients of the training people."""
+        """Return the shape coefficients of the training people."""
         return np.stack([sample_shape(body, self.seed("train"), i, self.spread) for i in range(self.people)])
 
     def train_poses(self, body: RiggedBody) -> Float[np.ndarray, "N J 3"]:
-        """Rotation vectors of the training poses, shared by all people."""
+        """Return the rotation vectors (radians) of the training poses, which all training people share."""
         return np.stack([sample_pose(body, self.seed("train"), i) for i in range(self.poses)])
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        mover, actor = rng.choice(self.new_people, 2, replace=False)
-        stand, played = rng.choice(self.poses, 2, replace=False)
-        unseen = self.pose(split, 10_000 + i)
-        return stage(
-            self.person(split, int(mover)),
-            self.person(split, int(actor)),
-            self.pose("train", int(stand)),
-            self.pose("train", int(played)) if kind == "seen" else unseen,
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        identity, driving = rng.choice(self.new_people, 2, replace=False)
+        rest_pose, seen_pose = rng.choice(self.poses, 2, replace=False)
+        # 10,000 lies beyond the numbers of the training poses, so `unseen` never repeats one of them.
+        unseen_pose = self.pose(split, 10_000 + i)
+        return make_pair(
+            self.person(split, int(identity)),
+            self.person(split, int(driving)),
+            self.pose("train", int(rest_pose)),
+            self.pose("train", int(seen_pose)) if kind == "seen" else unseen_pose,
         )
 
     def person(self, split: str, i: int) -> Person:
-        """One of the 14 new people of `val` or `test`, or of the 16 of `train`."""
+        """Return person `i`: one of the 14 new people of `val` or `test`, or of the 16 people of `train`."""
         return Person(human(), sample_shape(human(), self.seed(split), i, self.spread), str(i))
 
     def pose(self, split: str, i: int) -> Pose:
-        """A Table 6 pose."""
+        """Return pose `i`, drawn from the ranges of Table 6 of the NPT paper's supplement."""
         return Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), i)), str(i))
 
 
 @dataclass(frozen=True)
 class Wide(Protocol):
-    """Everyday use: identities at rest or in Table 6, driving people anywhere in the joint limits or in real motion."""
+    """Everyday use: identities at rest or in a pose of Table 6, driving people in poses of all kinds."""
 
     heading: float = 45.0
-    """Driving people look up to this many degrees to either side."""
+    """Largest angle (degrees) by which driving people are turned about the vertical, to either side."""
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        return stage(*self.people(human(), human(), split, kind, i), self.rest(split, kind, i, rng),
-                     self.played(split, kind, i, rng))  # fmt: skip
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        people = self.sample_people(human(), human(), split, kind, i)
+        return make_pair(
+            *people, self.sample_rest_pose(split, kind, i, rng), self.sample_driving_pose(split, kind, i, rng)
+        )
 
-    def people(self, mover: RiggedBody, actor: RiggedBody, split: str, kind: str, i: int) -> tuple[Person, Person]:
-        """Two new people for every pair."""
+    def sample_people(
+        self, identity_body: RiggedBody, driving_body: RiggedBody, split: str, kind: str, i: int
+    ) -> tuple[Person, Person]:
+        """Draw the identity person and the driving person; every pair has two new people."""
         seed = self.seed(f"{split}/{kind}")
         return tuple(
             Person(body, sample_shape(human(), seed, 2 * i + k, self.spread), str(2 * i + k))
-            for k, body in enumerate((mover, actor))
+            for k, body in enumerate((identity_body, driving_body))
         )  # pyright: ignore[reportReturnType] (two bodies, two people)
 
-    def rest(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
-        """Arms anywhere between the T and hanging, or a Table 6 pose: the poses that characters are modelled in."""
+    def sample_rest_pose(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
+        """Draw a pose that characters are modelled in: arms between the T-pose and straight down, or a Table 6 pose."""
         rotvec = rng.random() * lowered_arms(human())
         if rng.random() < 0.5:
             rotvec = sample_pose(human(), self.seed(f"{split}/{kind}"), 10_000 + i)
         return Pose(rotvec_to_rotmat(rotvec), f"{kind}{10_000 + i}")
 
-    def played(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
-        """A frame of a motion of this split, a pose within the joint limits, or a Table 6 pose; and a heading."""
+    def sample_driving_pose(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
+        """Draw a driving pose with a heading.
+
+        By kind: within the joint limits (`limits`), of Table 6 (`table6`), or a frame of the split's motions (others).
+        """
         seed = self.seed(f"{split}/{kind}")
         if kind == "limits":
             rotvec = sample_pose(human(), seed, i, JOINT_LIMITS)
         elif kind == "table6":
             rotvec = sample_pose(human(), seed, i)
         else:
-            bank = bank_of(split)
+            bank = split_pose_bank(split)
             rotvec = bank[rng.integers(len(bank))].astype(np.float64)
         rotmat = rotvec_to_rotmat(rotvec)
         turn = np.radians(self.heading) * rng.uniform(-1, 1)
@@ -153,86 +167,97 @@ class Wide(Protocol):
 
 @dataclass(frozen=True)
 class Dressed(Wide):
-    """People in the base mesh's own skirt, tights and hair, in Table 6 poses: who is dressed is the kind."""
+    """People in the shipped skirt, tights and hair, in poses of Table 6; the kind says which of the two is dressed."""
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        worn = [wearing(tuple(name for name in GARMENTS if rng.random() < 0.6) or GARMENTS[-1:]) for _ in range(2)]
-        mover = human() if kind == "driving" else worn[0]
-        actor = human() if kind == "identity" else worn[1]
-        pose = self.played(split, "table6", i, rng)
-        pair = stage(*self.people(mover, actor, split, kind, i), self.rest(split, kind, i, rng), pose)
-        return pair if mover is actor else dataclasses.replace(pair, aligned_reference=None)
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        # Each garment is worn with a probability of 0.6; who would wear none gets the last one.
+        dressed = [
+            dressed_human(tuple(name for name in GARMENTS if rng.random() < 0.6) or GARMENTS[-1:]) for _ in range(2)
+        ]
+        identity_body = human() if kind == "driving" else dressed[0]
+        driving_body = human() if kind == "identity" else dressed[1]
+        pose = self.sample_driving_pose(split, "table6", i, rng)
+        people = self.sample_people(identity_body, driving_body, split, kind, i)
+        pair = make_pair(*people, self.sample_rest_pose(split, kind, i, rng), pose)
+        return pair if identity_body is driving_body else dataclasses.replace(pair, aligned_reference=None)
 
 
 @dataclass(frozen=True)
 class Touching(Wide):
-    """Limbs that touch: a place on the surface is then near two limbs, and only one of them holds it.
+    """People whose limbs touch themselves: points near the contact are close to two limbs but belong to one of them.
 
-    Of three pairs, in one both people touch themselves, in one the mover alone, in one the actor alone.
+    Of every three pairs, both people of the first touch themselves, only the identity of the second, and only the
+    driving person of the third.
     """
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        people = self.people(human(), human(), split, kind, i)
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        people = self.sample_people(human(), human(), split, kind, i)
         seed = self.seed(f"{split}/{kind}")
         poses = []
-        for k, person in enumerate(people):
+        for k, person in enumerate(people):  # k = 0: identity, k = 1: driving
             pose = rng.random() * lowered_arms(human())
             if k == 1:
                 pose = pose + sample_pose(human(), seed, i)
             if i % 3 != 2 - k:
                 pose = touching(human(), person.shape, pose, kind, rng)
             poses.append(Pose(rotvec_to_rotmat(pose), f"{kind}{2 * i + k}"))
-        return stage(*people, *poses)
+        return make_pair(*people, *poses)
 
 
 @dataclass(frozen=True)
 class Corrupted(HumanNpt):
-    """Table 6 poses, and the same people and poses in all kinds: only what is done to the driving mesh differs."""
+    """Pairs in poses of Table 6 whose driving mesh is changed afterwards.
 
-    def clean(self, split: str, i: int) -> Pair:
-        """Pair `i` before anything is done to it."""
-        return super().whole(split, "unseen", i, np.random.default_rng([self.seed(split), len(self.kinds), i]))
+    All kinds have the same people and poses, so only the change of the driving mesh differs.
+    """
+
+    def clean_pair(self, split: str, i: int) -> Pair:
+        """Generate pair `i` with the driving mesh unchanged."""
+        rng = np.random.default_rng([self.seed(split), len(self.kinds), i])
+        return super().unshuffled_pair(split, "unseen", i, rng)
 
 
 @dataclass(frozen=True)
 class CrossTopology(Corrupted):
-    """The driving mesh has other vertices and triangles than the identity."""
+    """Pairs whose driving mesh has other vertices and triangles than the identity."""
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        pair = self.clean(split, i)
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        pair = self.clean_pair(split, i)
         if kind == "points":
-            return remeshed(pair, remesh.points(human(), 4096, rng))
-        return remeshed(pair, MESHINGS[kind]())
+            return remesh_driving(pair, remesh.points(human(), 4096, rng))
+        return remesh_driving(pair, MESHINGS[kind]())
 
 
 @dataclass(frozen=True)
 class Noise(Corrupted):
-    """The driving mesh is noisy or incomplete.
+    """Pairs whose driving mesh is noisy or incomplete.
 
-    `noise-2`: each coordinate of each driving vertex moves by up to 2 % of the mesh's radius (uniform), and so on.
+    `noise-2`: uniform noise of up to 2 % of the mesh's radius on each coordinate of each driving vertex, and so on.
     """
 
-    def whole(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        pair = self.clean(split, i)
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        pair = self.clean_pair(split, i)
         if kind.startswith("noise-"):
-            return self.noisy(pair, int(kind.removeprefix("noise-")) / 100, rng)
+            return self.noisy_pair(pair, int(kind.removeprefix("noise-")) / 100, rng)
         if kind == "holes":
-            return remeshed(pair, remesh.holes(human(), rng))
+            return remesh_driving(pair, remesh.holes(human(), rng))
         if kind == "cropped":
-            return remeshed(pair, remesh.cropped(human(), rng))
-        return remeshed(pair, remesh.half(human(), pair.driving.vertices, rng))
+            return remesh_driving(pair, remesh.cropped(human(), rng))
+        return remesh_driving(pair, remesh.half(human(), pair.driving.vertices, rng))
 
-    def noisy(self, pair: Pair, share: float, rng: np.random.Generator) -> Pair:
-        """Uniform noise on the driving's coordinates, and alike on the driving as `copy` gets it."""
-        moved = with_noise(pair.driving.vertices, share, rng)
-        spoilt = dataclasses.replace(pair.driving, vertices=moved)
-        return dataclasses.replace(pair, driving=spoilt, aligned=moved)
+    def noisy_pair(self, pair: Pair, amplitude: float, rng: np.random.Generator) -> Pair:
+        """Add uniform noise to the driving vertices, and the same noise to those that the baseline `copy` gets."""
+        vertices = with_noise(pair.driving.vertices, amplitude, rng)
+        driving = dataclasses.replace(pair.driving, vertices=vertices)
+        return dataclasses.replace(pair, driving=driving, aligned=vertices)
 
 
-def with_noise(vertices: Float[np.ndarray, "V 3"], share: float, rng: np.random.Generator) -> Float[np.ndarray, "V 3"]:
-    """Points with uniform noise on their coordinates, up to a share of their radius."""
+def with_noise(
+    vertices: Float[np.ndarray, "V 3"], amplitude: float, rng: np.random.Generator
+) -> Float[np.ndarray, "V 3"]:
+    """Add uniform noise to the coordinates of points, up to `amplitude` times their radius (about the centroid)."""
     radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
-    return vertices + share * radius * rng.uniform(-1, 1, vertices.shape)
+    return vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
 
 
 MESHINGS = {
@@ -240,6 +265,7 @@ MESHINGS = {
     "retriangulated": remesh.retriangulated,
     "subdivided": remesh.subdivided,
 }
+"""Kinds of `cross-topology` that are surfaces, and the functions that make these meshings of the body."""
 HUMAN_NPT = HumanNpt("human-npt", 1, ("seen", "unseen"), pairs=72, spread=1.1)
 HUMAN_WIDE = Wide("human-wide", 1, ("limits", "clips"), pairs=36, spread=1.3)
 CROSS_TOPOLOGY = CrossTopology("cross-topology", 1, (*MESHINGS, "points"), pairs=18, spread=1.1)
@@ -250,15 +276,16 @@ DRESSED = Dressed("dressed", 1, ("identity", "driving", "both"), pairs=18, sprea
 CONTACT = Touching("contact", 1, tuple(CONTACTS), pairs=18, spread=1.1)
 _ALL = (HUMAN_NPT, HUMAN_WIDE, CROSS_TOPOLOGY, NOISE, DRESSED, CONTACT)
 PROTOCOLS: dict[str, Protocol] = {protocol.name: protocol for protocol in _ALL}
+"""Protocols that need no files; `run.find_protocol` also gives those that read a folder."""
 
 
 @cache
-def wearing(garments: tuple[str, ...]) -> RiggedBody:
-    """The shipped body in some garments."""
+def dressed_human(garments: tuple[str, ...]) -> RiggedBody:
+    """Return the shipped body in some garments (names of `dress.GARMENTS`)."""
     return dressed_body(human(), garments)
 
 
 @cache
-def bank_of(split: Literal["train", "val", "test"]) -> np.ndarray:
-    """Frames of the shipped motions of a split."""
+def split_pose_bank(split: Literal["train", "val", "test"]) -> np.ndarray:
+    """Return the poses (N, J, 3), rotation vectors in radians, of every third frame of a split's shipped motions."""
     return pose_bank(split)

@@ -1,6 +1,7 @@
-"""Other meshings of one body's surface, and damaged ones: each vertex a point of one of the body's triangles.
+"""Remeshings of the body's surface, complete and damaged: each new vertex is a point on a triangle of the body.
 
-Made once on a body and replayed on any shape and pose of it, so that a driving mesh and its reference stay alike.
+A remeshing is made once on one shape and pose and can be evaluated on all others, so that a driving mesh and its
+reference get the same vertices and triangles.
 """
 
 from __future__ import annotations
@@ -18,115 +19,119 @@ from ..core.surface_points import at_barycentric, sample_surface
 
 @dataclass(frozen=True, eq=False)
 class Remesh:
-    """N points of a body's surface and triangles between them (none: a point cloud)."""
+    """N points on the body's surface and triangles between them (no triangles: a point cloud)."""
 
     faces: Int[np.ndarray, "G 3"]
+    """Triangles of point indices."""
     corners: Int[np.ndarray, "N 3"]
-    """Body vertices around each point."""
-    weights: Float[np.ndarray, "N 3"]
+    """The three body vertices that each point lies between."""
+    barycentric: Float[np.ndarray, "N 3"]
+    """Barycentric coordinates of each point among its corners."""
 
-    def at(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
-        """Where the points are on the body with these vertices."""
-        return at_barycentric(vertices, self.corners, np.arange(len(self.corners)), self.weights)
+    def positions(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "N 3"]:
+        """Return the positions of the points on the body with these vertices."""
+        return at_barycentric(vertices, self.corners, np.arange(len(self.corners)), self.barycentric)
 
-    def nearest(self, vertices: Float[np.ndarray, "V 3"], wanted: Int[np.ndarray, " M"]) -> Int[np.ndarray, " M"]:
-        """Index of the point nearest to each of some body vertices."""
+    def nearest(self, vertices: Float[np.ndarray, "V 3"], selected: Int[np.ndarray, " M"]) -> Int[np.ndarray, " M"]:
+        """Return the index of the point nearest to each of the selected body vertices."""
         from scipy.spatial import KDTree
 
-        return np.asarray(KDTree(self.at(vertices)).query(vertices[wanted])[1])
+        return np.asarray(KDTree(self.positions(vertices)).query(vertices[selected])[1])
 
 
 @cache
 def decimated() -> Remesh:
-    """The human body with a fifth of its triangles, by quadric simplification."""
+    """Decimate the body to a fifth of its triangles by quadric simplification."""
     body = load_body()
     return _projected(body, *_simplify(body.vertices, body.faces, len(body.faces) // 5))
 
 
 @cache
 def template(count: int = 2100) -> Remesh:
-    """As many of the human body's own vertices as LIMP's meshes have, spread evenly, and triangles between them.
+    """Decimate the body to `count` of its own vertices, spread evenly; 2,100 is the vertex count of LIMP's meshes.
 
-    Every vertex of the body belongs to the nearest chosen one along its edges; three that meet in a triangle of the
-    body are a triangle here.
+    Every body vertex is assigned to the nearest chosen vertex along the edges, which divides the surface into cells.
+    Three different cells that meet in a triangle of the body give one triangle here (the dual of the cells).
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import dijkstra
 
     body = load_body()
     size, pairs = len(body.vertices), edges(body.faces)
-    cells = np.array_split(spatial_order(body.vertices), count)
-    chosen = np.array([cell[len(cell) // 2] for cell in cells])
+    # Equal pieces of an order in which neighbours in space follow each other: their middles are spread evenly.
+    pieces = np.array_split(spatial_order(body.vertices), count)
+    chosen = np.array([piece[len(piece) // 2] for piece in pieces])
     lengths = np.linalg.norm(np.diff(body.vertices[pairs], axis=1)[:, 0], axis=1)
     graph = coo_matrix((lengths, pairs.T), (size, size))
     nearest = dijkstra(graph, directed=False, indices=chosen, return_predecessors=True, min_only=True)[2]
     rank = np.full(size, -1)
     rank[chosen] = np.arange(count)
     corners = rank[nearest[body.faces]]
-    apart = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
-    first = np.unique(np.sort(corners[apart], axis=1), axis=0, return_index=True)[1]
-    return Remesh(corners[apart][first], np.repeat(chosen[:, None], 3, axis=1), np.tile([1.0, 0, 0], (count, 1)))
+    distinct = (corners != np.roll(corners, 1, axis=1)).all(axis=1) & (corners >= 0).all(axis=1)
+    first = np.unique(np.sort(corners[distinct], axis=1), axis=0, return_index=True)[1]
+    return Remesh(corners[distinct][first], np.repeat(chosen[:, None], 3, axis=1), np.tile([1.0, 0, 0], (count, 1)))
 
 
 @cache
 def subdivided() -> Remesh:
-    """Each triangle in four: 27,554 vertices on the human body, the count of the MG-dataset."""
+    """Divide each triangle of the body into four; gives 27,554 vertices, the count of the MG-dataset."""
     body = load_body()
     pairs = edges(body.faces)
     corners = np.concatenate([np.repeat(np.arange(len(body.vertices))[:, None], 3, axis=1), pairs[:, [0, 1, 1]]])
-    weights = np.concatenate([np.tile([1.0, 0, 0], (len(body.vertices), 1)), np.tile([0.5, 0.5, 0], (len(pairs), 1))])
-    return Remesh(split_faces(body.faces, pairs, len(body.vertices)), corners, weights)
+    at_vertex, at_edge = np.tile([1.0, 0, 0], (len(body.vertices), 1)), np.tile([0.5, 0.5, 0], (len(pairs), 1))
+    return Remesh(split_faces(body.faces, pairs, len(body.vertices)), corners, np.concatenate([at_vertex, at_edge]))
 
 
 @cache
 def retriangulated() -> Remesh:
-    """As many triangles as the human body, with other vertices: subdivided, then simplified to the old count."""
+    """Remesh the body with as many triangles but other vertices: subdivided, then simplified to the old count."""
     body, fine = load_body(), subdivided()
-    return _projected(body, *_simplify(fine.at(body.vertices), fine.faces, len(body.faces)))
+    return _projected(body, *_simplify(fine.positions(body.vertices), fine.faces, len(body.faces)))
 
 
 def points(body: RiggedBody, count: int, rng: np.random.Generator) -> Remesh:
-    """Random points, uniform by area on the mean shape, without triangles."""
-    chosen, weights = sample_surface(body.vertices, body.faces, count, rng)
-    return Remesh(np.zeros((0, 3), int), body.faces[chosen], weights)
+    """Sample a point cloud of `count` points from the body, uniform by area on the mean shape."""
+    chosen, barycentric = sample_surface(body.vertices, body.faces, count, rng)
+    return Remesh(np.zeros((0, 3), int), body.faces[chosen], barycentric)
 
 
 def holes(body: RiggedBody, rng: np.random.Generator, count: int = 12, radius: float = 0.06) -> Remesh:
-    """The body with round holes (metres, on the mean shape at rest) around random vertices."""
-    middles = body.vertices[rng.choice(len(body.vertices), count, replace=False)]
-    near = (np.linalg.norm(body.vertices[:, None] - middles, axis=-1) < radius).any(axis=1)
-    return _without(body, near)
+    """Cut `count` round holes into the body around random vertices; radius in metres, on the mean shape at rest."""
+    centres = body.vertices[rng.choice(len(body.vertices), count, replace=False)]
+    inside = (np.linalg.norm(body.vertices[:, None] - centres, axis=-1) < radius).any(axis=1)
+    return _without(body, inside)
 
 
 def cropped(body: RiggedBody, rng: np.random.Generator) -> Remesh:
-    """The body without one arm from the elbow on, or one leg from the knee on."""
+    """Remove a random limb from the body: a forearm with its hand, or a lower leg with its foot."""
     name = ("LeftForeArm", "RightForeArm", "LeftLeg", "RightLeg")[rng.integers(4)]
-    gone = [body.joint(name)]
+    removed = [body.joint(name)]
     for j, parent in enumerate(body.parents):
-        if parent in gone:
-            gone.append(j)
-    return _without(body, body.weights[:, gone].sum(axis=1) > 0.5)
+        if parent in removed:
+            removed.append(j)
+    # A vertex goes with the limb that has more than half of its skinning weight.
+    return _without(body, body.weights[:, removed].sum(axis=1) > 0.5)
 
 
 def half(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], rng: np.random.Generator) -> Remesh:
-    """The half of the surface that faces a random horizontal direction, as one scan from there would see, roughly.
+    """Keep the half of the surface that faces a random horizontal direction, similar to a scan from one side.
 
-    What a limb hides is kept: facing decides, not visibility.
+    Selection is by face normals only: surface that a limb occludes is kept.
     """
     angle = rng.uniform(0, 2 * np.pi)
-    seen = face_vectors(vertices, body.faces) @ np.array([np.sin(angle), 0.0, np.cos(angle)]) > 0
-    gone = np.ones(len(vertices), bool)
-    gone[body.faces[seen]] = False
-    return _without(body, gone, seen)
+    facing = face_vectors(vertices, body.faces) @ np.array([np.sin(angle), 0.0, np.cos(angle)]) > 0
+    removed = np.ones(len(vertices), bool)
+    removed[body.faces[facing]] = False
+    return _without(body, removed, facing)
 
 
-def _without(body: RiggedBody, gone: Bool[np.ndarray, " V"], faces: Bool[np.ndarray, " F"] | None = None) -> Remesh:
-    """What is left when vertices go (and every triangle that loses a corner, or is not among the `faces` to keep)."""
-    kept = np.flatnonzero(~gone)
-    rank = np.cumsum(~gone) - 1
-    whole = ~gone[body.faces].any(axis=1) & (True if faces is None else faces)
-    weights = np.tile([1.0, 0, 0], (len(kept), 1))
-    return Remesh(rank[body.faces[whole]], np.repeat(kept[:, None], 3, axis=1), weights)
+def _without(body: RiggedBody, removed: Bool[np.ndarray, " V"], faces: Bool[np.ndarray, " F"] | None = None) -> Remesh:
+    """Remove vertices from the body, with all triangles that lose a corner; `faces` selects triangles to keep."""
+    remaining = np.flatnonzero(~removed)
+    rank = np.cumsum(~removed) - 1
+    complete = ~removed[body.faces].any(axis=1) & (True if faces is None else faces)
+    barycentric = np.tile([1.0, 0, 0], (len(remaining), 1))
+    return Remesh(rank[body.faces[complete]], np.repeat(remaining[:, None], 3, axis=1), barycentric)
 
 
 def _simplify(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], count: int):
@@ -136,13 +141,17 @@ def _simplify(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"],
 
 
 def _projected(body: RiggedBody, vertices: np.ndarray, faces: np.ndarray) -> Remesh:
-    """A mesh that lies close to the body's mean shape, laid onto it."""
-    face, weights, _ = closest_on_mesh(vertices.astype(np.float64), body.vertices, body.faces)
-    return Remesh(faces.astype(np.int64), body.faces[face], weights)
+    """Project the vertices of a mesh that is close to the body's mean shape onto that shape."""
+    face, barycentric, _ = closest_on_mesh(vertices.astype(np.float64), body.vertices, body.faces)
+    return Remesh(faces.astype(np.int64), body.faces[face], barycentric)
 
 
 def split_faces(faces: Int[np.ndarray, "F 3"], pairs: Int[np.ndarray, "E 2"], count: int) -> Int[np.ndarray, "4*F 3"]:
-    """Four triangles for each: three at the corners and the one between the edges' middles (numbered from `count`)."""
+    """Divide each triangle into four: one at each corner, and one between the midpoints of its edges.
+
+    `pairs` are the sorted edges, `count` is the number of vertices; the midpoint of edge e is vertex `count` + e.
+    """
+    # An edge (a, b), a < b, is found by its key a * count + b in the sorted keys of all edges.
     key = pairs[:, 0] * count + pairs[:, 1]
     sides = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=-1)
     ab, bc, ca = count + np.searchsorted(key, sides[..., 0] * count + sides[..., 1]).T

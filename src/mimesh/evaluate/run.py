@@ -1,4 +1,4 @@
-"""Run methods over a protocol: resumable, with provenance, and with pictures of the worst if wanted."""
+"""Measure methods on a protocol: a resumable run, a report with provenance, and pictures of the worst pairs."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, find_me
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
-from .measure import GIVEN, measure, measure_clip, summary
+from .measure import EXTRA_INPUTS, measure, measure_clip, summary
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 
 FOLDERS = ("cross-body", "clips-aniformer")
-"""Protocols that read a folder."""
+"""Names of the protocols that read a folder."""
 
 
 def evaluate_command(
@@ -38,10 +38,19 @@ def evaluate_command(
     data: Path | None = None,
     refine: bool = False,
 ) -> dict[str, Any]:
-    """What `mimesh evaluate` does: one result row a method and kind of pair; written to `out` as JSON if given.
+    """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
-    With `out`, figures of finished pairs are kept beside it (`<out>.partial`) until all are there, and a run that was
-    stopped goes on from them, but for the methods whose code or weights have changed.
+    With `out` the report is also written as JSON, and the metrics of finished pairs are stored next to it
+    (`<out>.partial`) until the report is complete, so that an interrupted run can be continued, but for the methods
+    whose code or weights have changed.
+
+    Args:
+        pairs: number of pairs of each kind; 0 for the protocol's own.
+        dump: folder for pictures of the worst pairs.
+        data: folder of a protocol that reads one.
+
+    Raises:
+        InputError: an unknown protocol, split or method, or missing data.
     """
     chosen = find_protocol(protocol, data)
     if split not in SPLITS:
@@ -65,8 +74,8 @@ def evaluate_command(
             figures = []
             for i in range(counts[kind]):
                 key = [method, weights, code.get(method), kind, i]
-                known = ledger.get(key)
-                figures.append(known or ledger.put(key, figures_of(chosen.pair(split, kind, i), method, options)))
+                stored = ledger.get(key)
+                figures.append(stored or ledger.put(key, measure_trial(chosen.pair(split, kind, i), method, options)))
                 done += 1
                 if progress is not None:
                     progress(done, total)
@@ -88,57 +97,61 @@ def evaluate_command(
     return report
 
 
-def figures_of(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Figures of one trial, a pair of meshes or a clip."""
+def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Measure a method on one trial, a pair of meshes or a clip, and return its metrics."""
     return measure_clip(trial, method, **options) if isinstance(trial, ClipPair) else measure(trial, method, **options)
 
 
 class PartialReport:
-    """Figures of finished pairs as JSON lines; the first line says what question they answer.
+    """Metrics of finished pairs, stored as JSON lines below a first line with everything that determines them.
 
-    A file with figures that answer another question (other pairs, data or libraries), or that were made by other code
-    than `code` says of their method, is put aside as `<name>.old`; its other figures are taken over.
+    A file of other pairs, data or libraries, or with metrics that were made by other code than `code` has for their
+    method, is renamed to `<name>.old`; its other metrics are taken over.
     """
 
     def __init__(self, path: Path | None, question: dict[str, Any], code: dict[str, int]) -> None:
-        self.path, self.known = path, {}
+        self.path, self.metrics = path, {}
         if path is None:
             return
         lines = list(_whole_lines(path))
         same = bool(lines) and lines[0] == json.loads(json.dumps(question))
-        valid = [(key, figures) for key, figures in lines[1:] if same and code.get(key[0], key[2]) == key[2]]
-        self.known = {json.dumps(key): figures for key, figures in valid}
-        if path.exists() and not (same and len(valid) == len(lines) - 1):
+        current = [(key, figures) for key, figures in lines[1:] if same and code.get(key[0], key[2]) == key[2]]
+        self.metrics = {json.dumps(key): figures for key, figures in current}
+        if path.exists() and not (same and len(current) == len(lines) - 1):
             path.replace(path.with_name(path.name + ".old"))
-        kept = [question, *([json.loads(key), figures] for key, figures in self.known.items())]
+        valid = [question, *([json.loads(key), figures] for key, figures in self.metrics.items())]
         with whole_file(path) as temporary:
-            temporary.write_text("".join(json.dumps(line) + "\n" for line in kept))
+            temporary.write_text("".join(json.dumps(line) + "\n" for line in valid))
 
     def get(self, key: list) -> dict[str, Any] | None:
-        """Figures of a pair, if it was finished before."""
-        return self.known.get(json.dumps(key))
+        """Return the metrics of a pair; None if it has not been measured yet."""
+        return self.metrics.get(json.dumps(key))
 
     def put(self, key: list, figures: dict[str, Any]) -> dict[str, Any]:
-        """Keep the figures of a pair."""
+        """Store the metrics of a pair and return them."""
         if self.path is not None:
             with self.path.open("a") as file:
                 file.write(json.dumps([key, figures]) + "\n")
         return figures
 
     def close(self) -> None:
-        """All is in the report now."""
+        """Delete the file, once the report is written."""
         if self.path is not None:
             self.path.unlink(missing_ok=True)
 
 
 def _whole_lines(path: Path):
     for line in path.read_text().splitlines() if path.exists() else ():
-        with contextlib.suppress(json.JSONDecodeError):  # cut short by a kill
+        with contextlib.suppress(json.JSONDecodeError):  # cut off when the process was killed
             yield json.loads(line)
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
-    """A protocol by name, `data` being the folder that those of FOLDERS read; InputError lists the ones there are."""
+    """Return a protocol by name; `data` is the folder that those of FOLDERS read.
+
+    Raises:
+        InputError: no such protocol, or no folder where one is needed.
+    """
     if name == "cross-body":
         if data is None:
             raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
@@ -166,14 +179,14 @@ def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
 
 
 def fingerprint(method: str) -> int:
-    """Of a network's weights, so that figures of others are never taken for its own; 0 for methods without."""
+    """Return a checksum of a method's weights, which ties metrics to these weights; 0 for methods without weights."""
     path = weights_path(method)
     return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
 
 
 def check_method(method: str) -> None:
-    """Raise InputError, with the names there are, for a method that cannot be measured."""
-    names = sorted({*GIVEN, *MODELS} - {"deformation-transfer"})
+    """Raise InputError, with the known names, for a method that does not exist."""
+    names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
     if method not in (*names, *TABLE_MODELS, *WITHOUT_FIT) and not (
         method.endswith(".onnx") and Path(method).is_file()
     ):
@@ -182,7 +195,7 @@ def check_method(method: str) -> None:
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:
-    """Where and when figures were made: seed, configuration, commit, machine, libraries, date."""
+    """Return where and when metrics were measured: seed, configuration, commit, machine, libraries, date."""
     return {
         "seed": 0,
         "config": config,

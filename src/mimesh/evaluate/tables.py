@@ -1,4 +1,4 @@
-"""Reports as Markdown: any protocol's rows, and the papers' own tables with their figures beside ours."""
+"""Format reports as Markdown tables: the rows of a protocol, and the papers' tables with their values next to ours."""
 
 from __future__ import annotations
 
@@ -12,23 +12,28 @@ from .run import evaluate_command
 
 
 class Row(NamedTuple):
-    """A line of a paper's table: what the paper calls it, our method, and its PMD x1e4 (None: not in the paper)."""
+    """A row of a paper's table."""
 
     label: str
+    """The paper's name of the row, or ours for rows that the paper does not have."""
     method: str
+    """Our method (`measure.result_vertices`)."""
     seen: float | None = None
+    """PMD x1e4 on seen poses that the paper prints; None where it prints none."""
     unseen: float | None = None
+    """The same on unseen poses."""
 
 
 class Table(NamedTuple):
-    """A table of a paper: what it is, the protocol it is measured on (whose first kinds are seen, unseen), its rows."""
+    """A table of a paper."""
 
     title: str
     protocol: str
+    """Name of the protocol that it is measured on, whose first two kinds are `seen` and `unseen`."""
     rows: tuple[Row, ...]
 
 
-LAST = {
+LAST_KIND_COLUMNS = {
     "mm": "mm",
     "edge_score": "edge score",
     "flipped": "flipped",
@@ -39,7 +44,7 @@ LAST = {
     "skate_cm_s": "foot skate, cm/s",
     "seconds_per_frame": "s a pair",
 }
-"""Further columns of a report, for its last kind of pair alone."""
+"""Metric -> heading of the columns that a report has for its last kind of pair only."""
 LONGEST = Row("NPT, the paper's 16 people x 400 poses, longest training", "npt-table", 1.1, 9.3)
 MIME_TABLE = Row("mime (ours, fits the shipped body), same people, poses and training time", "mime-table")
 MIME_TABLE_NETWORK = Row("the same without the body fit: the network alone", "mime-table-network")
@@ -49,7 +54,7 @@ MIME_NETWORK = Row("the same without the body fit: the network alone", "mime-net
 COPY = Row("the driving vertices, true correspondence and size", "copy")
 SAME_TAKES = "random people; poses include frames of the takes of *seen*"
 MIME_ON_CLIPS = Row(f"mime (ours, fits the shipped body): {SAME_TAKES}", "mime")
-"""The seconds of the captures that *seen* is made of are in the training data of the shipped weights too."""
+"""Label of the shipped weights in tables of clips. The captured seconds of *seen* are in their training data too."""
 DENSE = Row("DT, true dense correspondence", "deformation-transfer-dense")
 TABLES = {
     "npt-1": Table(
@@ -136,7 +141,11 @@ def table_command(
     progress: Progress | None = None,
     data: Path | None = None,
 ) -> tuple[dict[str, Any], str]:
-    """What `mimesh table` does: measure the rows of a paper's table (resumable with `out`); report and text."""
+    """Measure the rows of a paper's table (`mimesh table`; resumable with `out`) and return the report and the table.
+
+    Raises:
+        InputError: no such table, a missing network of a row, or missing data.
+    """
     if name not in TABLES:
         raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
     methods = list(dict.fromkeys(row.method for row in TABLES[name].rows))
@@ -145,62 +154,62 @@ def table_command(
 
 
 def paper_table(name: str, *reports: dict[str, Any]) -> str:
-    """A paper's table from reports that hold its rows; what was not measured is said so."""
+    """Format a paper's table from reports; cells without a measurement say "not measured"."""
     table = TABLES[name]
     chosen = [report for report in reports if report["protocol"] == table.protocol]
-    ours = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
+    measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []
     for row in table.rows:
-        cells = [_mean_and_interval(ours.get((row.method, kind))) for kind in ("seen", "unseen")]
-        mine = ours.get((row.method, "unseen"))
-        seconds = _figure(mine, "seconds_per_frame")
+        means = [_mean_and_interval(measured.get((row.method, kind))) for kind in ("seen", "unseen")]
+        unseen = measured.get((row.method, "unseen"))
+        seconds = _cell(unseen, "seconds_per_frame")
         paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
-        facts = [mine.get("given", "-"), mine.get("trained", "-")] if mine else ["-", "-"]
-        more = [_figure(mine, key) for key in ("pmd_e4_median", "mm")]
-        lines.append([row.label, f"`{row.method}`", *paper, *cells, *more, seconds, *facts])
-    ours_head = ("ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "unseen: median", "unseen: mm")
-    head = ["row", *ours_head, "s a mesh", "given", "trained"]
+        described = [unseen.get("given", "-"), unseen.get("trained", "-")] if unseen else ["-", "-"]
+        more = [_cell(unseen, key) for key in ("pmd_e4_median", "mm")]
+        lines.append([row.label, f"`{row.method}`", *paper, *means, *more, seconds, *described])
+    columns = ("ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "unseen: median", "unseen: mm")
+    head = ["row", *columns, "s a mesh", "given", "trained"]
     title = f"{table.title}. PMD (Eq. 7) x1e-4, mean; the paper's figures on SMPL, ours on the shipped body."
-    return f"{title}\n\n" + grid(head, lines)
+    return f"{title}\n\n" + markdown_table(head, lines)
 
 
 def markdown(report: dict[str, Any]) -> str:
-    """One report: a line a method, a column a kind of pair, and further figures of the last kind at the end.
+    """Format a report: one row per method, one column per kind of pair, and further metrics of the last kind.
 
-    Then the same with the errors' tails, where users live.
+    A second table has median, 90th percentile and maximum, because a mean alone hides failures.
     """
     rows = report["results"]
     kinds = list(dict.fromkeys(row["split"] for row in rows))
     methods = list(dict.fromkeys(row["method"] for row in rows))
-    found = {(row["method"], row["split"]): row for row in rows}
-    # Some figures are of clips alone.
-    measured = [name for name in LAST if any(name in row for row in rows)]
-    labels = LAST | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
+    by_kind = {(row["method"], row["split"]): row for row in rows}
+    # Some metrics are defined for clips only.
+    measured = [name for name in LAST_KIND_COLUMNS if any(name in row for row in rows)]
+    labels = LAST_KIND_COLUMNS | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
     counts = dict.fromkeys(str(row["pairs"] + row.get("not_applicable", 0)) for row in rows)
     lines = []
     for method in methods:
-        mine = [found[method, kind] for kind in kinds]
-        cells = [_mean_and_interval(row) for row in mine]
-        tail = [_figure(mine[-1], name) for name in measured]
-        lines.append([f"`{method}`", *cells, *tail, mine[-1].get("given", "-")])
+        of_method = [by_kind[method, kind] for kind in kinds]
+        means = [_mean_and_interval(row) for row in of_method]
+        of_last_kind = [_cell(of_method[-1], name) for name in measured]
+        lines.append([f"`{method}`", *means, *of_last_kind, of_method[-1].get("given", "-")])
     head = ["method", *kinds, *(f"{kinds[-1]}: {labels[name]}" for name in measured), "given"]
     title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
-    tails = [[f"`{method}`", *(_tail(found[method, kind]) for kind in kinds)] for method in methods]
+    tails = [[f"`{method}`", *(_tail(by_kind[method, kind]) for kind in kinds)] for method in methods]
     return (
-        f"{title}, {'/'.join(counts)} pairs a column.\n\n{grid(head, lines)}\n\n"
-        f"Median, 90th percentile and largest of the pairs:\n\n{grid(['method', *kinds], tails)}"
+        f"{title}, {'/'.join(counts)} pairs a column.\n\n{markdown_table(head, lines)}\n\n"
+        f"Median, 90th percentile and largest of the pairs:\n\n{markdown_table(['method', *kinds], tails)}"
     )
 
 
-def grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Format a Markdown table from its head and its rows."""
     rule = ["---"] * len(head)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *lines))
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *rows))
 
 
 def _mean_and_interval(row: dict[str, Any] | None) -> str:
-    """The mean PMD and half of its 95 % interval; over how many pairs, if some are missing."""
-    text = _figure(row, "pmd_e4")
+    """Format the mean PMD and half of its 95 % interval, with the number of pairs where some were not applicable."""
+    text = _cell(row, "pmd_e4")
     if row is not None and "pmd_e4_ci95" in row:
         text += f" ± {row['pmd_e4_ci95']:.2g}"
     if row is not None and row.get("not_applicable") and row["pairs"]:
@@ -209,10 +218,12 @@ def _mean_and_interval(row: dict[str, Any] | None) -> str:
 
 
 def _tail(row: dict[str, Any]) -> str:
-    return " / ".join(_figure(row, f"pmd_e4_{name}") for name in ("median", "p90", "max")) if row["pairs"] else "-"
+    """Format median, 90th percentile and maximum of the PMD."""
+    return " / ".join(_cell(row, f"pmd_e4_{name}") for name in ("median", "p90", "max")) if row["pairs"] else "-"
 
 
-def _figure(row: dict[str, Any] | None, name: str) -> str:
+def _cell(row: dict[str, Any] | None, name: str) -> str:
+    """Format one metric of a row with three digits, or say why there is none."""
     if row is None:
         return "not measured"
     if name not in row:

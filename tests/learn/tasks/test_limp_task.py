@@ -54,7 +54,7 @@ def limp():
 
 def body_mesh(count=2):
     mesh = template()
-    points = torch.from_numpy(mesh.at(load_body().vertices)).float()
+    points = torch.from_numpy(mesh.positions(load_body().vertices)).float()
     return points.expand(count, -1, -1), torch.from_numpy(edges(mesh.faces))
 
 
@@ -62,7 +62,7 @@ def test_the_template_is_a_surface_on_the_bodys_own_vertices():
     mesh = template()
     chosen = mesh.corners[:, 0]
     assert len(np.unique(chosen)) == COUNT == len(np.unique(mesh.faces))
-    assert (mesh.at(load_body().vertices) == load_body().vertices[chosen]).all()
+    assert (mesh.positions(load_body().vertices) == load_body().vertices[chosen]).all()
     corners = np.concatenate([mesh.faces[:, k] for k in ([0, 1], [1, 2], [2, 0])])
     neighbours = np.unique(np.sort(corners, axis=1), axis=0, return_counts=True)[1]
     assert (neighbours <= 2).mean() > 0.99
@@ -134,9 +134,9 @@ def test_a_training_becomes_a_method_for_the_template(tmp_path):
 
 def test_a_trial_on_the_template_is_the_trial_with_fewer_vertices():
     trial = on_template(CLIPS_ANIFORMER.pair("val", "seen", 1))
-    whole = CLIPS_ANIFORMER.whole("val", "seen", 1, np.random.default_rng())
+    whole = CLIPS_ANIFORMER.unshuffled_pair("val", "seen", 1, np.random.default_rng())
     mesh = template()
-    assert np.array_equal(trial.identity.vertices, mesh.at(whole.identity.vertices))
+    assert np.array_equal(trial.identity.vertices, mesh.positions(whole.identity.vertices))
     for ours, theirs in ((trial.clip.vertices, whole.clip.vertices), (trial.truth_frames, whole.truth_frames)):
         assert np.array_equal(ours, theirs[:, mesh.corners[:, 0]])
     assert measure_clip(trial, "copy")["pmd_e4"] == pytest.approx(measure_clip(whole, "copy")["pmd_e4"], rel=0.2)
