@@ -6,7 +6,7 @@ import functools
 import io
 from typing import TYPE_CHECKING, Any
 
-from ..render.textures import decoded
+from ..render.textures import decode_image
 from .encoding import text
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class TextureStore:
 
 @functools.lru_cache(maxsize=16)  # the studio packs the same textures for every result
 def _readable(content: bytes) -> bool:
-    return decoded(content) is not None
+    return decode_image(content) is not None
 
 
 def _kind(content: bytes) -> str:
@@ -62,7 +62,7 @@ def _kind(content: bytes) -> str:
 
 def _halved(content: bytes) -> bytes:
     """A picture of half the width and height, as JPEG; the players paint no transparency."""
-    image, written = decoded(content), io.BytesIO()
+    image, written = decode_image(content), io.BytesIO()
     assert image is not None
     size = [max(side // 2, min(side, SMALLEST)) for side in image.size]
     image.resize((size[0], size[1])).save(written, "JPEG", quality=JPEG_QUALITY)
