@@ -58,7 +58,8 @@ class Camera:
     def project(self, points: Float[np.ndarray, "N 3"], size: tuple[int, int]) -> Float[np.ndarray, "N 3"]:
         """Project points to pixel x (to the right), pixel y (down) and a depth rank.
 
-        The rank is smaller for nearer points and linear on screen: -1 / distance in perspective, else distance. Points behind a perspective eye get NaN.
+        The rank is smaller for nearer points and linear on screen: -1 / distance in perspective, else the distance.
+        Points behind a perspective eye get NaN.
         """
         width, height = size
         x, y, z = ((points - self.eye) @ self.rotmat_camera_world.T).T
