@@ -36,7 +36,7 @@ def stretching(mesh, by):
 def address(tmp_path_factory):
     mesh, folder = textured_cube(), tmp_path_factory.mktemp("page")
     panels = [
-        Panel("identity", Clip.picture_at(mesh)),
+        Panel("identity", Clip.still(mesh)),
         Panel("driving", stretching(zoo.grid(9), 0.8)),
         Panel("result", stretching(mesh, 0.6)),
         Panel("truth", stretching(mesh, 0.9)),
@@ -156,7 +156,7 @@ def test_the_download_gives_the_same_bytes(watched):
 
 
 def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
-    panels = [Panel("mesh", Clip.picture_at(zoo.point_cloud())), Panel("mesh", Clip.picture_at(zoo.cube()))]
+    panels = [Panel("mesh", Clip.still(zoo.point_cloud())), Panel("mesh", Clip.still(zoo.cube()))]
     watched = watch(write_player(tmp_path / "still.html", panels, title="still").as_uri())
     assert not watched.page.locator(".bar").is_visible()
     picture = watched.picture()
@@ -170,7 +170,7 @@ def test_the_shadow_is_below_its_subject(watch, tmp_path):
     slab = slab.vertices * [0.6, 0.1, 0.6] + [-0.8, 0.5, 0]
     vertices = np.concatenate([slab, small.vertices * 0.05 + [1, 0, 0]])
     mesh = Mesh(vertices, np.concatenate([small.faces, small.faces + len(slab)]))
-    page = write_player(tmp_path / "shadow.html", [Panel("mesh", Clip.picture_at(mesh), front="+z")], title="shadow")
+    page = write_player(tmp_path / "shadow.html", [Panel("mesh", Clip.still(mesh), front="+z")], title="shadow")
     watched = watch(page.as_uri())
     pictures = [watched.picture()]
     for name in ("subject", "shadow.floor"):

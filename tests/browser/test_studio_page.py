@@ -181,15 +181,15 @@ def test_the_slider_shows_poses_while_the_clip_is_computed(fresh, files, studio,
     page.wait_for_selector(".panel.waiting", timeout=30_000)
     wait_and_pause(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
-    page.wait_for_function("() => mimesh.stage.views.at(-1).panel.held")
+    page.wait_for_function("() => mimesh.stage.views.at(-1).panel.fixedPose")
     assert page.locator(".panel-result.waiting.posed").count() == 1, "the caption says that it is a pose only"
     first = fresh.picture(".panel-result")
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
-    page.wait_for_function("() => mimesh.live.asking.size === 0")
+    page.wait_for_function("() => mimesh.live.requests.size === 0")
     assert changed_pixels(first, fresh.picture(".panel-result")) > 500
     proceed.set()
     page.wait_for_selector(HERO, timeout=30_000)
-    page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.held")
+    page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.fixedPose")
 
 
 def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):

@@ -32,7 +32,7 @@ PAGE = """<!doctype html>
 </head>
 <body>
 <div id="mimesh">
-<noscript><p class="refusal">This page draws with JavaScript, which is switched off here.</p></noscript>
+<noscript><p class="refusal">This page needs JavaScript, which is switched off in this browser.</p></noscript>
 </div>
 <script type="application/json" id="mimesh-scene">{scene}</script>
 <script>{script}</script>

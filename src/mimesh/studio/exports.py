@@ -115,7 +115,7 @@ def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, prog
 
 def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
     if not results:
-        raise InputError("export: expected a result, found none; add a mesh to move and what to imitate")
+        raise InputError("export: expected a result, found none; add a mesh to move and a driving motion")
     moving = len(results[0][2].clip) > 1
     suffixes = [entry["suffix"] for entry in formats(moving)]
     if export.suffix not in suffixes:

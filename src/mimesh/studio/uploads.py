@@ -276,7 +276,7 @@ def find_meshes(files: list[Path]) -> list[Path]:
     if len(found) > MOST_MESHES:
         raise InputError(
             f"{found[0].name}: expected {MOST_MESHES} meshes or fewer to move, found {len(found)}; "
-            "add the frames of a clip under What to imitate"
+            "add the frames of a clip under Driving motion"
         )
     return found
 
