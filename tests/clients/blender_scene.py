@@ -142,7 +142,7 @@ def stopped(until):
     from bl_ext.user_default.mimesh import operator
 
     before = counts()
-    work = operator.move(bpy.context, FRAMES, False)
+    work = operator.transfer(bpy.context, FRAMES, False)
     for _, text in work:
         if until in text:
             break
@@ -180,7 +180,7 @@ def clicked(escape_at):
     """Click on Animate, and press Esc at the first text that has this in it."""
     from bl_ext.user_default.mimesh import operator
 
-    methods = {name: value for name, value in vars(operator._Moves).items() if callable(value)}
+    methods = {name: value for name, value in vars(operator._TransferOperator).items() if callable(value)}
     button = type("Button", (), methods | {"still": False, "report": print})()
     button.frames = lambda context: FRAMES
     before, window, timer = counts(), Window(), SimpleNamespace(type="TIMER")
