@@ -1,9 +1,9 @@
-"""The studio's desk: how soon a file that was chosen is seen to move, and whether memory levels off.
+"""The studio without a browser: seconds until a chosen file is posed and moved, and whether memory levels off.
 
     python benchmarks/studio.py [-o FILE]
 
 A character as .glb and the shipped jump as .glb, with mime, one core. `first_pose_s` and `whole_clip_s` begin when both
-files are on the disk. Then rounds: load both anew, change the model, change an option, export, pack the scene, remove.
+files are on the disk. Then rounds: load both files, change the model, change an option, export, pack the scene, remove.
 Memory is that of this process, after each round.
 """
 
@@ -24,9 +24,9 @@ from mimesh.core.mesh import Clip
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.studio import make_desk
+from mimesh.studio import make_session
 from mimesh.studio.session import Item, Session
-from mimesh.studio.state import described, scene
+from mimesh.studio.state import describe, scene
 from mimesh.tools.demo import played
 
 ROUNDS = 10
@@ -62,21 +62,21 @@ def write_inputs(folder: Path) -> tuple[Path, Path, Path]:
 def latency(hero: Path, jump: Path) -> dict[str, float]:
     """Measure seconds to the first pose and to the whole clip in the second run; the first run loads the networks."""
     for _ in range(2):
-        desk, begin = make_desk([], LIMIT), time.perf_counter()
-        item = laid(desk, hero, jump)
-        driving = desk.driving
+        session, begin = make_session([], LIMIT), time.perf_counter()
+        item = add_files(session, hero, jump)
+        driving = session.driving
         assert driving is not None
         until(lambda item=item, driving=driving: item.content is not None and driving.content is not None)
         read = time.perf_counter() - begin
-        desk.pose(item.number, 0).result()
+        session.pose(item.number, 0).result()
         first = time.perf_counter() - begin
         until(lambda item=item: item.outcome is not None and item.outcome.current)
         whole = time.perf_counter() - begin
         frames = len(driving.content) if isinstance(driving.content, Clip) else 1
         begin = time.perf_counter()
-        packed = scene(desk)
+        packed = scene(session)
         pack = time.perf_counter() - begin
-        desk.close()
+        session.close()
     found = {"read_s": read, "first_pose_s": first, "whole_clip_s": whole, "scene_s": pack}
     size = len(json.dumps(packed)) / 2**20
     return {"frames": frames, **{name: round(value, 2) for name, value in found.items()}, "scene_mib": round(size, 1)}
@@ -84,28 +84,28 @@ def latency(hero: Path, jump: Path) -> dict[str, float]:
 
 def memory(hero: Path, short: Path) -> dict[str, list[int]]:
     """Return the memory (MiB) of this process after each round."""
-    desk, after = make_desk([], LIMIT), []
+    session, after = make_session([], LIMIT), []
     for _ in range(ROUNDS):
-        item = laid(desk, hero, short)
+        item = add_files(session, hero, short)
         for options in ({"model": "copy"}, {"model": "mime"}, {"root": "keep"}, {"root": "scale"}):
-            desk.set_options(options)
+            session.set_options(options)
             until(lambda item=item: item.outcome is not None and (item.outcome.current or bool(item.outcome.error)))
-        number = desk.export(".glb", [], True, None)
-        until(lambda number=number: desk.exports[number].path is not None or bool(desk.exports[number].error))
-        scene(desk)
-        described(desk)
-        desk.remove(item.number)
+        number = session.export(".glb", [], True, None)
+        until(lambda number=number: session.exports[number].path is not None or bool(session.exports[number].error))
+        scene(session)
+        describe(session)
+        session.remove(item.number)
         gc.collect()
         after.append(resident())
-    desk.close()
+    session.close()
     return {"resident_mib": after}
 
 
-def laid(desk: Session, hero: Path, clip: Path) -> Item:
-    """Both files on the desk, as if they had been chosen."""
-    desk.set_driving(clip, clip.name)
-    (number,) = desk.add_identities([hero])
-    return desk.identities[number]
+def add_files(session: Session, hero: Path, clip: Path) -> Item:
+    """Add both files to the session, as if they had been chosen on the page."""
+    session.set_driving(clip, clip.name)
+    (number,) = session.add_identities([hero])
+    return session.identities[number]
 
 
 def until(met: Callable[[], bool]) -> None:

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""mimesh in Blender: an object takes over the pose or motion of another.
+"""mimesh in Blender: transfers the pose or motion of one object to another.
 
-`panel.py` shows `properties.py`; `operator.py` reads the scene (`reading.py`), lets mimesh work in a thread (`job.py`)
-and builds the result (`building.py`). mimesh itself comes as a wheel and is imported when first used.
+`panel.py` shows the properties of `properties.py`; `operator.py` reads the scene (`reading.py`), runs mimesh in a
+thread (`job.py`) and builds the result (`building.py`, `animating.py`). mimesh itself is a wheel in
+the extension, imported when first used.
 """
 
 import bpy
 
 from .operator import MIMESH_OT_animate, MIMESH_OT_pose
-from .panel import MIMESH_PT_axes, MIMESH_PT_main, MIMESH_PT_travel
+from .panel import MIMESH_PT_axes, MIMESH_PT_main, MIMESH_PT_motion
 from .properties import MimeshProgress, MimeshSettings
 
 CLASSES = (
@@ -17,7 +18,7 @@ CLASSES = (
     MIMESH_OT_animate,
     MIMESH_OT_pose,
     MIMESH_PT_main,
-    MIMESH_PT_travel,
+    MIMESH_PT_motion,
     MIMESH_PT_axes,
 )
 

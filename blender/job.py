@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""mimesh at work in a thread of its own, which touches nothing of Blender, says how far it is and can be stopped."""
+"""Runs mimesh in a thread that does not access Blender's data, reports progress and can be cancelled."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from mimesh import Clip, ClipResult, Mesh
 
-CONTROLS = {
+PANEL_NAMES = {
     "give --driving-front": "choose a front of the driving (Facing)",
     "give --front": "choose a front of the identity (Facing)",
     "choose it with -m": "choose it as the model",
     "--skinned": "Armature",
 }
-"""What messages of mimesh say to those at the command line, and what it is called here."""
+"""Replacements in messages: options of the command line by names of the panel."""
 
 
 class Cancelled(Exception):
-    """Raised inside the work once nobody wants its result."""
+    """Raised inside a cancelled job."""
 
 
 class Job:
-    """One call of `mimesh.animate`.
+    """One call of `mimesh.animate` in a thread.
 
-    `fraction` goes from 0 to 1; once `running` is false, `result` gives what came out or raises what went wrong.
+    `fraction` is the progress from 0 to 1; once `running` is false, `result` returns the result or raises the error.
     """
 
     def __init__(self, identity: Mesh, driving: Clip, options: dict) -> None:
@@ -33,18 +33,18 @@ class Job:
         self._inputs = identity, driving, options
         self._result: ClipResult | None = None
         self._error: Exception | None = None
-        self._unwanted = threading.Event()
+        self._cancelled = threading.Event()
         self._thread = threading.Thread(target=self._work, name="mimesh", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
 
     def cancel(self) -> None:
-        """Stop the work at its next step; the caller need not wait for that."""
-        self._unwanted.set()
+        """Stop at the next frame; returns at once."""
+        self._cancelled.set()
 
     def wait(self, seconds: float) -> None:
-        """Wait for the end, but no longer than so many seconds."""
+        """Wait for the end, for at most so many seconds."""
         self._thread.join(seconds)
 
     @property
@@ -52,14 +52,14 @@ class Job:
         return self._thread.is_alive()
 
     def result(self) -> ClipResult:
-        """What `mimesh.animate` gave.
+        """Return the result of `mimesh.animate`.
 
         Raises:
-            InputError: what it raised, as any other error of it.
+            InputError: as `mimesh.animate`; any other error of it, too.
         """
         if self._error is not None:
             raise self._error
-        assert self._result is not None, "the work has not ended"
+        assert self._result is not None, "the job has not ended"
         return self._result
 
     def _work(self) -> None:
@@ -68,17 +68,17 @@ class Job:
             import mimesh
 
             self._result = mimesh.animate(identity, driving, progress=self._progress, **options)
-        except Exception as error:  # raised again by `result`, in the thread that can tell the user
+        except Exception as error:  # raised again by `result`, in the main thread
             self._error = error
 
     def _progress(self, done: int, total: int) -> None:
-        if self._unwanted.is_set():
+        if self._cancelled.is_set():
             raise Cancelled
         self.fraction = done / total
 
 
-def spoken(message: str) -> str:
-    """A message of mimesh in the words of the panel."""
-    for option, name in CONTROLS.items():
+def panel_message(message: str) -> str:
+    """Adapt a message of mimesh to the names of the panel."""
+    for option, name in PANEL_NAMES.items():
         message = message.replace(option, name)
     return message

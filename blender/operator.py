@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The two buttons: read the scene, let mimesh work, build the result; in steps between which the window lives.
+"""The two operators: read the scene, run mimesh, build the result, in steps between which the window responds.
 
-From a script, `bpy.ops.mimesh.animate()` does the same without a window and comes back when all is done; what it works
-on is in `scene.mimesh`.
+From a script, `bpy.ops.mimesh.animate()` does the same without a window and returns when all is done. The settings are
+in `scene.mimesh`.
 """
 
 from __future__ import annotations
@@ -16,21 +16,24 @@ import bpy
 from bpy.types import Context, Event, Operator
 
 from . import building, reading
-from .job import Job, spoken
+from .job import Job, panel_message
 
 if TYPE_CHECKING:
     from mimesh import Clip
 
 TICK = 0.05
-"""Seconds between two looks at the work, and the longest that the window waits for it."""
-READ = 0.5
-"""Share of the progress bar for playing the scene."""
+"""Seconds between two checks of the job, and the longest time that a step blocks the window."""
+READ_SHARE = 0.5
+"""Share of the progress bar for reading the scene."""
 Step = tuple[float, str]
-"""How far the work is (0 to 1), and what comes next."""
+"""Progress (0 to 1), and a description of the next step."""
 
 
-def move(context: Context, frames: range, still: bool) -> Generator[Step, None, tuple[str, ...]]:
-    """All of it, by the scene's settings; returns mimesh's notes. Closing it half-way leaves the scene as it was."""
+def transfer(context: Context, frames: range, single_pose: bool) -> Generator[Step, None, tuple[str, ...]]:
+    """Run a whole transfer with the scene's settings; yields steps and returns mimesh's notes.
+
+    If the generator is closed half-way, the scene is not changed.
+    """
     settings = context.scene.mimesh
     source = settings.identity
     yield 0.0, "mimesh: reading the scene"
@@ -40,33 +43,34 @@ def move(context: Context, frames: range, still: bool) -> Generator[Step, None, 
     job.start()
     try:
         while job.running:
-            yield READ + (1 - READ) * job.fraction, "mimesh: moving the identity"
+            yield READ_SHARE + (1 - READ_SHARE) * job.fraction, "mimesh: moving the identity"
             job.wait(TICK)
     finally:
         job.cancel()
     result = job.result()
     yield 1.0, "mimesh: building the result"
-    moved = building.Moved(source, identity, result, frames, still)
+    built = building.Transfer(source, identity, result, frames, single_pose)
     if settings.result == "ARMATURE":
-        building.build_armature(context, moved)
+        building.build_armature(context, built)
     else:
-        building.build_shape_keys(context, moved)
-    return tuple(note for note in result.notes if not (still and "has one frame" in note))
+        building.build_shape_keys(context, built)
+    return tuple(note for note in result.notes if not (single_pose and "has one frame" in note))
 
 
 def _read_driving(context: Context, frames: range) -> Generator[Step, None, Clip]:
-    sampling = reading.sample(context, context.scene.mimesh.driving, frames)
-    with contextlib.closing(sampling):
+    """Read the driving object; yields a step per frame and returns the clip."""
+    reader = reading.read_clip(context, context.scene.mimesh.driving, frames)
+    with contextlib.closing(reader):
         while True:
             try:
-                done = next(sampling)
+                done = next(reader)
             except StopIteration as end:
                 return end.value
-            yield READ * done / len(frames), f"mimesh: reading frame {done} of {len(frames)}"
+            yield READ_SHARE * done / len(frames), f"mimesh: reading frame {done} of {len(frames)}"
 
 
-class _Moves(Operator):
-    """Copy the identity and make the copy move; see the subclasses."""
+class _TransferOperator(Operator):
+    """Base of the operators: a copy of the identity gets the pose or motion of the driving."""
 
     bl_options = frozenset({"UNDO"})
 
@@ -99,27 +103,27 @@ class _Moves(Operator):
             self._end(context)
             return {"CANCELLED"}
         if event.type != "TIMER":
-            return {"RUNNING_MODAL"}  # the scene stays as it is while it is read and its result is on the way
-        outcome: set[str] | None = {"CANCELLED"}
+            return {"RUNNING_MODAL"}  # block other events, which could change the scene while it is read
+        status: set[str] | None = {"CANCELLED"}
         try:
-            outcome = self._advance(time.monotonic() + TICK, context)
+            status = self._advance(time.monotonic() + TICK, context)
         finally:
-            if outcome is not None:
+            if status is not None:
                 self._end(context)
-        return outcome or {"RUNNING_MODAL"}
+        return status or {"RUNNING_MODAL"}
 
     def execute(self, context: Context) -> set[str]:
         self._steps = self._work(context)
-        outcome = self._advance(float("inf"), context)
-        assert outcome is not None
-        return outcome
+        status = self._advance(float("inf"), context)
+        assert status is not None
+        return status
 
     def cancel(self, context: Context) -> None:
-        """Blender itself ends the operator, for instance as it quits."""
+        """Called when Blender itself ends the operator, for instance when it quits."""
         self._end(context)
 
     def _advance(self, until: float, context: Context) -> set[str] | None:
-        """Take steps up to that time of `time.monotonic`; how it ended, or None if it has not."""
+        """Run steps until a time of `time.monotonic`; return the operator's status, or None if steps are left."""
         from mimesh import InputError
 
         try:
@@ -128,14 +132,14 @@ class _Moves(Operator):
                 if time.monotonic() >= until:
                     return None
         except InputError as error:
-            self.report({"ERROR"}, spoken(str(error)))
+            self.report({"ERROR"}, panel_message(str(error)))
             return {"CANCELLED"}
         return {"FINISHED"}
 
     def _work(self, context: Context) -> Iterator[Step]:
-        notes = yield from move(context, self.frames(context), self.still)
+        notes = yield from transfer(context, self.frames(context), self.single_pose)
         for note in notes:
-            self.report({"WARNING"}, spoken(note))
+            self.report({"WARNING"}, panel_message(note))
 
     def _show(self, context: Context, fraction: float, text: str) -> None:
         if bpy.app.background or context.window is None:
@@ -155,23 +159,23 @@ class _Moves(Operator):
         self._show(context, 0.0, "")
 
 
-class MIMESH_OT_animate(_Moves):
+class MIMESH_OT_animate(_TransferOperator):
     """Make a copy of the identity move as the driving does"""
 
     bl_idname = "mimesh.animate"
     bl_label = "Animate"
-    still = False
+    single_pose = False
 
     def frames(self, context: Context) -> range:
         return context.scene.mimesh.frames(context.scene)
 
 
-class MIMESH_OT_pose(_Moves):
+class MIMESH_OT_pose(_TransferOperator):
     """Give a copy of the identity the pose that the driving has now"""
 
     bl_idname = "mimesh.pose"
     bl_label = "Pose"
-    still = True
+    single_pose = True
 
     def frames(self, context: Context) -> range:
         return range(context.scene.frame_current, context.scene.frame_current + 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tab "mimesh" in the sidebar of the 3D view: two pickers, a few choices, two buttons."""
+"""The tab "mimesh" in the sidebar of the 3D view: two object fields, options, two buttons."""
 
 from bpy.types import Context, Panel, UILayout
 
@@ -27,7 +27,7 @@ class MIMESH_PT_main(_Sidebar, Panel):
         _draw_buttons(self.layout, context)
 
 
-class MIMESH_PT_travel(_Sidebar, Panel):
+class MIMESH_PT_motion(_Sidebar, Panel):
     bl_label = "Motion"
     bl_parent_id = "MIMESH_PT_main"
     bl_options = frozenset({"DEFAULT_CLOSED"})
@@ -54,7 +54,7 @@ class MIMESH_PT_axes(_Sidebar, Panel):
 
 
 def _form(layout: UILayout, context: Context) -> tuple[UILayout, MimeshSettings]:
-    """A layout with names on the left and no dots for keyframes, and what it shows."""
+    """Set up a layout with names on the left and without keyframe buttons; returns it and the settings."""
     layout.use_property_split = True
     layout.use_property_decorate = False
     return layout, context.scene.mimesh
@@ -70,7 +70,7 @@ def _draw_range(layout: UILayout, settings: MimeshSettings) -> None:
 
 
 def _draw_buttons(layout: UILayout, context: Context) -> None:
-    """The buttons, or how far the work is that one of them began."""
+    """Draw the buttons, or the progress while one of them is running."""
     progress = context.window_manager.mimesh
     if progress.text:
         layout.progress(factor=progress.fraction, text=progress.text)

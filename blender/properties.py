@@ -1,58 +1,62 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the user chooses, kept with the scene, and how far the work is, kept with the window."""
+"""The user's settings, stored with the scene, and the progress, stored with the window manager."""
 
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import Object, PropertyGroup
 
 MODELS = (
-    ("mime", "mime", "Reads the joints of both meshes and turns the one's as the other's; the best, made for people"),
-    ("skeleton", "skeleton", "Fits a person to both meshes, frame by frame; takes seconds a frame"),
+    ("mime", "mime", "Predicts joints and skinning weights of both meshes; fast, made for people"),
+    ("skeleton", "skeleton", "Fits a body model to both meshes, frame by frame; takes seconds per frame"),
     ("npt", "NPT", "Neural Pose Transfer (2020), frame by frame"),
     ("npt-maxpool", "NPT, max-pooled", "Its variant with one pose code"),
     ("aniformer", "AniFormer", "AniFormer (2021), three frames at once"),
 )
 RESULTS = (
-    ("SHAPE_KEYS", "Shape keys", "One shape key a frame, on a copy of the mesh"),
+    ("SHAPE_KEYS", "Shape keys", "One shape key per frame, on a copy of the mesh"),
     ("ARMATURE", "Armature", "Bones, weights and an action, on a copy of the mesh (mime only)"),
 )
 ROOTS = (
-    ("scale", "As far as its legs go", "The way over the ground is as much longer or shorter as the legs are"),
-    ("keep", "As far as the driving", "The way over the ground is that of the driving"),
-    ("drop", "In place", "No way over the ground"),
+    ("scale", "Scaled by leg length", "Distances on the ground are scaled by the ratio of leg lengths"),
+    ("keep", "As far as the driving", "Distances on the ground are those of the driving"),
+    ("drop", "In place", "No motion along the ground"),
 )
 AXES = tuple((axis, axis.upper(), f"{axis} of world space") for axis in ("+x", "-x", "+y", "-y", "+z", "-z"))
-FRONTS = (("auto", "Found", "Found from the shape"), *AXES)
+FRONTS = (("auto", "Detected", "Detected from the shape"), *AXES)
 
 
-def _shows_a_mesh(settings: PropertyGroup, candidate: Object) -> bool:
+def _is_mesh(settings: PropertyGroup, candidate: Object) -> bool:
     return candidate.type == "MESH"
 
 
-def _may_drive(settings: PropertyGroup, candidate: Object) -> bool:
+def _can_drive(settings: PropertyGroup, candidate: Object) -> bool:
     return candidate.type in {"MESH", "ARMATURE", "EMPTY"}
 
 
 class MimeshSettings(PropertyGroup):
-    """One transfer."""
+    """Settings of a transfer."""
 
     identity: PointerProperty(
-        name="Identity", type=Object, poll=_shows_a_mesh, description="Mesh to be moved; it stays, a copy of it moves"
+        name="Identity", type=Object, poll=_is_mesh, description="Mesh to move; it is not changed, a copy of it moves"
     )
     driving: PointerProperty(
         name="Driving",
         type=Object,
-        poll=_may_drive,
-        description="What it imitates, however that is moved: a mesh, or an armature or empty and the meshes below it",
+        poll=_can_drive,
+        description="Object with the motion: an animated mesh, or an armature or empty with its child meshes",
     )
     model: EnumProperty(name="Model", items=MODELS, default="mime")
     result: EnumProperty(name="Result", items=RESULTS, default="SHAPE_KEYS")
-    use_scene_range: BoolProperty(name="Scene range", default=True, description="Take the frames that the scene plays")
+    use_scene_range: BoolProperty(name="Scene range", default=True, description="Use the frame range of the scene")
     frame_start: IntProperty(name="Start", default=1)
     frame_end: IntProperty(name="End", default=250)
-    frame_step: IntProperty(name="Step", default=1, min=1, description="Take every so many frames")
-    root: EnumProperty(name="Way", items=ROOTS, default="scale", description="How far it goes (mime only)")
+    frame_step: IntProperty(name="Step", default=1, min=1, description="Use every n-th frame")
+    root: EnumProperty(
+        name="Root motion", items=ROOTS, default="scale", description="Motion along the ground (mime only)"
+    )
     ground: BoolProperty(
-        name="Keep feet on the ground", default=False, description="Feet stay where they stand (mime only)"
+        name="Keep feet on the ground",
+        default=False,
+        description="Feet do not slide while they touch the ground (mime only)",
     )
     smooth: FloatProperty(
         name="Smooth",
@@ -62,7 +66,7 @@ class MimeshSettings(PropertyGroup):
         subtype="TIME_ABSOLUTE",
         unit="TIME_ABSOLUTE",
         precision=3,
-        description="Average turns and ways over so many seconds (mime only)",
+        description="Average rotations and positions over so many seconds (mime only)",
     )
     identity_up: EnumProperty(name="Up", items=AXES, default="+z", description="Up of the identity in world space")
     identity_front: EnumProperty(
@@ -74,13 +78,13 @@ class MimeshSettings(PropertyGroup):
     )
 
     def frames(self, scene) -> range:
-        """Frames of the scene that are taken."""
+        """Return the frames of the scene to be used."""
         if self.use_scene_range:
             return range(scene.frame_start, scene.frame_end + 1, self.frame_step)
         return range(self.frame_start, self.frame_end + 1, self.frame_step)
 
     def options(self) -> dict:
-        """What `mimesh.animate` is given besides the meshes; options that only mime has go to no other model."""
+        """Return the keyword arguments of `mimesh.animate`; options of mime are left out for other models."""
         fronts = [None if front == "auto" else front for front in (self.identity_front, self.driving_front)]
         options = {
             "model": self.model,
@@ -96,7 +100,7 @@ class MimeshSettings(PropertyGroup):
 
 
 class MimeshProgress(PropertyGroup):
-    """How far the work is, for the panel."""
+    """Progress of the running operator, for the panel; the text is empty without one."""
 
     text: StringProperty(options={"SKIP_SAVE"})
     fraction: FloatProperty(min=0.0, max=1.0, options={"SKIP_SAVE"})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From Blender's objects to mimesh's arrays: meshes in world space, z up, as the dependency graph shows them."""
+"""Reads Blender's objects into mimesh's arrays: evaluated meshes in world space, z up."""
 
 from __future__ import annotations
 
@@ -14,41 +14,41 @@ import numpy as np
 if TYPE_CHECKING:
     from mimesh import Clip, Mesh
 
-MOVERS = {"ARMATURE", "MESH_CACHE", "MESH_SEQUENCE_CACHE"}
-"""Modifiers that pose a mesh: the identity is read without them."""
+POSE_MODIFIERS = {"ARMATURE", "MESH_CACHE", "MESH_SEQUENCE_CACHE"}
+"""Types of modifiers that pose a mesh: the identity is read without them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identity:
-    """The mesh to be moved, as it stands."""
+    """The mesh to move, at rest."""
 
     mesh: Mesh
     """In world space."""
     baked: bool
-    """Whether its modifiers are in its vertices: they keep the vertex count; else they come after the motion."""
+    """Whether its modifiers are applied to the vertices, because they keep their number; else they stay modifiers."""
 
 
 def read_identity(context: bpy.types.Context, source: bpy.types.Object) -> Identity:
-    """The object at rest: its shape keys and what poses it are left out, its other modifiers keep their say."""
+    """Read an object at rest: without shape keys and POSE_MODIFIERS, with its other modifiers applied if possible."""
     from mimesh import Mesh
 
-    rested = rest(source)
-    context.scene.collection.objects.link(rested)
+    copy = rest_copy(source)
+    context.scene.collection.objects.link(copy)
     try:
-        vertices, faces = _shown(rested.evaluated_get(context.evaluated_depsgraph_get()))
-        baked = len(vertices) == len(rested.data.vertices)
+        vertices, faces = _read_evaluated(copy.evaluated_get(context.evaluated_depsgraph_get()))
+        baked = len(vertices) == len(copy.data.vertices)
         if not baked:
-            vertices, faces = _vertices(rested.data, rested.matrix_world), _faces(rested.data, rested.matrix_world)
+            vertices, faces = _vertices(copy.data, copy.matrix_world), _faces(copy.data, copy.matrix_world)
     finally:
-        data = rested.data
-        bpy.data.objects.remove(rested)
+        data = copy.data
+        bpy.data.objects.remove(copy)
         bpy.data.meshes.remove(data)
     return Identity(Mesh(vertices, faces, name=source.name), baked)
 
 
-def rest(source: bpy.types.Object) -> bpy.types.Object:
-    """A copy of the object with a mesh of its own, unlinked: at rest, held by nothing, where the object is now."""
-    place = source.matrix_world.copy()
+def rest_copy(source: bpy.types.Object) -> bpy.types.Object:
+    """Copy an object and its mesh, unlinked: at rest, without animation, constraints and parent, at its position."""
+    matrix = source.matrix_world.copy()
     copy = source.copy()
     copy.data = source.data.copy()
     copy.animation_data_clear()
@@ -60,20 +60,20 @@ def rest(source: bpy.types.Object) -> bpy.types.Object:
         copy.shape_key_clear()
         bpy.data.batch_remove([keys])
         copy.data.vertices.foreach_set("co", points)
-    for modifier in [one for one in copy.modifiers if one.type in MOVERS]:
+    for modifier in [modifier for modifier in copy.modifiers if modifier.type in POSE_MODIFIERS]:
         copy.modifiers.remove(modifier)
     copy.constraints.clear()
-    copy.hide_viewport = False  # what is hidden is not evaluated
+    copy.hide_viewport = False  # hidden objects are not evaluated
     copy.parent = None
-    copy.matrix_world = place
+    copy.matrix_world = matrix
     return copy
 
 
 def driving_meshes(context: bpy.types.Context, source: bpy.types.Object) -> list[bpy.types.Object]:
-    """The mesh itself; or the visible meshes under an armature or empty, or deformed by that armature.
+    """List the driving meshes: the object itself, or visible meshes that are its children or deformed by it.
 
     Raises:
-        InputError: there is none to be seen.
+        InputError: there is no visible mesh.
     """
     from mimesh import InputError
 
@@ -81,24 +81,26 @@ def driving_meshes(context: bpy.types.Context, source: bpy.types.Object) -> list
         found = [source]
     else:
         context.view_layer.update()
-        under = set(source.children_recursive)
+        children = set(source.children_recursive)
         found = [
-            one for one in context.view_layer.objects if one.type == "MESH" and (one in under or _held(one, source))
+            candidate
+            for candidate in context.view_layer.objects
+            if candidate.type == "MESH" and (candidate in children or _is_deformed_by(candidate, source))
         ]
-    found = [one for one in found if one.visible_get()]
+    found = [candidate for candidate in found if candidate.visible_get()]
     if not found:
         raise InputError(f"{source.name}: expected a visible mesh, found none in it; show it or choose another driving")
     return found
 
 
-def sample(context: bpy.types.Context, source: bpy.types.Object, frames: range) -> Generator[int, None, Clip]:
-    """Play the scene over the frames; yields how many are read, returns the clip of them in world space.
+def read_clip(context: bpy.types.Context, source: bpy.types.Object, frames: range) -> Generator[int, None, Clip]:
+    """Read the frames of the scene; yields the number of frames read, returns the clip in world space.
 
-    The scene is back at its own frame afterwards, also when the caller stops half-way. The one frame that is shown is
-    read without playing, so that a pose without keys counts.
+    The scene is set back to its current frame afterwards, also when the caller stops half-way. The current frame alone
+    is read without setting it, so that a pose without keys is not lost.
 
     Raises:
-        InputError: no frames, nothing visible, or vertices that come and go.
+        InputError: no frames, no visible mesh, or a number of vertices that changes.
     """
     from mimesh import Clip, InputError, Mesh
     from mimesh.core.frame_buffer import PAGED, allocate_frames, release_pages
@@ -106,51 +108,51 @@ def sample(context: bpy.types.Context, source: bpy.types.Object, frames: range) 
     if not frames:
         raise InputError("frames: expected a first frame before the last, found none between them; change the range")
     objects = driving_meshes(context, source)
-    vertices, faces = _joined(context, objects)
-    kept = allocate_frames(len(frames), len(vertices), np.float32)
-    with _played(context.scene, frames) as shown:
-        for done, frame in enumerate(shown):
-            vertices = _joined(context, objects)[0]
-            if vertices.shape != kept.shape[1:]:
+    vertices, faces = _read_objects(context, objects)
+    positions = allocate_frames(len(frames), len(vertices), np.float32)
+    with _set_frames(context.scene, frames) as frame_numbers:
+        for done, frame in enumerate(frame_numbers):
+            vertices = _read_objects(context, objects)[0]
+            if vertices.shape != positions.shape[1:]:
                 raise InputError(
-                    f"{source.name}: expected {kept.shape[1]} vertices in every frame, found {len(vertices)} in frame "
-                    f"{frame}; switch off modifiers that change the topology, or take other frames"
+                    f"{source.name}: expected {positions.shape[1]} vertices in every frame, found {len(vertices)} in "
+                    f"frame {frame}; switch off modifiers that change the topology, or take other frames"
                 )
-            kept[done] = vertices
+            positions[done] = vertices
             if done % PAGED == 0:
-                release_pages(kept)
+                release_pages(positions)
             yield done + 1
     fps = context.scene.render.fps / context.scene.render.fps_base / frames.step
-    return Clip(Mesh(kept[0].astype(np.float64), faces, name=source.name), kept, fps)
+    return Clip(Mesh(positions[0].astype(np.float64), faces, name=source.name), positions, fps)
 
 
 @contextlib.contextmanager
-def _played(scene: bpy.types.Scene, frames: range) -> Iterator[Iterator[int]]:
-    """The frames, each shown as it comes; afterwards the scene shows what it showed."""
+def _set_frames(scene: bpy.types.Scene, frames: range) -> Iterator[Iterator[int]]:
+    """Yield an iterator that sets the scene to each frame; afterwards the scene is set back to its current one."""
     frame, subframe = scene.frame_current, scene.frame_subframe
     if list(frames) == [frame]:
         yield iter(frames)
         return
     try:
-        yield (scene.frame_set(one) or one for one in frames)
+        yield (scene.frame_set(number) or number for number in frames)
     finally:
         scene.frame_set(frame, subframe=subframe)
 
 
-def _joined(context: bpy.types.Context, objects: list[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (V, 3) and triangles (F, 3) of all objects together, as they are shown now."""
+def _read_objects(context: bpy.types.Context, objects: list[bpy.types.Object]) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices (V, 3) and triangles (F, 3) of all objects together, in the current frame."""
     graph = context.evaluated_depsgraph_get()
     vertices, faces, count = [], [], 0
-    for one in objects:
-        points, corners = _shown(one.evaluated_get(graph))
+    for source in objects:
+        points, corners = _read_evaluated(source.evaluated_get(graph))
         vertices.append(points)
         faces.append(corners + count)
         count += len(points)
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _shown(evaluated: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of an evaluated object in world space."""
+def _read_evaluated(evaluated: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and triangles of an evaluated object in world space."""
     mesh = evaluated.to_mesh()
     arrays = _vertices(mesh, evaluated.matrix_world), _faces(mesh, evaluated.matrix_world)
     evaluated.to_mesh_clear()
@@ -158,15 +160,15 @@ def _shown(evaluated: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _vertices(mesh: bpy.types.Mesh, matrix_world) -> np.ndarray:
-    """Vertices (V, 3) of a mesh in world space, in double precision."""
+    """Return the vertices (V, 3) of a mesh in world space, in double precision."""
     points = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", points)
-    place = np.array(matrix_world)
-    return points.reshape(-1, 3).astype(np.float64) @ place[:3, :3].T + place[:3, 3]
+    matrix = np.array(matrix_world)
+    return points.reshape(-1, 3).astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def _faces(mesh: bpy.types.Mesh, matrix_world) -> np.ndarray:
-    """Triangles (F, 3), counter-clockwise in world space, also where the object is mirrored."""
+    """Return triangles (F, 3), counter-clockwise in world space, also if the object is mirrored."""
     mesh.calc_loop_triangles()
     corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", corners)
@@ -174,5 +176,5 @@ def _faces(mesh: bpy.types.Mesh, matrix_world) -> np.ndarray:
     return faces[:, ::-1] if np.linalg.det(np.array(matrix_world)[:3, :3]) < 0 else faces
 
 
-def _held(one: bpy.types.Object, armature: bpy.types.Object) -> bool:
-    return any(modifier.type == "ARMATURE" and modifier.object == armature for modifier in one.modifiers)
+def _is_deformed_by(candidate: bpy.types.Object, armature: bpy.types.Object) -> bool:
+    return any(modifier.type == "ARMATURE" and modifier.object == armature for modifier in candidate.modifiers)

@@ -1,7 +1,7 @@
-// Bundles each page of this folder into src/mimesh/player/web, with the licence notices of what it holds.
+// Bundles each page of this folder into src/mimesh/player/web, with the licence notices of its dependencies.
 //   npm ci && node build.mjs
-// The first line of each bundle carries a fingerprint of all sources here and of the lock; a test compares it, so that
-// a bundle and its sources cannot part.
+// The first line of each bundle has a fingerprint of all sources here and of the lock file. A test compares it, so that
+// the bundles cannot differ from their sources.
 import { createHash } from "node:crypto";
 import { copyFileSync, readdirSync, readFileSync } from "node:fs";
 import { join, relative, sep } from "node:path";
@@ -11,7 +11,7 @@ import { build } from "esbuild";
 const here = fileURLToPath(new URL(".", import.meta.url));
 const output = join(here, "../src/mimesh/player/web");
 
-/** All sources below a folder, as paths with forward slashes, sorted. */
+/** List all sources below a folder, as paths with forward slashes, sorted. */
 function sources(folder) {
   return readdirSync(folder, { recursive: true, withFileTypes: true })
     .filter((entry) => entry.isFile())
@@ -20,7 +20,7 @@ function sources(folder) {
     .sort();
 }
 
-/** SHA-256 over the name, the length in bytes and the content of every source. */
+/** Compute SHA-256 over the name, the length in bytes and the content of every source. */
 function fingerprint() {
   const hash = createHash("sha256");
   for (const path of sources(here)) {
@@ -44,7 +44,7 @@ const options = {
   banner: { js: mark, css: mark },
   logLevel: "info",
 };
-// The player, with three.js, is one script that offline pages hold and the studio's page loads: see studio/player.js.
+// The player, with three.js, is one script; offline pages embed it and the studio's page loads it: see studio/player.js.
 await build({
   ...options,
   entryPoints: [
@@ -52,7 +52,7 @@ await build({
     { in: "style.css", out: "player" },
   ],
   globalName: "mimeshPlayer",
-  footer: { js: `/*! This file holds three.js:\n${notice}\n*/` },
+  footer: { js: `/*! This file contains three.js:\n${notice}\n*/` },
 });
 await build({
   ...options,

@@ -1,6 +1,6 @@
-"""A headless Chromium for the tests of pages: one for the session, each page watched for errors and for requests.
+"""A headless Chromium for the tests of pages; errors and requests of every page are recorded.
 
-MIMESH_CHROMIUM names the browser; else one on PATH is taken, and where there is none the tests are skipped.
+MIMESH_CHROMIUM names the browser; by default one on PATH is used, and without any the tests are skipped.
 """
 
 import contextlib
@@ -18,8 +18,8 @@ OPTIONS = [*SOFTWARE, "--no-first-run", *(f"--disable-{name}" for name in QUIET)
 LOCAL = ("file:", "data:", "blob:", "about:")
 
 
-def found_browser() -> str:
-    """The path of Chromium; a skip where there is none and none was named."""
+def find_browser() -> str:
+    """Return the path of Chromium; skip the test if there is none and MIMESH_CHROMIUM is not set."""
     named = os.environ.get("MIMESH_CHROMIUM")
     if named:
         path = shutil.which(named)
@@ -33,8 +33,8 @@ def found_browser() -> str:
 
 @pytest.fixture(scope="session")
 def chromium():
-    """The browser, as playwright drives it."""
-    path = found_browser()
+    """The browser, controlled by playwright."""
+    path = find_browser()
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -44,18 +44,18 @@ def chromium():
 
 
 class Watched:
-    """A page, what it asked for, and what it complained of."""
+    """A page with its requests and its errors and warnings."""
 
     def __init__(self, page):
         self.page = page
         self.requests: list[str] = []
-        self.complaints: list[str] = []
+        self.errors: list[str] = []
         page.on("request", lambda request: self.requests.append(request.url))
-        page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on("console", lambda said: said.type in ("error", "warning") and self.complaints.append(said.text))
+        page.on("pageerror", lambda error: self.errors.append(str(error)))
+        page.on("console", lambda message: message.type in ("error", "warning") and self.errors.append(message.text))
 
     def picture(self, selector: str = ".stage") -> np.ndarray:
-        """What an element looks like once the next frames are drawn: sRGB, 8 bit."""
+        """Take a picture of an element after the next two frames: 8-bit sRGB as integers (h, w, 3)."""
         from PIL import Image
 
         self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
@@ -65,7 +65,7 @@ class Watched:
 
 @contextlib.contextmanager
 def watching(chromium):
-    """Yield a function that opens an address and gives the page, watched; afterwards nothing may have gone wrong."""
+    """Yield a function that opens an address and returns a Watched page; afterwards check their requests and errors."""
     opened = []
 
     def open_address(address: str, allowed: tuple[str, ...] = LOCAL, script: str = "", **options) -> Watched:
@@ -79,10 +79,10 @@ def watching(chromium):
 
     yield open_address
     for watched, context, allowed in opened:
-        strangers = [url for url in watched.requests if not url.startswith(allowed)]
+        forbidden = [url for url in watched.requests if not url.startswith(allowed)]
         context.close()
-        assert strangers == []
-        assert watched.complaints == []
+        assert forbidden == []
+        assert watched.errors == []
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""The player's page in a browser, from a file, without a network: it plays, and every button does what it says."""
+"""The player's page in a browser, from a file and without a network: playback, buttons, keys, download."""
 
 import dataclasses
 import io
@@ -15,8 +15,8 @@ from mimesh.player.page import Download, write_player
 CONTENT = np.random.default_rng(0).bytes(3000)
 
 
-def painted():
-    """A cube whose faces wear a picture, which is not grey."""
+def textured_cube():
+    """Make a cube with a red texture."""
     picture = io.BytesIO()
     Image.new("RGB", (4, 4), (200, 40, 30)).save(picture, "PNG")
     mesh = zoo.cube()
@@ -26,15 +26,16 @@ def painted():
 
 
 def stretching(mesh, by):
+    """Make a clip of a mesh that grows in height and travels along x."""
     height = 1 + np.linspace(0, by, 9)[:, None, None] * [0, 1, 0]
-    way = np.linspace(0, 3, 9)[:, None, None] * [1.0, 0, 0]
-    return Clip(mesh, mesh.vertices * height + way, 12.0)
+    offset = np.linspace(0, 3, 9)[:, None, None] * [1.0, 0, 0]
+    return Clip(mesh, mesh.vertices * height + offset, 12.0)
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
-    mesh, folder = painted(), tmp_path_factory.mktemp("page")
-    shown = [
+    mesh, folder = textured_cube(), tmp_path_factory.mktemp("page")
+    panels = [
         Panel("identity", Clip.still(mesh)),
         Panel("driving", stretching(zoo.grid(9), 0.8)),
         Panel("result", stretching(mesh, 0.6)),
@@ -42,7 +43,7 @@ def address(tmp_path_factory):
     ]
     notes = ["a note", "another", "a third"]
     page = folder / "page.html"
-    write_player(page, shown, title="A cube", model="copy", notes=notes, download=Download("cube.glb", CONTENT))
+    write_player(page, panels, title="A cube", model="copy", notes=notes, download=Download("cube.glb", CONTENT))
     return page.as_uri()
 
 
@@ -53,7 +54,7 @@ def shared(watch_all, address):
 
 @pytest.fixture
 def watched(shared):
-    """The page as it is when it has been opened, at rest."""
+    """The page with its initial settings, paused."""
     shared.page.evaluate("""() => {
       const { stage, controls } = mimesh;
       controls.pause();
@@ -67,15 +68,17 @@ def watched(shared):
 
 
 def differ(a, b):
+    """Whether two pictures differ visibly."""
     return a.shape != b.shape or np.abs(a - b).max() > 8
 
 
-def still(watched, seconds=0.3):
+def picture_at(watched, seconds=0.3):
+    """Go to a time and take a picture."""
     watched.page.evaluate(f"mimesh.controls.seek({seconds})")
     return watched.picture()
 
 
-def test_it_plays_stands_still_and_scrubs_to_the_same_picture(watched):
+def test_playing_pausing_and_seeking_give_the_right_pictures(watched):
     watched.page.click("[data-name=play]")
     first = watched.picture()
     watched.page.wait_for_timeout(150)
@@ -84,14 +87,14 @@ def test_it_plays_stands_still_and_scrubs_to_the_same_picture(watched):
     paused = watched.picture()
     watched.page.wait_for_timeout(100)
     np.testing.assert_array_equal(paused, watched.picture())
-    early, late = still(watched, 0.1), still(watched, 0.6)
+    early, late = picture_at(watched, 0.1), picture_at(watched, 0.6)
     assert differ(early, late)
-    np.testing.assert_array_equal(early, still(watched, 0.1))
+    np.testing.assert_array_equal(early, picture_at(watched, 0.1))
 
 
 @pytest.mark.parametrize("what", ["clay", "stretch", "error"])
 def test_colours_change_the_picture(watched, what):
-    before = still(watched)
+    before = picture_at(watched)
     watched.page.click(f".segment[data-name={what}]")
     assert differ(before, watched.picture())
     assert watched.page.locator(".legend").is_visible() == (what != "clay")
@@ -99,8 +102,8 @@ def test_colours_change_the_picture(watched, what):
     np.testing.assert_array_equal(before, watched.picture())
 
 
-def test_every_key_has_an_effect_that_is_seen(watched):
-    still(watched)
+def test_every_key_changes_the_picture(watched):
+    picture_at(watched)
     before = watched.picture("body")
     for key in ("w", "c", "d", "o", "f", "ArrowRight", "ArrowLeft", "End", "Home", "Shift+?"):
         watched.page.keyboard.press(key)
@@ -112,8 +115,8 @@ def test_every_key_has_an_effect_that_is_seen(watched):
     assert not watched.page.locator("dialog.help").is_visible()
 
 
-def test_the_camera_turns_and_comes_back(watched):
-    before = still(watched)
+def test_the_camera_turns_and_is_reset(watched):
+    before = picture_at(watched)
     watched.page.mouse.move(300, 250)
     watched.page.mouse.down()
     watched.page.mouse.move(420, 220, steps=4)
@@ -123,7 +126,7 @@ def test_the_camera_turns_and_comes_back(watched):
     np.testing.assert_array_equal(before, watched.picture())
 
 
-def test_speed_and_loop(watched):
+def test_speed_and_loop_are_set(watched):
     watched.page.select_option("select.speed", "0.1")
     assert watched.page.evaluate("mimesh.controls.speed") == 0.1
     watched.page.click("[data-name=loop]")
@@ -131,10 +134,10 @@ def test_speed_and_loop(watched):
     assert watched.page.evaluate("mimesh.stage.time === mimesh.stage.duration && !mimesh.controls.playing")
 
 
-def test_a_narrow_screen_that_is_touched_and_dark(watch, address):
+def test_a_narrow_dark_touch_screen_is_supported(watch, address):
     size = {"width": 390, "height": 780}
     watched = watch(address, viewport=size, has_touch=True, is_mobile=True, color_scheme="dark")
-    before = still(watched)
+    before = picture_at(watched)
     assert before[2, 2].max() < 90
     wide = watched.page.evaluate("document.documentElement.scrollWidth")
     assert wide <= 390
@@ -144,7 +147,7 @@ def test_a_narrow_screen_that_is_touched_and_dark(watch, address):
     assert all(box["width"] > 150 and box["height"] > 60 for box in boxes)
 
 
-def test_the_download_gives_the_very_bytes(watched):
+def test_the_download_gives_the_same_bytes(watched):
     with watched.page.expect_download() as waiting:
         watched.page.click(".download")
     assert waiting.value.suggested_filename == "cube.glb"
@@ -153,20 +156,20 @@ def test_the_download_gives_the_very_bytes(watched):
 
 
 def test_points_and_a_single_pose_are_shown_without_a_play_bar(watch, tmp_path):
-    shown = [Panel("mesh", Clip.still(zoo.point_cloud())), Panel("mesh", Clip.still(zoo.cube()))]
-    watched = watch(write_player(tmp_path / "still.html", shown, title="still").as_uri())
+    panels = [Panel("mesh", Clip.still(zoo.point_cloud())), Panel("mesh", Clip.still(zoo.cube()))]
+    watched = watch(write_player(tmp_path / "still.html", panels, title="still").as_uri())
     assert not watched.page.locator(".bar").is_visible()
     picture = watched.picture()
     left, right = np.array_split(picture, 2, axis=1)
     assert min(left.std(), right.std()) > 5
 
 
-def test_the_shadow_lies_under_its_subject(watch, tmp_path):
-    """A slab hangs on the left, a crumb lies on the right: what is dark on the floor is below the slab."""
-    slab, crumb = (zoo.cube(),) * 2
+def test_the_shadow_is_below_its_subject(watch, tmp_path):
+    """A slab floats on the left and a small cube is on the right: the shadow on the floor is below the slab."""
+    slab, small = (zoo.cube(),) * 2
     slab = slab.vertices * [0.6, 0.1, 0.6] + [-0.8, 0.5, 0]
-    vertices = np.concatenate([slab, crumb.vertices * 0.05 + [1, 0, 0]])
-    mesh = Mesh(vertices, np.concatenate([crumb.faces, crumb.faces + len(slab)]))
+    vertices = np.concatenate([slab, small.vertices * 0.05 + [1, 0, 0]])
+    mesh = Mesh(vertices, np.concatenate([small.faces, small.faces + len(slab)]))
     page = write_player(tmp_path / "shadow.html", [Panel("mesh", Clip.still(mesh), front="+z")], title="shadow")
     watched = watch(page.as_uri())
     pictures = [watched.picture()]
@@ -181,7 +184,7 @@ def test_the_shadow_lies_under_its_subject(watch, tmp_path):
     assert abs(below - middle) < 0.1 * len(dark)
 
 
-def test_every_button_says_what_it_does(watched):
+def test_every_control_has_a_label(watched):
     for button in watched.page.locator("button, select, input").all():
         assert button.get_attribute("aria-label") or button.inner_text()
 
@@ -193,5 +196,5 @@ def test_every_button_says_what_it_does(watched):
         ("HTMLCanvasElement.prototype.getContext = () => null", "WebGL 2"),
     ],
 )
-def test_a_browser_that_cannot_show_it_says_why(watch, address, lacking, words):
+def test_an_unsupported_browser_gets_a_message(watch, address, lacking, words):
     assert words in watch(address, script=lacking).page.locator(".refusal").inner_text()

@@ -1,4 +1,4 @@
-"""The studio's page used as a person would: from files that are chosen and dropped to a file that is downloaded."""
+"""The studio's page in a browser, from files that are chosen and dropped to a file that is downloaded."""
 
 import base64
 import threading
@@ -8,7 +8,7 @@ import pytest
 from people import person, walk
 
 from mimesh import animate, load_clip, save_clip, save_mesh
-from mimesh.studio import _listening, make_desk, make_server
+from mimesh.studio import make_server, make_session, open_socket
 from mimesh.studio.security import new_token
 
 HERO = ".row[data-state='done']:has-text('hero.glb')"
@@ -20,14 +20,14 @@ DROP = """([role, name, text]) => {
     target.dispatchEvent(new DragEvent(type, { dataTransfer: transfer, bubbles: true, cancelable: true }));
   send("dragenter", document.body);
   const target = document.querySelector(`#drop [data-role=${role}]`);
-  if (!target.checkVisibility()) throw new Error("no place to drop is shown");
+  if (!target.checkVisibility()) throw new Error("the drop target is not visible");
   send("drop", target);
 }"""
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
-    """A small person as .glb and .obj, three frames of another who walks, and what is no mesh."""
+    """A small person as .glb and .obj, three frames of another who walks, and files without a mesh."""
     folder = tmp_path_factory.mktemp("files")
     save_mesh(person(0), folder / "hero.glb")
     save_mesh(person(0), folder / "hero.obj")
@@ -39,24 +39,24 @@ def files(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def studio():
-    """A studio in this process; gives the address that opens it and its desk."""
-    desk, token = make_desk([], 64 * 2**20), new_token()
-    listening = _listening("127.0.0.1", 0)
+    """A studio in this process: its address, its token and its session."""
+    session, token = make_session([], 64 * 2**20), new_token()
+    listening = open_socket("127.0.0.1", 0)
     port = listening.getsockname()[1]
-    server = make_server(desk, token, "127.0.0.1", port)
+    server = make_server(session, token, "127.0.0.1", port)
     thread = threading.Thread(target=server.run, args=([listening],))
     thread.start()
-    yield f"http://127.0.0.1:{port}", token, desk
+    yield f"http://127.0.0.1:{port}", token, session
     server.should_exit = True
     thread.join(10)
     listening.close()
-    desk.close()
+    session.close()
     assert not thread.is_alive()
 
 
 @pytest.fixture(scope="module")
-def seen(studio, watch_all):
-    """The page, opened once: only this machine is asked, and nothing complains."""
+def studio_page(studio, watch_all):
+    """The page, opened once; it must send no request to other machines and log no error."""
     origin, token, _ = studio
     # Without motion, so that drawing in software leaves time for the rest.
     options = {"viewport": {"width": 760, "height": 480}, "reduced_motion": "reduce"}
@@ -64,14 +64,14 @@ def seen(studio, watch_all):
 
 
 @pytest.fixture
-def fresh(studio, seen):
-    """The page with nothing on it, and the model that is done at once."""
-    desk = studio[2]
-    desk.set_options({"model": "copy"})
-    for number in [*desk.identities, *([desk.driving.number] if desk.driving else [])]:
-        desk.remove(number)
-    seen.page.wait_for_selector("#welcome:not([hidden])")
-    return seen
+def fresh(studio, studio_page):
+    """The page of an empty session, with the model `copy`, which takes no time."""
+    session = studio[2]
+    session.set_options({"model": "copy"})
+    for number in [*session.identities, *([session.driving.number] if session.driving else [])]:
+        session.remove(number)
+    studio_page.page.wait_for_selector("#welcome:not([hidden])")
+    return studio_page
 
 
 def choose(page, role, *paths):
@@ -82,41 +82,42 @@ def drop(page, role, path):
     page.evaluate(DROP, [role, path.name, base64.b64encode(path.read_bytes()).decode()])
 
 
-def at_rest(page):
-    """Wait until the stage shows what the server has, and stop it."""
+def wait_and_pause(page):
+    """Wait until the stage shows the server's scene, and pause it."""
     page.wait_for_function(
         "() => mimesh.live.state?.scene === document.documentElement.dataset.scene && !mimesh.live.loading"
     )
     page.evaluate("() => mimesh.controls.pause()")
 
 
-def moved(before, after):
+def changed_pixels(before, after):
+    """Count the pixels that differ visibly."""
     return int((np.abs(before - after).max(axis=-1) > 24).sum())
 
 
-def test_from_files_to_a_download(fresh, files, tmp_path):
+def test_chosen_and_dropped_files_become_a_download(fresh, files, tmp_path):
     page = fresh.page
     page.select_option("#model select", "mime")
     choose(page, "identity", files / "hero.glb")
     drop(page, "driving", files / "walk.npz")
     page.wait_for_selector(HERO, timeout=30_000)
-    at_rest(page)
+    wait_and_pause(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
     first = fresh.picture()
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
-    assert moved(first, fresh.picture()) > 2000, "the result plays"
+    assert changed_pixels(first, fresh.picture()) > 2000, "the result plays"
     with page.expect_download(timeout=30_000) as download:
         page.click("#write")
     download.value.save_as(tmp_path / "back.glb")
     assert download.value.suggested_filename == "hero-walk.glb"
-    ours = animate(files / "hero.glb", files / "walk.npz")
-    ours.save(tmp_path / "ours.glb")
-    back, written = load_clip(tmp_path / "back.glb"), load_clip(tmp_path / "ours.glb")
+    expected = animate(files / "hero.glb", files / "walk.npz")
+    expected.save(tmp_path / "expected.glb")
+    back, written = load_clip(tmp_path / "back.glb"), load_clip(tmp_path / "expected.glb")
     np.testing.assert_allclose(back.vertices, written.vertices, atol=1e-6)
     assert back.fps == written.fps
 
 
-def test_another_model_shows_at_once_and_options_follow_it(fresh, files):
+def test_changing_the_model_updates_result_and_options(fresh, files):
     page = fresh.page
     choose(page, "identity", files / "hero.obj")
     choose(page, "driving", files / "hero.obj")
@@ -127,18 +128,18 @@ def test_another_model_shows_at_once_and_options_follow_it(fresh, files):
     assert page.locator("#model input[type=checkbox]").is_enabled()
     page.reload()
     page.wait_for_selector("#identities .row[data-state='done']", timeout=30_000)
-    assert page.locator("#model select").first.input_value() == "mime", "nothing is lost"
+    assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
 
 
-def test_bad_files_are_said_and_the_page_goes_on(fresh, files):
+def test_unreadable_files_give_messages_and_the_page_stays_usable(fresh, files):
     page = fresh.page
     choose(page, "identity", files / "bad.glb", files / "flat.obj")
     page.wait_for_function("() => document.querySelectorAll('#identities .row[data-state=failed]').length === 2")
-    said = page.inner_text("#identities")
-    assert "bad.glb: expected" in said
-    assert "flat.obj: expected a mesh with some size" in said
+    text = page.inner_text("#identities")
+    assert "bad.glb: expected" in text
+    assert "flat.obj: expected a mesh with some size" in text
     for word in ("Traceback", 'File "', "/tmp/"):
-        assert word not in said
+        assert word not in text
     drop(page, "driving", files / "bad.glb")
     page.wait_for_selector("#driving .row[data-state=failed] .error")
     for cross in page.locator(".side .row .icon").all()[::-1]:
@@ -146,68 +147,68 @@ def test_bad_files_are_said_and_the_page_goes_on(fresh, files):
     page.wait_for_selector("#welcome:not([hidden])")
 
 
-def test_two_meshes_at_once(fresh, files, studio):
-    page, desk = fresh.page, studio[2]
+def test_two_meshes_are_moved_and_exported(fresh, files, studio):
+    page, session = fresh.page, studio[2]
     choose(page, "identity", files / "hero.glb", files / "hero.obj")
     choose(page, "driving", files / "hero.obj")
     page.wait_for_function(
         "() => document.querySelectorAll('#identities .row[data-state=done]').length === 2", timeout=30_000
     )
-    at_rest(page)
+    wait_and_pause(page)
     page.wait_for_function("() => mimesh.stage.views.length === 3")
     with page.expect_download(timeout=30_000) as download:
         page.click("#write")
     assert download.value.suggested_filename == "2 meshes.zip"
     page.locator("#identities .row .icon").first.click()
     page.wait_for_function("() => mimesh.stage.views.length === 3 && mimesh.stage.views[0].panel.role === 'identity'")
-    assert len(desk.identities) == 1
+    assert len(session.identities) == 1
 
 
-def test_the_slider_asks_for_poses_while_the_clip_is_made(fresh, files, studio, monkeypatch):
-    """The clip is held up; what stands under the slider is shown nevertheless."""
-    from mimesh.studio import operations as acts
+def test_the_slider_shows_poses_while_the_clip_is_computed(fresh, files, studio, monkeypatch):
+    """The clip is delayed; the pose under the slider is shown nevertheless."""
+    from mimesh.studio import operations
 
-    page, go, made = fresh.page, threading.Event(), acts.result
+    page, proceed, compute = fresh.page, threading.Event(), operations.compute_result
 
-    def held_up(ready, options, progress):
-        while not go.wait(0.01):
+    def wait(prepared, options, progress):
+        while not proceed.wait(0.01):
             progress(0, 1)
-        return made(ready, options, progress)
+        return compute(prepared, options, progress)
 
-    monkeypatch.setattr(acts, "result", held_up)
+    monkeypatch.setattr(operations, "compute_result", wait)
     choose(page, "identity", files / "hero.glb")
     choose(page, "driving", files / "walk.npz")
     page.wait_for_selector(".panel.waiting", timeout=30_000)
-    at_rest(page)
+    wait_and_pause(page)
     page.evaluate("() => mimesh.stage.setTime(0)")
-    page.wait_for_function("() => mimesh.stage.views.at(-1).panel.held")
-    assert page.locator(".panel-result.waiting.posed").count() == 1, "the caption says that it is but a pose"
+    page.wait_for_function("() => mimesh.stage.views.at(-1).panel.fixedPose")
+    assert page.locator(".panel-result.waiting.posed").count() == 1, "the caption says that it is a pose only"
     first = fresh.picture(".panel-result")
     page.evaluate("() => mimesh.stage.setTime(mimesh.stage.duration)")
-    page.wait_for_function("() => mimesh.live.asking.size === 0")
-    assert moved(first, fresh.picture(".panel-result")) > 500
-    go.set()
+    page.wait_for_function("() => mimesh.live.requests.size === 0")
+    assert changed_pixels(first, fresh.picture(".panel-result")) > 500
+    proceed.set()
     page.wait_for_selector(HERO, timeout=30_000)
-    page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.held")
+    page.wait_for_function("() => !mimesh.stage.views.at(-1).panel.fixedPose")
 
 
-def test_keyboard_theme_and_narrow_windows(fresh, monkeypatch):
-    from mimesh.studio import operations as acts
-    from mimesh.studio import session as desk
+def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
+    from mimesh.studio import operations
+    from mimesh.studio import session as session_module
 
-    monkeypatch.setattr(desk, "character", lambda name: person(0))
-    monkeypatch.setattr(acts, "demo_clip", lambda motion: walk(frames=2))
+    monkeypatch.setattr(session_module, "character", lambda name: person(0))
+    monkeypatch.setattr(operations, "demo_clip", lambda motion: walk(frames=2))
     page = fresh.page
     page.focus("#welcome button")
     page.keyboard.press("Enter")
     page.wait_for_selector("#identities .row[data-state=done]", timeout=30_000)
     page.select_option("#character", "imp")
     page.wait_for_selector("#identities .row[data-state=done]:has-text('imp')", timeout=30_000)
-    at_rest(page)
+    wait_and_pause(page)
     light = fresh.picture("#side")
     page.keyboard.press("d")
-    assert moved(light, fresh.picture("#side")) > 10_000
+    assert changed_pixels(light, fresh.picture("#side")) > 10_000
     page.keyboard.press("d")
     page.set_viewport_size({"width": 400, "height": 760})
-    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing sticks out"
+    assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing exceeds the window"
     page.set_viewport_size({"width": 760, "height": 480})

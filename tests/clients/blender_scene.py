@@ -142,7 +142,7 @@ def stopped(until):
     from bl_ext.user_default.mimesh import operator
 
     before = counts()
-    work = operator.move(bpy.context, FRAMES, False)
+    work = operator.transfer(bpy.context, FRAMES, False)
     for _, text in work:
         if until in text:
             break
@@ -180,8 +180,8 @@ def clicked(escape_at):
     """Click on Animate, press Esc at the first message that contains `escape_at`, and return what happened."""
     from bl_ext.user_default.mimesh import operator
 
-    methods = {name: value for name, value in vars(operator._Moves).items() if callable(value)}
-    button = type("Button", (), methods | {"still": False, "report": print})()
+    methods = {name: value for name, value in vars(operator._TransferOperator).items() if callable(value)}
+    button = type("Button", (), methods | {"single_pose": False, "report": print})()
     button.frames = lambda context: FRAMES
     before, window, timer = counts(), Window(), SimpleNamespace(type="TIMER")
     operator.bpy = SimpleNamespace(app=SimpleNamespace(background=False))
@@ -223,7 +223,7 @@ def drawn():
     from bl_ext.user_default.mimesh import panel
 
     layout = Layout()
-    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_travel, panel.MIMESH_PT_axes):
+    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_motion, panel.MIMESH_PT_axes):
         one.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.shown
 

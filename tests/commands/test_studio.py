@@ -81,7 +81,7 @@ def test_the_extra_is_named(capsys, monkeypatch):
 
 
 def test_files_are_laid_on_the_desk(tmp_path):
-    from mimesh.studio import make_desk
+    from mimesh.studio import make_session
 
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
     folder = tmp_path / "walk"
@@ -89,9 +89,9 @@ def test_files_are_laid_on_the_desk(tmp_path):
     for path in (tmp_path / "a.obj", tmp_path / "b.obj", folder / "1.obj", folder / "2.obj"):
         path.write_text(triangle)
     before = {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")}
-    desk = make_desk([tmp_path / "a.obj", tmp_path / "b.obj", folder], 2**20, "copy")
-    assert [item.name for item in desk.identities.values()] == ["a.obj", "b.obj"]
-    assert desk.driving is not None
-    assert desk.driving.name == "walk"
-    desk.close()
+    session = make_session([tmp_path / "a.obj", tmp_path / "b.obj", folder], 2**20, "copy")
+    assert [item.name for item in session.identities.values()] == ["a.obj", "b.obj"]
+    assert session.driving is not None
+    assert session.driving.name == "walk"
+    session.close()
     assert {path: path.stat().st_mtime_ns for path in Path(tmp_path).rglob("*")} == before

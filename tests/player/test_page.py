@@ -1,4 +1,4 @@
-"""The player's page: one file, the same every time, harmless whatever it is named, and built from these sources."""
+"""The player's page: one deterministic file, safe for any names, and built from the current web sources."""
 
 import hashlib
 import html
@@ -19,14 +19,16 @@ from mimesh.player.page import Download, player_page, web_file, write_player
 
 WEB = Path(__file__).parents[2] / "web"
 SOURCES = (".js", ".mjs", ".css", ".html", ".json")
-EVIL = "</script><script>alert(1)</script><!--"
+INJECTION = "</script><script>alert(1)</script><!--"
 
 
 def scene_of(page):
+    """Parse the scene of a page."""
     return json.loads(re.search(r'id="mimesh-scene">(.*?)</script>', page, re.DOTALL).group(1))
 
 
 def clip():
+    """Make a clip of a moving cube."""
     mesh = zoo.cube()
     return Clip(mesh, mesh.vertices + np.linspace(0, 1, 5)[:, None, None], 10.0)
 
@@ -42,17 +44,17 @@ def test_the_bundle_is_built_from_the_sources_here():
         assert web_file(name).startswith(mark), "web/ has changed since the bundle was built: run make web"
 
 
-def test_the_bundle_keeps_the_licence_of_what_it_holds():
+def test_the_bundle_contains_the_licence_of_three():
     assert "three.js authors" in web_file("player.js")
     assert "Permission is hereby granted" in web_file("player.js")
 
 
-def test_three_is_held_once():
+def test_three_is_bundled_once():
     assert len(web_file("studio.js")) < 40_000
     assert "WebGLRenderer" not in web_file("studio.js")
 
 
-def test_a_page_is_small_and_asks_for_nothing():
+def test_a_page_is_small_and_loads_nothing():
     page = player_page([Panel("mesh", clip())], title="cube")
     assert len(page.encode()) < 1.5e6
     assert not re.search(r"""(src|href)=["']?(https?:)?//""", page)
@@ -66,34 +68,34 @@ def test_the_same_input_gives_the_same_bytes(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.html", "b.html"]
 
 
-def test_names_and_notes_cannot_leave_their_place():
-    shown = [Panel("mesh", clip(), EVIL)]
-    download = Download(f"{EVIL}.glb", None)
-    page = player_page(shown, title=EVIL, model=EVIL, notes=[EVIL], download=download)
+def test_names_and_notes_are_escaped():
+    panels = [Panel("mesh", clip(), INJECTION)]
+    download = Download(f"{INJECTION}.glb", None)
+    page = player_page(panels, title=INJECTION, model=INJECTION, notes=[INJECTION], download=download)
     plain = player_page([Panel("mesh", clip())], title="x")
     for mark in ("<script", "</script", "<!--"):
         assert page.count(mark) == plain.count(mark)
     scene = scene_of(page)
-    assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (EVIL, [EVIL], EVIL)
+    assert (scene["title"], scene["notes"], scene["panels"][0]["name"]) == (INJECTION, [INJECTION], INJECTION)
 
 
-def test_names_that_are_no_text_are_shown_as_far_as_they_are(tmp_path):
+def test_names_with_invalid_text_are_accepted(tmp_path):
     name = "p\udce9"
     download = Download(f"{name}.glb", None)
     page = write_player(tmp_path / "x.html", [Panel("mesh", clip(), name)], title=name, download=download)
     assert scene_of(page.read_text())["download"]["href"] == "p%E9.glb"
 
 
-def test_a_file_that_fits_lies_in_the_page_and_one_that_does_not_is_linked():
+def test_a_download_is_embedded_if_it_fits_and_linked_otherwise():
     noise = np.random.default_rng(0).bytes(200_000)
     options = {"title": "cube", "download": Download("my cube.glb", noise)}
-    inside = scene_of(player_page([Panel("mesh", clip())], **options))["download"]
-    assert inside["bytes"] == len(noise)
-    beside = scene_of(player_page([Panel("mesh", clip())], budget=800_000, **options))["download"]
-    assert beside == {"name": "my cube.glb", "href": "my%20cube.glb"}
+    embedded = scene_of(player_page([Panel("mesh", clip())], **options))["download"]
+    assert embedded["bytes"] == len(noise)
+    linked = scene_of(player_page([Panel("mesh", clip())], budget=800_000, **options))["download"]
+    assert linked == {"name": "my cube.glb", "href": "my%20cube.glb"}
 
 
-def test_results_write_their_page_and_show_themselves_in_notebooks(tmp_path):
+def test_results_write_pages_and_notebook_frames(tmp_path):
     result = mimesh.transfer(zoo.cube(), zoo.cube(), "copy")
     page = result.player(tmp_path / "cube.html").read_text()
     assert [panel["role"] for panel in scene_of(page)["panels"]] == ["identity", "driving", "result"]
@@ -103,7 +105,7 @@ def test_results_write_their_page_and_show_themselves_in_notebooks(tmp_path):
     assert "driving=" not in repr(result)
 
 
-def test_a_page_is_never_written_where_a_mesh_may_be(tmp_path):
+def test_a_page_never_overwrites_a_mesh(tmp_path):
     (tmp_path / "hero.obj").write_text("v 0 0 0\n")
     with pytest.raises(InputError, match=r"expected a name that ends in .html, found '.obj'"):
         mimesh.transfer(zoo.cube(), zoo.cube(), "copy").player(tmp_path / "hero.obj")
@@ -111,14 +113,14 @@ def test_a_page_is_never_written_where_a_mesh_may_be(tmp_path):
 
 
 def test_a_result_without_inputs_has_no_page(tmp_path):
-    bare = Result(zoo.cube(), "copy", Timer(), {})
-    assert bare._repr_html_() is None
+    result = Result(zoo.cube(), "copy", Timer(), {})
+    assert result._repr_html_() is None
     with pytest.raises(InputError, match="without its inputs"):
-        bare.player(tmp_path / "cube.html")
+        result.player(tmp_path / "cube.html")
 
 
-def test_the_notice_names_the_version_that_is_held():
+def test_the_notice_names_the_bundled_version():
     version = json.loads((WEB / "package.json").read_text(encoding="utf-8"))["dependencies"]["three"]
-    said = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
-    assert f"**three.js** {version}," in said
-    assert "`src/mimesh/player/web/player.js`" in said
+    notices = (WEB.parent / "THIRD_PARTY.md").read_text(encoding="utf-8")
+    assert f"**three.js** {version}," in notices
+    assert "`src/mimesh/player/web/player.js`" in notices

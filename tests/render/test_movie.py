@@ -1,4 +1,4 @@
-"""Movies read back by Pillow: how many frames, how long, and the same picture where nothing moves."""
+"""Movies read back by Pillow: number and duration of frames, colours, cameras."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ from mimesh.render import movie
 SIZE = (48, 40)
 
 
-def counting(frames):
-    """Frames that all differ."""
+def distinct_frames(frames):
+    """Yield frames that all differ."""
     for k in range(frames):
         picture = np.full((20, 30, 3), 200, np.uint8)
         picture[:, : 2 + 2 * k] = [250, 30, 60]
@@ -23,6 +23,7 @@ def counting(frames):
 
 
 def durations(path):
+    """Read the durations of a movie's frames in milliseconds."""
     with Image.open(path) as image:
         found = []
         for k in range(getattr(image, "n_frames", 1)):
@@ -32,7 +33,7 @@ def durations(path):
         return found
 
 
-def spin(frames=5, fps=10.0):
+def turning_cube(frames=5, fps=10.0):
     mesh = zoo.cube()
     angle = np.linspace(0, 1, frames)
     x, y, z = (mesh.vertices[:, k] for k in range(3))
@@ -42,9 +43,9 @@ def spin(frames=5, fps=10.0):
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
 @pytest.mark.parametrize("fps", [10.0, 24.0, 30.0])
-def test_frames_and_their_times_come_back(tmp_path, suffix, fps):
+def test_number_and_durations_of_frames_are_preserved(tmp_path, suffix, fps):
     path = tmp_path / f"a{suffix}"
-    assert movie.save_movie(counting(12), path, fps) == 12
+    assert movie.save_movie(distinct_frames(12), path, fps) == 12
     found = durations(path)
     assert len(found) == 12
     assert sum(found) == pytest.approx(12000 / fps, abs=10 if suffix == ".gif" else 1)
@@ -54,9 +55,9 @@ def test_frames_and_their_times_come_back(tmp_path, suffix, fps):
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])
-def test_colours_survive(tmp_path, suffix):
+def test_colours_are_preserved(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
-    movie.save_movie(counting(9), path, 10.0)
+    movie.save_movie(distinct_frames(9), path, 10.0)
     with Image.open(path) as image:
         image.seek(8)
         pixels = np.asarray(image.convert("RGB")).astype(int)
@@ -92,36 +93,36 @@ def test_a_movie_that_fails_halfway_leaves_no_file(tmp_path):
         ("a.gif", 2, 0.0, "expected a positive frame rate, found 0"),
     ],
 )
-def test_what_cannot_be_a_movie_is_refused(tmp_path, name, frames, fps, message):
+def test_unwritable_movies_are_refused(tmp_path, name, frames, fps, message):
     with pytest.raises(InputError, match=message):
-        movie.save_movie(counting(frames), tmp_path / name, fps)
+        movie.save_movie(distinct_frames(frames), tmp_path / name, fps)
 
 
-def test_a_pillow_without_webp_is_told_so(tmp_path, monkeypatch):
+def test_webp_without_support_in_pillow_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(features, "check", lambda feature: False)
     with pytest.raises(InputError, match=r"write a \.gif instead"):
-        movie.save_movie(counting(2), tmp_path / "a.webp")
+        movie.save_movie(distinct_frames(2), tmp_path / "a.webp")
     assert not list(tmp_path.iterdir())
 
 
 def test_one_clip_gives_one_picture_per_frame():
-    frames = list(movie.clip_frames(spin(), SIZE))
+    frames = list(movie.clip_frames(turning_cube(), SIZE))
     assert len(frames) == 5
     assert all(frame.size == SIZE for frame in frames)
     assert (np.asarray(frames[0]) != np.asarray(frames[-1])).any()
 
 
-def test_the_camera_stands_still_and_a_tracking_one_goes_along():
+def test_cameras_of_clips_are_fixed_unless_they_track():
     mesh = zoo.cube()
     clip = Clip(mesh, mesh.vertices + np.arange(3)[:, None, None] * [0.0, 0, 1.5], 10.0)
-    still = [np.asarray(frame).astype(int) for frame in movie.clip_frames(clip, SIZE)]
-    assert np.abs(still[2] - still[0]).max() > 20
+    fixed = [np.asarray(frame).astype(int) for frame in movie.clip_frames(clip, SIZE)]
+    assert np.abs(fixed[2] - fixed[0]).max() > 20
     tracked = [np.asarray(frame).astype(int) for frame in movie.clip_frames(clip, SIZE, track=True)]
     assert np.abs(tracked[2] - tracked[0]).max() <= 1
 
 
-def test_clips_side_by_side_keep_time_and_hold_their_last_frame():
-    long, short = spin(6, 10.0), spin(2, 10.0)
+def test_clips_side_by_side_are_synchronous_and_stay_at_their_last_frame():
+    long, short = turning_cube(6, 10.0), turning_cube(2, 10.0)
     double = Clip(long.mesh, np.repeat(long.vertices, 2, axis=0), 20.0)
     frames = list(movie.clip_frames([("a", long), ("b", double), ("c", short)], SIZE, clay=True))
     assert len(frames) == 6
@@ -134,13 +135,13 @@ def test_clips_side_by_side_keep_time_and_hold_their_last_frame():
 
 def test_tints_colour_one_clip_and_leave_the_other():
     blue = (0.3, 0.4, 0.9)
-    frame = next(movie.clip_frames([("a", spin()), ("b", spin())], SIZE, tints=[blue, None]))
+    frame = next(movie.clip_frames([("a", turning_cube()), ("b", turning_cube())], SIZE, tints=[blue, None]))
     left, right = (np.asarray(frame)[SIZE[1] // 2, x].astype(int) for x in (24, 72))
     assert left[2] > left[0] + 20
     assert right[2] < right[0]
 
 
-def test_a_turn_ends_where_it_began():
+def test_the_last_frame_of_a_turn_is_next_to_the_first():
     frames = [np.asarray(frame).astype(int) for frame in movie.turntable_frames(zoo.two_parts(), 8, SIZE)]
     assert len(frames) == 8
     steps = [np.abs(a - b).mean() for a, b in zip(frames, frames[1:] + frames[:1], strict=True)]

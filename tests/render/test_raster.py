@@ -1,4 +1,4 @@
-"""Whole pictures: what must not change them, what must, and colours where they are known."""
+"""Whole pictures: invariances, cameras, materials, and colours where they are known."""
 
 import dataclasses
 import io
@@ -10,72 +10,71 @@ from PIL import Image
 
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Material, Mesh, Part, permute_vertices
-from mimesh.render import shading as light
-from mimesh.render import textures as paint
-from mimesh.render.camera import VIEWS, extremes, fit, follow, orbit, turned
+from mimesh.render import shading, textures
+from mimesh.render.camera import VIEWS, extreme_points, fit, follow, orbit, rotate_camera
 from mimesh.render.raster import render, render_mesh
 
 SIZE = (72, 64)
 SOLID = [m for m in zoo.ZOO if m is not zoo.point_cloud]
 
 
-def shot(mesh, **options):
+def draw(mesh, **options):
     return render(mesh.vertices, mesh.faces, fit(mesh.vertices, SIZE), SIZE, **options)
 
 
 def assert_same_picture(a, b):
-    """Alike up to the last bit of a channel, which the order of a sum may turn."""
+    """Equal up to the last bit of a channel, which the order of a sum may change."""
     assert np.abs(a.astype(int) - b.astype(int)).max() <= 1
 
 
 def foreground(picture):
-    return (picture != light.to_pixels(np.sqrt(light.to_linear(np.array([[light.BACKGROUND]]))))).any(axis=2)
+    return (picture != shading.to_pixels(np.sqrt(shading.to_linear(np.array([[shading.BACKGROUND]]))))).any(axis=2)
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_is_drawn_and_drawn_the_same_every_time(make):
+def test_pictures_are_deterministic_and_not_empty(make):
     mesh = make()
     before = mesh.vertices.copy()
-    picture = shot(mesh)
+    picture = draw(mesh)
     assert picture.shape == (64, 72, 3)
     assert foreground(picture).any()
-    np.testing.assert_array_equal(shot(mesh), picture)
+    np.testing.assert_array_equal(draw(mesh), picture)
     np.testing.assert_array_equal(mesh.vertices, before)
 
 
 @pytest.mark.parametrize("make", SOLID)
 def test_the_order_of_faces_and_vertices_does_not_matter(make):
     mesh, rng = make(), np.random.default_rng(1)
-    picture = shot(mesh)
-    assert_same_picture(shot(dataclasses.replace(mesh, faces=rng.permutation(mesh.faces))), picture)
-    assert_same_picture(shot(permute_vertices(mesh, rng.permutation(len(mesh.vertices)))), picture)
+    picture = draw(mesh)
+    assert_same_picture(draw(dataclasses.replace(mesh, faces=rng.permutation(mesh.faces))), picture)
+    assert_same_picture(draw(permute_vertices(mesh, rng.permutation(len(mesh.vertices)))), picture)
 
 
 @pytest.mark.parametrize("make", SOLID)
 def test_both_sides_are_drawn_alike(make):
     mesh = make()
-    assert_same_picture(shot(dataclasses.replace(mesh, faces=mesh.faces[:, ::-1])), shot(mesh))
+    assert_same_picture(draw(dataclasses.replace(mesh, faces=mesh.faces[:, ::-1])), draw(mesh))
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
 def test_moving_or_scaling_mesh_and_camera_together_does_not_matter(make):
     mesh = make()
-    picture = shot(mesh)
-    assert_same_picture(shot(mesh.with_vertices(mesh.vertices + [512.0, -64.0, 8.0])), picture)
-    assert_same_picture(shot(mesh.with_vertices(mesh.vertices * 4)), picture)
+    picture = draw(mesh)
+    assert_same_picture(draw(mesh.with_vertices(mesh.vertices + [512.0, -64.0, 8.0])), picture)
+    assert_same_picture(draw(mesh.with_vertices(mesh.vertices * 4)), picture)
 
 
 def test_split_vertices_leave_no_seam():
     cube = zoo.cube()
     split = Mesh(cube.vertices[cube.faces.ravel()], np.arange(36).reshape(12, 3))
-    assert_same_picture(shot(split), shot(cube))
+    assert_same_picture(draw(split), draw(cube))
 
 
 def test_z_up_shows_what_y_up_shows():
     mesh = zoo.two_parts()
     turned_up = np.stack([mesh.vertices[:, 0], -mesh.vertices[:, 2], mesh.vertices[:, 1]], axis=1)
     camera = fit(turned_up, SIZE, up="z")
-    assert_same_picture(render(turned_up, mesh.faces, camera, SIZE), shot(mesh))
+    assert_same_picture(render(turned_up, mesh.faces, camera, SIZE), draw(mesh))
 
 
 def test_a_face_across_the_whole_picture_is_one_even_colour():
@@ -95,7 +94,7 @@ def test_edges_are_smoothed_by_the_share_of_the_pixel_they_cover(supersample):
     picture = render(vertices, np.array([[0, 1, 2]]), camera, SIZE, black, **options)
     x, y, _ = camera.project(vertices, SIZE).T
     area = abs((x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])) / 2
-    root = np.sqrt(light.to_linear(picture[..., 0] / 255.0))
+    root = np.sqrt(shading.to_linear(picture[..., 0] / 255.0))
     covered = (1 - root).sum() / (1 - root.min())
     assert covered == pytest.approx(area, rel=0.03 / supersample)
     assert len(np.unique(picture[..., 0])) <= supersample**2 + 1
@@ -108,20 +107,20 @@ def test_vertex_colours_are_mixed_in_perspective():
     camera = fit(vertices, SIZE, (0.0, 30.0))
     rows = camera.project(np.array([[0.0, 0, 0], [0, 0, -4], [0, 0, -8]]), SIZE)[:, 1]
     colors = np.array([[0.0, 0, 0], [0, 0, 0], [1, 1, 1], [1, 1, 1]]) * 0.5
-    picture = light.to_linear(render(vertices, faces, camera, SIZE, colors, shadows=False) / 255.0)[..., 0]
+    picture = shading.to_linear(render(vertices, faces, camera, SIZE, colors, shadows=False) / 255.0)[..., 0]
     near, middle, far = (picture[round(row), SIZE[0] // 2] for row in rows + [-2, 0, 2])
     assert middle == pytest.approx((near + far) / 2, rel=0.1)
 
 
 def test_shadows_darken_the_floor_and_nothing_else_of_the_background():
     mesh = zoo.cube()
-    with_shadow, without = shot(mesh), shot(mesh, shadows=False)
+    with_shadow, without = draw(mesh), draw(mesh, shadows=False)
     assert foreground(with_shadow).sum() > foreground(without).sum() + 100
     assert (with_shadow.astype(int) <= without.astype(int) + 1).all()
     assert_same_picture(with_shadow[[0, -1]], without[[0, -1]])
 
 
-def test_what_is_behind_the_camera_is_left_out():
+def test_meshes_behind_the_camera_are_left_out():
     mesh = zoo.cube()
     camera = fit(mesh.vertices, SIZE)
     behind = camera.eye + (camera.eye - camera.centre)
@@ -131,12 +130,12 @@ def test_what_is_behind_the_camera_is_left_out():
 
 def test_point_clouds_take_colours():
     cloud = zoo.point_cloud()
-    red = shot(cloud, colors=np.tile([0.9, 0.1, 0.1], (50, 1)), shadows=False)
-    seen = red[foreground(red)].astype(int)
-    assert len(seen) > 100
-    assert (seen[:, 0] > seen[:, 1]).all()
+    red = draw(cloud, colors=np.tile([0.9, 0.1, 0.1], (50, 1)), shadows=False)
+    drawn = red[foreground(red)].astype(int)
+    assert len(drawn) > 100
+    assert (drawn[:, 0] > drawn[:, 1]).all()
     one = Mesh(np.zeros((1, 3)), np.zeros((0, 3), int))
-    assert foreground(shot(one)).any()
+    assert foreground(draw(one)).any()
 
 
 def quad(material, faces=((0, 1, 2), (0, 2, 3))):
@@ -174,9 +173,9 @@ def test_parts_have_their_own_colours_and_clay_leaves_them_out():
 
 def test_a_part_without_material_is_clay():
     mesh = dataclasses.replace(quad(Material("red")), parts=(Part("a", 0, 1, Material("red")), Part("b", 1, 2)))
-    surface = paint.materials(mesh)
+    surface = textures.materials(mesh)
     assert surface is not None
-    assert paint.materials(dataclasses.replace(mesh, parts=(Part("b", 0, 2),))) is None
+    assert textures.materials(dataclasses.replace(mesh, parts=(Part("b", 0, 2),))) is None
     camera = fit(mesh.vertices, SIZE, (0.0, 0.0))
     mixed = render_mesh(mesh, SIZE, camera, shadows=False)
     plain = render_mesh(mesh, SIZE, camera, clay=True, shadows=False)
@@ -185,13 +184,13 @@ def test_a_part_without_material_is_clay():
 
 def test_creases_stay_hard_and_smooth_surfaces_smooth():
     cube = zoo.cube()
-    normals = paint.creased_normals(cube.vertices, cube.faces)
+    normals = textures.creased_normals(cube.vertices, cube.faces)
     np.testing.assert_allclose(np.abs(normals).max(axis=2), 1.0)
     angle = np.linspace(0, np.pi, 13)
     arc = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
     vertices = np.concatenate([arc, arc + [0, 0, 1]])
     faces = np.array([f for k in range(12) for f in ((k, k + 1, k + 14), (k, k + 14, k + 13))])
-    smooth = paint.creased_normals(vertices, faces)
+    smooth = textures.creased_normals(vertices, faces)
     inner = (faces % 13 > 0) & (faces % 13 < 12)
     radial = vertices[faces] * [1, 1, 0]
     np.testing.assert_allclose(np.abs((smooth * radial).sum(axis=2))[inner], 1.0, atol=0.01)
@@ -229,7 +228,7 @@ def test_an_orbit_keeps_the_subject_in_the_picture_from_everywhere():
         x, y, _ = camera.project(mesh.vertices, SIZE).T
         assert min(x.min(), y.min()) > 0
         assert (x.max() < SIZE[0]) & (y.max() < SIZE[1])
-    np.testing.assert_allclose(turned(cameras[-1], 30.0).eye, cameras[0].eye, atol=1e-9)
+    np.testing.assert_allclose(rotate_camera(cameras[-1], 30.0).eye, cameras[0].eye, atol=1e-9)
 
 
 def test_every_tile_of_a_turntable_shows_a_subject_of_one_size():
@@ -240,20 +239,20 @@ def test_every_tile_of_a_turntable_shows_a_subject_of_one_size():
 
 
 @pytest.mark.parametrize("view", ["three-quarter", "top"])
-def test_a_few_points_of_a_clip_decide_its_camera(view):
+def test_extreme_points_give_the_camera_of_the_whole_clip(view):
     clip = np.random.default_rng(4).normal(size=(5, 30, 3)) + [3, 0, 1]
-    whole, few = fit(clip, (300, 200), view), fit(extremes(clip, (300, 200), view), (300, 200), view)
-    np.testing.assert_allclose(few.eye, whole.eye, atol=1e-9)
-    np.testing.assert_allclose([few.floor, few.radius], [whole.floor, whole.radius], atol=1e-9)
+    whole, extreme = fit(clip, (300, 200), view), fit(extreme_points(clip, (300, 200), view), (300, 200), view)
+    np.testing.assert_allclose(extreme.eye, whole.eye, atol=1e-9)
+    np.testing.assert_allclose([extreme.floor, extreme.radius], [whole.floor, whole.radius], atol=1e-9)
 
 
-def test_a_transparent_picture_over_paper_is_the_picture_on_paper():
+def test_a_transparent_picture_over_a_background_is_the_picture_on_it():
     mesh = zoo.two_parts()
-    layers = shot(mesh, background=None).astype(float)
-    paper, alpha = np.array(light.BACKGROUND) * 255, layers[..., 3:] / 255
+    layers = draw(mesh, background=None).astype(float)
+    paper, alpha = np.array(shading.BACKGROUND) * 255, layers[..., 3:] / 255
     over = layers[..., :3] * alpha + paper * (1 - alpha)
-    # Edges and veils are mixed in sRGB here and in square roots of light there.
-    assert np.abs(over - shot(mesh)).max() < 8
+    # Edges and shadows are mixed in sRGB here, in square roots of linear light by the renderer.
+    assert np.abs(over - draw(mesh)).max() < 8
     assert layers[0, 0, 3] == 0
 
 
@@ -265,8 +264,8 @@ def test_vertex_colours_multiply_the_material_and_tint_and_clay_leave_them_out()
     assert render_mesh(mesh, SIZE, camera, shadows=False, clay=True)[32, 36].argmax() == 0
     assert render_mesh(mesh, SIZE, camera, shadows=False, tint=(0.2, 0.9, 0.2))[32, 36].argmax() == 1
     cloud = Mesh(mesh.vertices, np.zeros((0, 3), int), vertex_colors=blue)
-    seen = render_mesh(cloud, SIZE, camera, shadows=False)
-    assert (seen[foreground(seen)].argmax(axis=1) == 2).mean() > 0.9
+    picture = render_mesh(cloud, SIZE, camera, shadows=False)
+    assert (picture[foreground(picture)].argmax(axis=1) == 2).mean() > 0.9
 
 
 def test_a_fine_texture_seen_from_afar_is_its_mean():
@@ -279,13 +278,13 @@ def test_a_fine_texture_seen_from_afar_is_its_mean():
     assert np.ptp(picture[24:40, 28:44].astype(int), axis=(0, 1)).max() < 12
 
 
-def test_a_following_camera_sees_a_carried_mesh_stand_still():
+def test_a_following_camera_keeps_a_translated_mesh_in_place():
     mesh = zoo.cube()
     travel = np.array([[0.0, 0, 0], [3, 0, 1], [5, 0, 2]])
     points = mesh.vertices + travel[:, None]
-    seen = [camera.project(frame, SIZE) for camera, frame in zip(follow(points, SIZE), points, strict=True)]
-    np.testing.assert_allclose(seen[1], seen[0], atol=1e-9)
-    np.testing.assert_allclose(seen[2], seen[0], atol=1e-9)
+    projected = [camera.project(frame, SIZE) for camera, frame in zip(follow(points, SIZE), points, strict=True)]
+    np.testing.assert_allclose(projected[1], projected[0], atol=1e-9)
+    np.testing.assert_allclose(projected[2], projected[0], atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -304,4 +303,4 @@ def test_unknown_views_and_axes_are_refused(options, message):
 
 def test_srgb_and_linear_undo_each_other():
     values = np.linspace(0, 1, 50).reshape(-1, 1)
-    np.testing.assert_allclose(light.to_srgb(light.to_linear(values)), values, atol=1e-9)
+    np.testing.assert_allclose(shading.to_srgb(shading.to_linear(values)), values, atol=1e-9)

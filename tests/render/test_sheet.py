@@ -1,4 +1,4 @@
-"""Pages of pictures: their layout, their captions, and the colours of errors."""
+"""Sheets of pictures: layout, captions, and heat maps."""
 
 import dataclasses
 
@@ -13,8 +13,8 @@ from mimesh.render import heat, sheet
 TILE = (60, 72)
 
 
-def band(image):
-    """The caption below a single tile."""
+def caption_of(image):
+    """Return the caption below a single tile."""
     return np.asarray(image)[TILE[1] :]
 
 
@@ -50,9 +50,9 @@ def test_an_empty_contact_sheet_is_refused():
 
 def test_captions_are_drawn_and_shortened_to_the_tile():
     blank = np.full((TILE[1], TILE[0], 3), 240, np.uint8)
-    assert (band(sheet.captioned(blank, "")) > 200).all()
-    assert (band(sheet.captioned(blank, "cube")) < 120).any()
-    long = band(sheet.captioned(blank, "a name far too long for its tile"))
+    assert (caption_of(sheet.captioned(blank, "")) > 200).all()
+    assert (caption_of(sheet.captioned(blank, "cube")) < 120).any()
+    long = caption_of(sheet.captioned(blank, "a name far too long for its tile"))
     assert (long[:, [0, -1]] > 200).all()
 
 
@@ -77,7 +77,7 @@ def test_result_and_truth_share_one_camera():
     assert (result != truth).any()
 
 
-def test_strip_follows_the_subject_and_holds_the_asked_number_of_frames():
+def test_strip_follows_the_subject_and_has_the_requested_number_of_frames():
     page = np.asarray(sheet.strip(walk(), frames=4, tile=TILE)).astype(int)
     assert page.shape[1] == 4 * TILE[0]
     tiles = page[: TILE[1]].reshape(TILE[1], 4, TILE[0], 3)
@@ -105,7 +105,7 @@ def test_heat_colours_get_darker_all_the_way_and_clip_at_both_ends():
     np.testing.assert_array_equal(heat.heat_colors(np.array([-1.0, 2.0])), heat.heat_colors(np.array([0.0, 1.0])))
 
 
-def test_heat_map_is_deepest_where_the_error_is():
+def test_heat_map_has_the_colour_of_large_errors_where_the_error_is():
     cube = zoo.cube()
     bent = cube.vertices + np.where(cube.vertices[:, 1:2] > 0.5, [0.0, 0.02, 0.0], 0.0)
     pixels = np.asarray(heat.heat_map(cube.with_vertices(bent), cube, tile=TILE)).astype(int)

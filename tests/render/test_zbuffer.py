@@ -1,4 +1,4 @@
-"""The z-buffer against analytic pixels, exact cover, and a loop over every pixel and triangle."""
+"""The z-buffer against analytic pixels, exact coverage, and a loop over every pixel and triangle."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from mimesh.render.zbuffer import visible_faces, weights_at
 
 
 def picture(points, faces, width, rows, shifts=None):
-    """Face seen at each sample, -1 where none is."""
+    """Return the visible face at each sample, -1 where there is none."""
     return visible_faces(np.asarray(points, float), np.asarray(faces), width, rows, shifts)
 
 
-def soup(rng, count, width, rows):
-    """Triangles of every size, some beyond the picture's edge, at random depths."""
+def random_triangles(rng, count, width, rows):
+    """Make triangles of every size, some beyond the picture's edge, at random depths."""
     centre = rng.uniform(-0.2, 1.2, (count, 1, 2)) * [width, rows]
     spread = rng.lognormal(0.5, 1.2, (count, 1, 1)) * rng.normal(size=(count, 3, 2))
     points = np.concatenate([centre + spread, rng.uniform(1, 2, (count, 3, 1))], axis=2).reshape(-1, 3)
@@ -20,8 +20,8 @@ def soup(rng, count, width, rows):
 
 
 def naive(points, faces, width, rows):
-    """Nearest face and its barycentric weights at every pixel centre, one pixel and triangle at a time."""
-    seen, weights = np.full((rows, width), -1), np.zeros((rows, width, 3))
+    """Return the nearest face and its barycentric weights at every pixel centre, one pixel and triangle at a time."""
+    visible, weights = np.full((rows, width), -1), np.zeros((rows, width, 3))
     for row in range(rows):
         for column in range(width):
             nearest = np.inf
@@ -31,15 +31,15 @@ def naive(points, faces, width, rows):
                 bary = np.linalg.solve(system, [*p, 1.0])
                 rank = bary @ points[face, 2]
                 if (bary > 0).all() and rank < nearest:
-                    nearest, seen[row, column], weights[row, column] = rank, index, bary
-    return seen, weights
+                    nearest, visible[row, column], weights[row, column] = rank, index, bary
+    return visible, weights
 
 
-def test_a_known_triangle_covers_the_pixels_whose_centres_it_holds():
+def test_a_triangle_covers_the_pixels_whose_centres_are_inside():
     column, row = np.meshgrid(np.arange(6), np.arange(6))
     inside = (column + 0.5) + (row + 0.5) < 4  # centres on the right or lower edge belong to the neighbour
-    seen = picture([[0, 0, 1], [4, 0, 1], [0, 4, 1]], [[0, 1, 2]], 6, 6)
-    np.testing.assert_array_equal(seen == 0, inside)
+    visible = picture([[0, 0, 1], [4, 0, 1], [0, 4, 1]], [[0, 1, 2]], 6, 6)
+    np.testing.assert_array_equal(visible == 0, inside)
 
 
 def test_the_nearer_triangle_wins_whatever_the_order():
@@ -55,9 +55,9 @@ def test_of_equally_near_triangles_the_first_wins():
 
 def test_interpenetrating_triangles_are_cut_where_they_cross():
     points = [[-50, 0, 0], [50, 0, 0], [0, 99, 0], [0, -9, -1], [0, 99, -1], [10, -9, 1], [10, 99, 1]]
-    seen = picture(points, [[0, 1, 2], [3, 4, 5], [4, 6, 5]], 10, 8)
-    assert (seen[:, :5] > 0).all()
-    assert (seen[:, 5:] == 0).all()
+    visible = picture(points, [[0, 1, 2], [3, 4, 5], [4, 6, 5]], 10, 8)
+    assert (visible[:, :5] > 0).all()
+    assert (visible[:, 5:] == 0).all()
 
 
 def test_a_triangulated_sheet_covers_every_sample_exactly_once():
@@ -76,7 +76,7 @@ def test_a_triangulated_sheet_covers_every_sample_exactly_once():
 
 @pytest.mark.parametrize("seed", range(4))
 def test_agrees_with_a_loop_over_every_pixel_and_triangle(seed):
-    points, faces = soup(np.random.default_rng(seed), 25, 17, 13)
+    points, faces = random_triangles(np.random.default_rng(seed), 25, 17, 13)
     expected, weights = naive(points, faces, 17, 13)
     np.testing.assert_array_equal(picture(points, faces, 17, 13), expected)
     row, column = np.nonzero(expected >= 0)
@@ -87,24 +87,24 @@ def test_agrees_with_a_loop_over_every_pixel_and_triangle(seed):
 
 def test_turning_faces_over_or_reordering_them_changes_nothing():
     rng = np.random.default_rng(5)
-    points, faces = soup(rng, 200, 40, 30)
-    seen, order = picture(points, faces, 40, 30), rng.permutation(200)
-    np.testing.assert_array_equal(picture(points, faces[:, ::-1], 40, 30), seen)
+    points, faces = random_triangles(rng, 200, 40, 30)
+    visible, order = picture(points, faces, 40, 30), rng.permutation(200)
+    np.testing.assert_array_equal(picture(points, faces[:, ::-1], 40, 30), visible)
     permuted = picture(points, faces[order], 40, 30)
-    np.testing.assert_array_equal(np.where(permuted >= 0, order[permuted], -1), seen)
+    np.testing.assert_array_equal(np.where(permuted >= 0, order[permuted], -1), visible)
 
 
-def test_blocks_of_samples_join_without_a_trace(monkeypatch):
-    points, faces = soup(np.random.default_rng(6), 60, 40, 30)
-    seen = picture(points, faces, 40, 30)
+def test_the_block_size_does_not_change_the_result(monkeypatch):
+    points, faces = random_triangles(np.random.default_rng(6), 60, 40, 30)
+    visible = picture(points, faces, 40, 30)
     monkeypatch.setattr("mimesh.render.zbuffer.BLOCK", 7)
-    np.testing.assert_array_equal(picture(points, faces, 40, 30), seen)
+    np.testing.assert_array_equal(picture(points, faces, 40, 30), visible)
 
 
-def test_shifted_samples_see_what_a_shifted_mesh_shows():
-    points, faces = soup(np.random.default_rng(7), 60, 40, 30)
-    seen = picture(points, faces, 40, 30, np.array([0.25]))
-    np.testing.assert_array_equal(seen, picture(points + [0.25, 0, 0], faces, 40, 30))
+def test_shifted_samples_equal_a_shifted_mesh():
+    points, faces = random_triangles(np.random.default_rng(7), 60, 40, 30)
+    visible = picture(points, faces, 40, 30, np.array([0.25]))
+    np.testing.assert_array_equal(visible, picture(points + [0.25, 0, 0], faces, 40, 30))
 
 
 def test_triangles_with_nan_or_no_area_and_empty_meshes_draw_nothing():

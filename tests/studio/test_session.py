@@ -1,4 +1,4 @@
-"""The desk without a server: what is made is what `mimesh` makes, the newest wish wins, and stopping stops."""
+"""Sessions without a server: results equal those of `mimesh`, the newest request counts, and jobs can be stopped."""
 
 import dataclasses
 import threading
@@ -9,15 +9,15 @@ import pytest
 from people import person, walk
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
-from mimesh.studio import make_desk
+from mimesh.studio import make_session
 from mimesh.studio.jobs import Cancelled, Worker
-from mimesh.studio.state import described
+from mimesh.studio.state import describe
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     """A small person to move, another in a pose, and three frames of a third who walks."""
-    folder = tmp_path_factory.mktemp("given")
+    folder = tmp_path_factory.mktemp("inputs")
     save_mesh(person(0), folder / "hero.obj")
     save_mesh(person(2, 1), folder / "pose.obj")
     save_clip(walk(frames=3), folder / "walk.npz")
@@ -25,145 +25,147 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture
-def desk(files):
-    """With the model that is done at once."""
-    desk = make_desk([files / "hero.obj", files / "walk.npz"], 2**20, "copy")
-    yield desk
-    desk.close()
+def session(files):
+    """A session with the model `copy`, which takes no time."""
+    session = make_session([files / "hero.obj", files / "walk.npz"], 2**20, "copy")
+    yield session
+    session.close()
 
 
 @pytest.fixture(scope="module")
-def reader(files):
-    """With the model that reads both surfaces, which takes a second; for all tests that need it."""
-    desk = make_desk([files / "hero.obj", files / "walk.npz"], 2**20)
-    yield desk
-    desk.close()
+def mime_session(files):
+    """A session with the model `mime`, which takes a second; for all tests that need it."""
+    session = make_session([files / "hero.obj", files / "walk.npz"], 2**20)
+    yield session
+    session.close()
 
 
-def until(met, seconds=20.0):
-    """Wait for something that the worker does."""
+def wait_until(condition, seconds=20.0):
+    """Wait until the worker has met a condition."""
     end = time.monotonic() + seconds
-    while not met():
+    while not condition():
         assert time.monotonic() < end
         time.sleep(0.005)
 
 
-def only(desk):
-    return next(iter(desk.identities.values()))
+def only_item(session):
+    """Return the only mesh to move."""
+    return next(iter(session.identities.values()))
 
 
-def done(desk):
-    until(lambda: (outcome := only(desk).outcome) is not None and (outcome.current or outcome.error))
-    return only(desk).outcome
+def finished_outcome(session):
+    """Wait for the result of the only mesh and return its outcome."""
+    wait_until(lambda: (outcome := only_item(session).outcome) is not None and (outcome.current or outcome.error))
+    return only_item(session).outcome
 
 
-def test_results_are_those_of_animate(reader, files):
-    ours = animate(files / "hero.obj", files / "walk.npz")
-    result = done(reader).result
-    np.testing.assert_array_equal(result.clip.vertices, ours.clip.vertices)
-    assert result.fps == ours.fps
-    assert result.notes == ours.notes
-    pose = reader.pose(only(reader).number, 2).result(20)
-    np.testing.assert_allclose(pose, ours.clip.vertices[2], atol=1e-5)
+def test_results_are_those_of_animate(mime_session, files):
+    expected = animate(files / "hero.obj", files / "walk.npz")
+    result = finished_outcome(mime_session).result
+    np.testing.assert_array_equal(result.clip.vertices, expected.clip.vertices)
+    assert result.fps == expected.fps
+    assert result.notes == expected.notes
+    pose = mime_session.pose(only_item(mime_session).number, 2).result(20)
+    np.testing.assert_allclose(pose, expected.clip.vertices[2], atol=1e-5)
 
 
-def test_options_are_those_of_animate(reader, files):
-    given = {"root": "drop", "refine": True, "smooth": 0.2}
-    reader.set_options(given)
-    ours = animate(files / "hero.obj", files / "walk.npz", **given)
-    np.testing.assert_allclose(done(reader).result.clip.vertices, ours.clip.vertices, atol=1e-6)
+def test_options_are_those_of_animate(mime_session, files):
+    options = {"root": "drop", "refine": True, "smooth": 0.2}
+    mime_session.set_options(options)
+    expected = animate(files / "hero.obj", files / "walk.npz", **options)
+    np.testing.assert_allclose(finished_outcome(mime_session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
 
 
-def test_models_are_those_of_animate(desk, files):
-    ours = animate(files / "hero.obj", files / "walk.npz", "copy")
-    np.testing.assert_allclose(done(desk).result.clip.vertices, ours.clip.vertices, atol=1e-6)
+def test_models_are_those_of_animate(session, files):
+    expected = animate(files / "hero.obj", files / "walk.npz", "copy")
+    np.testing.assert_allclose(finished_outcome(session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
 
 
-def test_a_pose_is_that_of_transfer(desk, files):
-    desk.set_driving(files / "pose.obj", "pose.obj")
-    ours = transfer(files / "hero.obj", files / "pose.obj", "copy")
-    np.testing.assert_array_equal(done(desk).result.clip.vertices[0], ours.vertices)
+def test_poses_are_those_of_transfer(session, files):
+    session.set_driving(files / "pose.obj", "pose.obj")
+    expected = transfer(files / "hero.obj", files / "pose.obj", "copy")
+    np.testing.assert_array_equal(finished_outcome(session).result.clip.vertices[0], expected.vertices)
 
 
-def test_options_that_make_no_sense_are_refused(desk):
-    for given in ({"model": "/etc/passwd"}, {"root": "up"}, {"smooth": -1}, {"smooth": float("nan")}, {"ground": 1}):
+def test_invalid_options_are_refused(session):
+    for options in ({"model": "/etc/passwd"}, {"root": "up"}, {"smooth": -1}, {"smooth": float("nan")}, {"ground": 1}):
         with pytest.raises(InputError, match="expected"):
-            desk.set_options(given)
+            session.set_options(options)
     with pytest.raises(InputError, match="two axes"):
-        desk.set_item(only(desk).number, {"up": "y", "front": "-y"})
+        session.set_item(only_item(session).number, {"up": "y", "front": "-y"})
 
 
-def test_what_cannot_be_read_is_said_without_a_path(desk, tmp_path):
+def test_unreadable_files_give_an_error_and_others_go_on(session, tmp_path):
     bad = tmp_path / "bad.glb"
     bad.write_text("hello")
-    desk.add_identities([bad])
-    until(lambda: any(item.error for item in desk.identities.values()))
-    said = next(item.error for item in desk.identities.values() if item.error)
-    assert "expected" in said
-    assert done(desk).current, "the others go on"
+    session.add_identities([bad])
+    wait_until(lambda: any(item.error for item in session.identities.values()))
+    message = next(item.error for item in session.identities.values() if item.error)
+    assert "expected" in message
+    assert finished_outcome(session).current, "other meshes are not affected"
 
 
-def test_the_state_is_plain(desk):
+def test_the_state_is_json(session):
     import json
 
-    done(desk)
-    state = json.loads(json.dumps(described(desk)))
+    finished_outcome(session)
+    state = json.loads(json.dumps(describe(session)))
     assert state["driving"]["frames"] == 3
     assert state["identities"][0]["outcome"]["state"] == "done"
 
 
-def test_removing_takes_the_result_along(desk):
-    done(desk)
-    desk.remove(only(desk).number)
-    assert not desk.identities
-    assert described(desk)["scene"].count(".") >= 1
+def test_removing_a_mesh_removes_its_result(session):
+    finished_outcome(session)
+    session.remove(only_item(session).number)
+    assert not session.identities
+    assert describe(session)["scene"].count(".") >= 1
 
 
-def test_the_newest_wish_wins_and_urgent_ones_go_between_frames():
-    worker, begun, order = Worker(), threading.Event(), []
+def test_the_newest_job_of_a_key_counts_and_urgent_ones_run_between_frames():
+    worker, started, order = Worker(), threading.Event(), []
 
     def long(progress):
         for t in range(500):
-            begun.set()
+            started.set()
             time.sleep(0.002)
             progress(t, 500)
         order.append("long")
 
-    clip = worker.put("clip", long)
-    begun.wait()
-    wishes = [worker.put("pose", lambda progress, k=k: order.append(k), urgent=True) for k in range(5)]
-    wishes[-1].result(5)
+    clip = worker.submit("clip", long)
+    started.wait()
+    poses = [worker.submit("pose", lambda progress, k=k: order.append(k), urgent=True) for k in range(5)]
+    poses[-1].result(5)
     assert order[-1] == 4
     assert not clip.done()
-    assert all(isinstance(wish.exception(), Cancelled | type(None)) for wish in wishes)
-    worker.drop("clip")
+    assert all(isinstance(pose.exception(), Cancelled | type(None)) for pose in poses)
+    worker.cancel("clip")
     assert isinstance(clip.exception(1), Cancelled)
     worker.close()
-    assert isinstance(worker.put("late", long).exception(1), Cancelled)
+    assert isinstance(worker.submit("late", long).exception(1), Cancelled)
 
 
-def test_stopping_keeps_the_desk_working(desk, files):
-    done(desk)
-    desk.set_options({"root": "keep"})
-    desk.stop(only(desk).number)
-    until(lambda: only(desk).outcome.stopped or only(desk).outcome.current)
-    desk.set_options({"root": "scale"})
-    assert done(desk).current
+def test_results_are_computed_after_stopping(session, files):
+    finished_outcome(session)
+    session.set_options({"root": "keep"})
+    session.stop(only_item(session).number)
+    wait_until(lambda: only_item(session).outcome.stopped or only_item(session).outcome.current)
+    session.set_options({"root": "scale"})
+    assert finished_outcome(session).current
 
 
-def test_joints_need_a_model_with_joints(desk, files):
-    desk.set_options({"root": "keep"})
-    outcome = done(desk)
-    assert outcome.current, "options of joints are not asked of others"
-    number = desk.export(".glb", [], True, None)
-    until(lambda: desk.exports[number].error)
-    assert "another model" in desk.exports[number].error
+def test_skinned_exports_need_a_model_with_joints(session, files):
+    session.set_options({"root": "keep"})
+    outcome = finished_outcome(session)
+    assert outcome.current, "models without joints ignore their options"
+    number = session.export(".glb", [], True, None)
+    wait_until(lambda: session.exports[number].error)
+    assert "another model" in session.exports[number].error
 
 
-def test_nothing_is_left(files):
-    desk = make_desk([files / "hero.obj"], 2**20)
-    folder = desk.workplace.folder
+def test_closing_deletes_the_files(files):
+    session = make_session([files / "hero.obj"], 2**20)
+    folder = session.uploads.folder
     assert folder.is_dir()
-    desk.close()
+    session.close()
     assert not folder.exists()
-    assert dataclasses.is_dataclass(desk.options)
+    assert dataclasses.is_dataclass(session.options)

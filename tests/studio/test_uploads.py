@@ -1,4 +1,4 @@
-"""What an upload names is read from its own folder alone; what the command line names may lie anywhere."""
+"""Files that an uploaded mesh refers to are read from its own folder only; those of local meshes from anywhere."""
 
 import io
 import json
@@ -18,41 +18,41 @@ MATERIAL = "newmtl a\nKd 0.5 0.25 0.125\nmap_Kd {}\n"
 
 
 @pytest.fixture
-def places(tmp_path):
-    """The folder of an upload, and one beside it with what is nobody's business."""
-    ours, secret = tmp_path / "upload", tmp_path / "secret"
-    for folder in (ours, secret):
+def folders(tmp_path):
+    """The folder of an upload, and one beside it that uploads must not read."""
+    upload, secret = tmp_path / "upload", tmp_path / "secret"
+    for folder in (upload, secret):
         folder.mkdir()
     picture = io.BytesIO()
     Image.new("RGB", (4, 4), (200, 40, 30)).save(picture, "PNG")
     (secret / "face.png").write_bytes(picture.getvalue())
     (secret / "looks.mtl").write_text(MATERIAL.format("face.png"))
-    return ours, secret
+    return upload, secret
 
 
-def ways(folder, secret, name):
-    """The ways in which a file in `folder` may name one outside."""
+def references(folder, secret, name):
+    """List the ways to refer from a file in `folder` to one outside."""
     (folder / "x").mkdir(exist_ok=True)
     (folder / "link").unlink(missing_ok=True)
     (folder / "link").symlink_to(secret / name)
     return [f"../secret/{name}", str(secret / name), f"x/../../secret/{name}", "link"]
 
 
-def only_confined(path, folder, looks):
-    """Something of a mesh is had when it is the user's own, and not when it is an upload."""
-    assert looks(load_mesh(path)), "or this test shows nothing"
-    assert not looks(read_mesh(path, folder))
-    assert looks(read_mesh(path, None))
+def only_confined(path, folder, detect):
+    """Check that `detect` finds something in a local mesh, and not in the same mesh as an upload."""
+    assert detect(load_mesh(path)), "else this test shows nothing"
+    assert not detect(read_mesh(path, folder))
+    assert detect(read_mesh(path, None))
 
 
 def texture(mesh):
     return [part.material.texture for part in mesh.parts if part.material and part.material.texture]
 
 
-def test_images_of_a_gltf(places):
-    ours, secret = places
-    for name in ways(ours, secret, "face.png"):
-        path = ours / "a.gltf"
+def test_images_of_gltf_are_confined(folders):
+    upload, secret = folders
+    for name in references(upload, secret, "face.png"):
+        path = upload / "a.gltf"
         save_mesh(zoo.cube(), path)
         document = json.loads(path.read_text())
         document["images"] = [{"uri": name}]
@@ -60,13 +60,13 @@ def test_images_of_a_gltf(places):
         document["materials"] = [{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]
         document["meshes"][0]["primitives"][0]["material"] = 0
         path.write_text(json.dumps(document))
-        only_confined(path, ours, texture)
+        only_confined(path, upload, texture)
 
 
-def test_buffers_of_a_gltf(places):
-    ours, secret = places
+def test_buffers_of_gltf_are_confined(folders):
+    upload, secret = folders
     (secret / "passwords").write_bytes(np.square(np.arange(9, dtype="<f4")).tobytes())
-    for name in ways(ours, secret, "passwords"):
+    for name in references(upload, secret, "passwords"):
         document = {
             "asset": {"version": "2.0"},
             "buffers": [{"byteLength": 36, "uri": name}],
@@ -76,24 +76,24 @@ def test_buffers_of_a_gltf(places):
             "nodes": [{"mesh": 0}],
             "scenes": [{"nodes": [0]}],
         }
-        (ours / "a.gltf").write_text(json.dumps(document))
-        assert load_mesh(ours / "a.gltf").vertices[2, 2] == 64
+        (upload / "a.gltf").write_text(json.dumps(document))
+        assert load_mesh(upload / "a.gltf").vertices[2, 2] == 64
         with pytest.raises(InputError, match="found no file"):
-            read_mesh(ours / "a.gltf", ours)
+            read_mesh(upload / "a.gltf", upload)
         with pytest.raises(InputError, match="found no file"):
-            read_clip(ours / "a.gltf", ours, "a", None, None)
+            read_clip(upload / "a.gltf", upload, "a", None, None)
 
 
-def test_libraries_and_images_of_an_obj(places):
-    ours, secret = places
-    for name in ways(ours, secret, "looks.mtl"):
-        (ours / "a.obj").write_text(f"mtllib {name}\n{TRIANGLE}")
-        # What a library names by itself is looked for beside it.
-        only_confined(ours / "a.obj", ours, lambda mesh: mesh.parts[0].material.base_color[0] == 0.5)
-    for name in ways(ours, secret, "face.png"):
-        (ours / "a.mtl").write_text(MATERIAL.format(name))
-        (ours / "a.obj").write_text(f"mtllib a.mtl\n{TRIANGLE}")
-        only_confined(ours / "a.obj", ours, texture)
+def test_libraries_and_images_of_obj_are_confined(folders):
+    upload, secret = folders
+    for name in references(upload, secret, "looks.mtl"):
+        (upload / "a.obj").write_text(f"mtllib {name}\n{TRIANGLE}")
+        # Images that a library refers to are searched beside it.
+        only_confined(upload / "a.obj", upload, lambda mesh: mesh.parts[0].material.base_color[0] == 0.5)
+    for name in references(upload, secret, "face.png"):
+        (upload / "a.mtl").write_text(MATERIAL.format(name))
+        (upload / "a.obj").write_text(f"mtllib a.mtl\n{TRIANGLE}")
+        only_confined(upload / "a.obj", upload, texture)
 
 
 HEAD = "#usda 1.0\n"
@@ -103,26 +103,26 @@ MESH = """def Mesh "{name}" {{
   int[] faceVertexIndices = [0, 1, 2]
 }}
 """
-OWN = MESH.format(name="own")
+FIRST = MESH.format(name="first")
 NAMING = {
-    "reference": OWN + 'def "other" (references = @{}@</other>) {{\n}}\n',
-    "payload": OWN + 'def "other" (payload = @{}@</other>) {{\n}}\n',
-    "sublayer": "(\n subLayers = [@{}@]\n)\n" + OWN,
-    "asset": OWN + 'def "other" {{\n asset file = @{}@\n}}\n',
-    "variant": OWN + 'def "v" (\n variants = {{ string a = "b" }}\n prepend variantSets = "a"\n) {{\n'
+    "reference": FIRST + 'def "other" (references = @{}@</other>) {{\n}}\n',
+    "payload": FIRST + 'def "other" (payload = @{}@</other>) {{\n}}\n',
+    "sublayer": "(\n subLayers = [@{}@]\n)\n" + FIRST,
+    "asset": FIRST + 'def "other" {{\n asset file = @{}@\n}}\n',
+    "variant": FIRST + 'def "v" (\n variants = {{ string a = "b" }}\n prepend variantSets = "a"\n) {{\n'
     ' variantSet "a" = {{\n "b" (references = @{}@</other>) {{\n }}\n }}\n}}\n',
 }
 
 
 @pytest.mark.parametrize("text", NAMING.values(), ids=NAMING)
-def test_layers_and_assets_of_usd(places, text):
+def test_layers_and_assets_of_usd_are_confined(folders, text):
     pytest.importorskip("pxr")
-    ours, secret = places
+    upload, secret = folders
     (secret / "other.usda").write_text(HEAD + MESH.format(name="other"))
-    (ours / "between.usda").write_text(HEAD)
-    for name in ways(ours, secret, "other.usda")[:3]:
-        text_of_mesh = text.replace(OWN, MESH.replace("{name}", "own")).format(name)
-        path, between, package = ours / "a.usda", ours / "b.usda", ours / "c.usdz"
+    (upload / "between.usda").write_text(HEAD)
+    for name in references(upload, secret, "other.usda")[:3]:
+        text_of_mesh = text.replace(FIRST, MESH.replace("{name}", "first")).format(name)
+        path, between, package = upload / "a.usda", upload / "b.usda", upload / "c.usdz"
         path.write_text(HEAD + text_of_mesh)
         between.write_text(HEAD + "(\n subLayers = [@a.usda@]\n)\n")
         with zipfile.ZipFile(package, "w") as pack:
@@ -132,23 +132,23 @@ def test_layers_and_assets_of_usd(places, text):
                 continue  # such a name stays in the package
             assert len(load_mesh(file).vertices) in (3, 6)
             with pytest.raises(InputError, match="came with it"):
-                read_mesh(file, ours)
+                read_mesh(file, upload)
 
 
-def test_what_came_along_is_read(places):
-    ours, secret = places
-    (ours / "in").mkdir()
-    (ours / "face.png").write_bytes((secret / "face.png").read_bytes())
-    (ours / "in" / "a.mtl").write_text(MATERIAL.format("../face.png"))
-    (ours / "in" / "a.obj").write_text(f"mtllib a.mtl\n{TRIANGLE}")
-    assert texture(read_mesh(ours / "in" / "a.obj", ours))
+def test_files_of_the_same_upload_are_read(folders):
+    upload, secret = folders
+    (upload / "in").mkdir()
+    (upload / "face.png").write_bytes((secret / "face.png").read_bytes())
+    (upload / "in" / "a.mtl").write_text(MATERIAL.format("../face.png"))
+    (upload / "in" / "a.obj").write_text(f"mtllib a.mtl\n{TRIANGLE}")
+    assert texture(read_mesh(upload / "in" / "a.obj", upload))
     pytest.importorskip("pxr")
-    (ours / "other.usda").write_text(HEAD + MESH.format(name="other"))
-    (ours / "in" / "a.usda").write_text(HEAD + "(\n subLayers = [@../other.usda@, @../../gone.usda@]\n)\n")
-    assert len(read_mesh(ours / "in" / "a.usda", ours).vertices) == 3
+    (upload / "other.usda").write_text(HEAD + MESH.format(name="other"))
+    (upload / "in" / "a.usda").write_text(HEAD + "(\n subLayers = [@../other.usda@, @../../gone.usda@]\n)\n")
+    assert len(read_mesh(upload / "in" / "a.usda", upload).vertices) == 3
 
 
-def test_a_package_is_not_unpacked_beyond_its_size(tmp_path):
+def test_compressed_usd_packages_are_refused(tmp_path):
     pytest.importorskip("pxr")
     from mimesh.io.usd.package import unpack
 
@@ -158,7 +158,7 @@ def test_a_package_is_not_unpacked_beyond_its_size(tmp_path):
         unpack(tmp_path / "bomb.usdz", tmp_path / "out")
 
 
-def test_a_few_letters_do_not_take_all_memory(tmp_path):
+def test_accessors_without_data_are_refused(tmp_path):
     document = {
         "asset": {"version": "2.0"},
         "accessors": [{"componentType": 5126, "count": 2 * 10**9, "type": "VEC3"}],
@@ -171,9 +171,9 @@ def test_a_few_letters_do_not_take_all_memory(tmp_path):
         load_mesh(tmp_path / "a.gltf")
 
 
-def test_the_end_of_a_context_is_the_end_of_its_rule(places):
-    ours, secret = places
-    with confined(ours):
+def test_confinement_ends_with_its_context(folders):
+    upload, secret = folders
+    with confined(upload):
         assert not is_there(secret / "face.png")
         assert not is_there("\0")
     assert is_there(secret / "face.png")

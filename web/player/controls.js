@@ -1,8 +1,8 @@
 // The play bar, the buttons, the keyboard and the help panel of a stage.
 //
-//   const controls = new Controls(stage, {top, bottom})   two boxes that take the buttons
+//   const controls = new Controls(stage, {top, bottom})   two elements to which the buttons are added
 //   controls.play(), controls.pause(), controls.playing, controls.speed, controls.loop
-//   controls.addButton(place, name, label, act, {pressed, key})   for pages with buttons of their own
+//   controls.addButton(parent, name, label, act, {pressed, key})   for further buttons of a page
 import { make } from "./dom.js";
 import { ICONS } from "./icons.js";
 import { Legend } from "./legend.js";
@@ -43,8 +43,8 @@ export class Controls {
     for (const speed of SPEEDS) this.speedChoice.add(new Option(`${speed}×`, speed, speed === 1, speed === 1));
     this.speedChoice.addEventListener("change", () => (this.speed = Number(this.speedChoice.value)));
     this.loopButton = this.addButton(bar, "loop", "Loop", () => this.setLoop(!this.loop), { key: "l", pressed: true });
-    this.keys.push(["arrowleft", "←", "a frame back", () => this.seek(this.stage.time - this.frame)]);
-    this.keys.push(["arrowright", "→", "a frame on", () => this.seek(this.stage.time + this.frame)]);
+    this.keys.push(["arrowleft", "←", "previous frame", () => this.seek(this.stage.time - this.frame)]);
+    this.keys.push(["arrowright", "→", "next frame", () => this.seek(this.stage.time + this.frame)]);
     this.keys.push(["home", "home", "to the start", () => this.seek(0)]);
     this.keys.push(["end", "end", "to the end", () => this.seek(this.stage.duration)]);
   }
@@ -61,12 +61,12 @@ export class Controls {
       button.addEventListener("click", () => stage.set({ colours: value }));
       return button;
     });
-    this.keys.push(["c", "c", "the next colours", () => this.nextColours()]);
+    this.keys.push(["c", "c", "next colours", () => this.nextColours()]);
     const toggle = (name, label, key) =>
       this.addButton(tools, name, label, () => stage.set({ [name]: !stage.look[name] }), { key, pressed: false });
     this.toggles = {
       wireframe: toggle("wireframe", "Wireframe", "w"),
-      overlay: toggle("overlay", "Driving over result", "o"),
+      overlay: toggle("overlay", "Overlay the driving mesh", "o"),
       follow: this.addButton(tools, "follow", "Follow the subject", () => this.toggleFollow(), { key: "f", pressed: false }),
     };
     this.addButton(tools, "reset", "Reset the view", () => stage.resetView(), { key: "r" });
@@ -79,8 +79,9 @@ export class Controls {
     this.addButton(top, "help", "Help and keys", () => this.toggleHelp(), { key: "?" });
   }
 
-  addButton(place, name, label, act, { pressed, key, keyName = key } = {}) {
-    const button = place.appendChild(make("button", "tool", { type: "button", innerHTML: ICONS[name] }));
+  /** Add a button with the icon `name`; `key` is its shortcut, `pressed` makes it a toggle. */
+  addButton(parent, name, label, act, { pressed, key, keyName = key } = {}) {
+    const button = parent.appendChild(make("button", "tool", { type: "button", innerHTML: ICONS[name] }));
     button.dataset.name = name;
     button.title = key ? `${label} (${keyName})` : label;
     button.setAttribute("aria-label", label);
@@ -94,8 +95,8 @@ export class Controls {
     const dialog = document.body.appendChild(make("dialog", "help"));
     dialog.setAttribute("aria-label", "Help and keys");
     const rows = this.keys.map(([, name, what]) => `<div><dt><kbd>${name}</kbd></dt><dd>${what}</dd></div>`).join("");
-    dialog.innerHTML = `<h2>Looking around</h2>
-      <p>Drag to turn, scroll or pinch to come nearer, drag with the right button or two fingers to move.
+    dialog.innerHTML = `<h2>Camera</h2>
+      <p>Drag to rotate, scroll or pinch to zoom, drag with the right button or two fingers to pan.
       A double click resets the view. All panels share one camera.</p>
       <h2>Keys</h2><dl>${rows}</dl><form method="dialog"><button class="plain">Close</button></form>`;
     dialog.addEventListener("click", (event) => event.target === dialog && dialog.close());
@@ -113,8 +114,8 @@ export class Controls {
 
   nextColours() {
     const offered = this.colours.filter((button) => !button.hidden);
-    const now = offered.findIndex((button) => button.dataset.name === this.stage.look.colours);
-    offered[(now + 1) % offered.length].click();
+    const index = offered.findIndex((button) => button.dataset.name === this.stage.look.colours);
+    offered[(index + 1) % offered.length].click();
   }
 
   play() {
@@ -125,6 +126,7 @@ export class Controls {
     let before = performance.now();
     const tick = (now) => {
       if (!this.playing) return;
+      // A background tab gets no frames: without the limit, playback would jump when it is shown again.
       this.advance(Math.min((now - before) / 1000, 0.25) * this.speed);
       before = now;
       this.ticking = requestAnimationFrame(tick);
@@ -132,6 +134,7 @@ export class Controls {
     this.ticking = requestAnimationFrame(tick);
   }
 
+  /** Move the time on; at the end, start again or pause. */
   advance(seconds) {
     const { stage } = this;
     const time = stage.time + seconds;
@@ -166,7 +169,7 @@ export class Controls {
   pressed(event) {
     const typing = /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName) && event.target.type !== "range";
     if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
-    if (event.key === " " && event.target.tagName === "BUTTON") return; // the button's own key
+    if (event.key === " " && event.target.tagName === "BUTTON") return; // the browser presses the button
     if (this.help.open && event.key !== "?") return;
     const found = this.keys.find(([key]) => key === event.key.toLowerCase());
     if (!found) return;
@@ -206,9 +209,9 @@ export class Controls {
   }
 
   followSystemTheme() {
-    const wish = matchMedia("(prefers-color-scheme: dark)");
-    wish.addEventListener("change", () => this.stage.set({ dark: wish.matches }));
-    this.stage.set({ dark: wish.matches });
+    const system = matchMedia("(prefers-color-scheme: dark)");
+    system.addEventListener("change", () => this.stage.set({ dark: system.matches }));
+    this.stage.set({ dark: system.matches });
   }
 
   dispose() {

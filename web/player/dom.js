@@ -1,4 +1,4 @@
-/** An element with a class and properties. */
+/** Create an element with a class and properties. */
 export function make(tag, className, properties = {}) {
   return Object.assign(document.createElement(tag), { className, ...properties });
 }

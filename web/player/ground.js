@@ -1,13 +1,14 @@
-// Lights of the studio, and the soft shadow where a subject meets the floor.
+// Lights of the stage, and the soft contact shadow of a subject on the floor.
 import * as THREE from "three";
 
+/** Side of the shadow map in texels. */
 const SIDE = 128;
-/** Width of the floor that the shadow map sees, in sizes of the subject. */
+/** Side of the square of floor that the shadow map covers; 1 is the size of the subject. */
 const REACH = 2.2;
-/** Height above the floor at which a subject stops to darken it. */
+/** Height above the floor, in the same unit, at which a subject casts no contact shadow. */
 const HEIGHT = 0.42;
 
-/** A warm key light from the front left, a cool rim light from behind, and light from all around. */
+/** Add a warm key light from the front left, a cool rim light from behind, and ambient light. */
 export function addLights(scene) {
   scene.add(new THREE.HemisphereLight(0xf4f7ff, 0xd8cbbb, 1.75));
   const key = new THREE.DirectionalLight(0xfff3e4, 2.15);
@@ -17,6 +18,7 @@ export function addLights(scene) {
   scene.add(key, rim);
 }
 
+/** Draws the nearness of a surface to the floor: 1 at the floor, 0 at HEIGHT. */
 const heightShader = {
   vertexShader: `varying float height; uniform float floorY;
     void main() { vec4 p = modelMatrix * vec4(position, 1.0); height = p.y - floorY;
@@ -26,16 +28,17 @@ const heightShader = {
 };
 
 const screenVertex = "varying vec2 at; void main() { at = uv; gl_Position = vec4(position.xy, 0.0, 1.0); }";
+/** A Gaussian blur of 11 texels along one axis; two passes, x and y, cost 22 lookups where one pass in 2D takes 121. */
 const blurFragment = `varying vec2 at; uniform sampler2D map; uniform vec2 along;
   void main() { float sum = 0.0, weight = 0.0;
     for (int k = -5; k <= 5; k++) { float w = exp(-0.11 * float(k * k)); sum += w * texture2D(map, at + along * float(k)).r; weight += w; }
     gl_FragColor = vec4(sum / weight); }`;
-// Seen from below, left and right change places: hence 1 - x.
+// The shadow map is drawn from below, where left and right are mirrored: hence 1 - x.
 const floorFragment = `varying vec2 at; uniform sampler2D map; uniform vec3 color; uniform float strength;
   void main() { float edge = smoothstep(0.5, 0.36, distance(at, vec2(0.5)));
     gl_FragColor = vec4(color, strength * edge * texture2D(map, vec2(1.0 - at.x, at.y)).r); }`;
 
-/** Draws how near a subject is to the floor from below, blurs that, and lays it on the floor. One a panel. */
+/** The contact shadow of one panel: nearness to the floor, drawn from below, blurred, and shown on the floor. */
 export class ContactShadow {
   constructor(scene) {
     this.camera = new THREE.OrthographicCamera(-REACH / 2, REACH / 2, REACH / 2, -REACH / 2, 0, 4);
@@ -66,25 +69,25 @@ export class ContactShadow {
     return floor;
   }
 
-  /** Make the shadow of a subject at a height of the floor, about a middle (x, z), and lay it there. */
+  /** Draw the shadow of a subject on the floor at height `floorY`, in a square centred at (x, z). */
   cast(renderer, scene, body, floorY, x, z) {
     this.camera.position.set(x, floorY - 0.02, z);
     this.camera.up.set(0, 0, -1);
     this.camera.lookAt(x, floorY + 1, z);
     this.height.uniforms.floorY.value = floorY;
     this.floor.visible = false;
-    const worn = body.material;
+    const material = body.material;
     body.material = this.height;
     this.draw(renderer, scene, this.camera, this.targets[0]);
-    body.material = worn;
-    this.sweep(renderer, 0, 1, 1 / SIDE, 0);
-    this.sweep(renderer, 1, 0, 0, 1 / SIDE);
+    body.material = material;
+    this.blurPass(renderer, 0, 1, 1 / SIDE, 0);
+    this.blurPass(renderer, 1, 0, 0, 1 / SIDE);
     renderer.setRenderTarget(null);
     this.floor.position.set(x, floorY, z);
     this.floor.visible = true;
   }
 
-  sweep(renderer, from, to, x, y) {
+  blurPass(renderer, from, to, x, y) {
     this.blur.uniforms.map.value = this.targets[from].texture;
     this.blur.uniforms.along.value.set(x, y);
     this.draw(renderer, this.screen, this.camera, this.targets[to]);

@@ -1,4 +1,4 @@
-// Pictures on buttons, drawn for this project on a grid of 24.
+// Icons of buttons as SVG, drawn for this project on a grid of 24.
 const icon = (body) =>
   `<svg viewBox="0 0 24 24" width="20" height="20" fill="none" stroke="currentColor" stroke-width="1.8" stroke-linecap="round" stroke-linejoin="round" aria-hidden="true">${body}</svg>`;
 

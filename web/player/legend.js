@@ -1,4 +1,4 @@
-// What the colours of a measured result mean, with the numbers of the moment.
+// The legend of a coloured result: the colour scale, and the statistics of the current frame.
 import { make } from "./dom.js";
 
 const percent = (share) => `${(100 * share).toFixed(share < 0.0995 ? 1 : 0)} %`;
@@ -13,7 +13,7 @@ export class Legend {
     this.low = scale.appendChild(make("span", ""));
     this.strip = scale.appendChild(make("span", "legend-strip"));
     this.high = scale.appendChild(make("span", ""));
-    this.words = this.box.appendChild(make("span", "legend-words"));
+    this.statistics = this.box.appendChild(make("span", "legend-words"));
     stage.element.append(this.box);
     stage.addEventListener("time", () => this.show());
   }
@@ -22,11 +22,11 @@ export class Legend {
     const { measure } = this.stage;
     this.box.hidden = !measure;
     if (!measure) return;
-    const { title, ends, words } = measure.what === "stretch" ? stretched(measure) : wrong(measure);
+    const { title, ends, statistics } = measure.what === "stretch" ? stretchLegend(measure) : errorLegend(measure);
     this.title.textContent = title;
     this.strip.style.background = measure.css;
     [this.low.textContent, this.high.textContent] = ends;
-    this.words.textContent = words;
+    this.statistics.textContent = statistics;
   }
 
   dispose() {
@@ -34,18 +34,18 @@ export class Legend {
   }
 }
 
-function stretched({ limit, mean, most }) {
+function stretchLegend({ limit, mean, largest }) {
   return {
     title: "Edge lengths, against the identity",
     ends: [`−${percent(1 - 1 / limit)}`, `+${percent(limit - 1)}`],
-    words: `at a vertex: mean change ${percent(mean)}, largest ${percent(most)}`,
+    statistics: `at a vertex: mean change ${percent(mean)}, largest ${percent(largest)}`,
   };
 }
 
-function wrong({ limit, mean, most, size }) {
+function errorLegend({ limit, mean, largest, size }) {
   return {
     title: "Distance to the truth",
     ends: ["0", `${number(limit)}+`],
-    words: `mean ${number(mean)} (${percent(mean / size)} of the size), largest ${number(most)}`,
+    statistics: `mean ${number(mean)} (${percent(mean / size)} of the size), largest ${number(largest)}`,
   };
 }

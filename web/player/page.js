@@ -1,5 +1,5 @@
-// The offline page: reads the scene that lies in it, starts the stage, and offers the result's file. Where no scene
-// lies in the page, as in the studio's, nothing is started: that page takes the parts from `mimeshPlayer`.
+// The offline page: reads its embedded scene, starts the stage, and offers the result's file. In a page without a scene,
+// such as the studio's, nothing is started: that page uses the exports through `mimeshPlayer`.
 import { Controls } from "./controls.js";
 import { make } from "./dom.js";
 import { ICONS } from "./icons.js";
@@ -7,23 +7,23 @@ import { fromBase64, inflate } from "./scene.js";
 import { Stage } from "./stage.js";
 
 const REFUSALS = {
-  webgl: "This page draws with WebGL 2, and this browser has it switched off or has none. Open it in a current Chrome, Edge, Firefox or Safari, on a computer with a graphics driver.",
+  webgl: "This page needs WebGL 2, which this browser does not have or has switched off. Open it in a current Chrome, Edge, Firefox or Safari, on a computer with a graphics driver.",
   inflate: "This page needs a browser from 2023 or later (it lacks DecompressionStream). Open it in a current Chrome, Edge, Firefox or Safari.",
 };
 
-/** The frame of the page: a head, the stage, and two rows of buttons. */
-function frame(root, packed) {
+/** Build the page: a head, the stage, and two rows of buttons. */
+function buildPage(root, packed) {
   const head = root.appendChild(make("header", "head"));
   const names = head.appendChild(make("div", "names"));
   names.append(make("h1", "", { textContent: packed.title }));
-  if (packed.model) names.append(make("span", "chip", { textContent: packed.model, title: "The model that moved it" }));
+  if (packed.model) names.append(make("span", "chip", { textContent: packed.model, title: "Model" }));
   const top = head.appendChild(make("div", "top"));
   const stage = root.appendChild(make("main", "stage"));
   const bottom = root.appendChild(make("footer", "bottom"));
   return { head, top, stage, bottom };
 }
 
-/** What is to be known about what is shown: the report's notes, and what was left out. */
+/** Show the notes of the report, and what was left out of the page. */
 function addNotes(bottom, { notes, left_out: leftOut }) {
   const lines = [...notes, ...leftOut];
   if (!lines.length) return;
@@ -33,18 +33,19 @@ function addNotes(bottom, { notes, left_out: leftOut }) {
   for (const line of lines) list.append(make("li", "", { textContent: line }));
 }
 
-/** A button that gives the file back from the page, or a link to the file beside it. */
+/** Add a button that downloads the file embedded in the page, or a link to the file beside it. */
 function addDownload(top, { download }) {
   if (!download) return;
   const label = `${ICONS.download}<span></span>`;
   const link = make("a", "plain download", { innerHTML: label, href: download.href ?? "#", download: download.name });
-  link.lastChild.textContent = download.data ? `Download ${download.name}` : `${download.name}, beside this page`;
+  link.lastChild.textContent = download.data ? `Download ${download.name}` : `${download.name} (beside this page)`;
   link.setAttribute("role", "button");
-  if (download.data) link.addEventListener("click", (event) => handOut(event, link, download));
+  if (download.data) link.addEventListener("click", (event) => downloadEmbedded(event, link, download));
   top.prepend(link);
 }
 
-async function handOut(event, link, download) {
+/** Decode the embedded file on the first click, then click again on a link to it. */
+async function downloadEmbedded(event, link, download) {
   if (link.dataset.ready) return;
   event.preventDefault();
   const bytes = await inflate(fromBase64(download.data));
@@ -53,8 +54,9 @@ async function handOut(event, link, download) {
   link.click();
 }
 
-function refuse(root, words) {
-  root.append(make("p", "refusal", { textContent: words }));
+/** Show a message in place of the stage. */
+function refuse(root, message) {
+  root.append(make("p", "refusal", { textContent: message }));
   document.documentElement.dataset.state = "refused";
 }
 
@@ -63,7 +65,7 @@ async function start() {
   if (typeof DecompressionStream === "undefined") return refuse(root, REFUSALS.inflate);
   if (!document.createElement("canvas").getContext("webgl2")) return refuse(root, REFUSALS.webgl);
   const packed = JSON.parse(document.getElementById("mimesh-scene").textContent);
-  const { top, stage: box, bottom } = frame(root, packed);
+  const { top, stage: box, bottom } = buildPage(root, packed);
   addDownload(top, packed);
   const stage = new Stage(box);
   const controls = new Controls(stage, { top, bottom });

@@ -1,19 +1,20 @@
-// Colours of clay, themes and scales; sRGB numbers in 0..1 unless said otherwise.
+// Colours of surfaces and scales; sRGB in 0..1 unless stated otherwise.
 import { Color, SRGBColorSpace } from "three";
 
+/** Surfaces without a material, and the driving mesh. */
 export const CLAY = [0.8, 0.76, 0.715];
 export const SLATE = [0.6, 0.68, 0.76];
-/** What a file calls white is drawn as white paint, a little darker than the paper. */
+/** Linear albedo of what a file calls white: a little darker than the background, so that its shading is visible. */
 export const WHITE = 0.82;
 
-/** Shorter than at rest is blue, longer is red, unchanged is clay. */
+/** Edges shorter than the identity's are blue, longer red, unchanged grey. */
 const STRETCH = [[0.13, 0.28, 0.55], [0.38, 0.58, 0.78], [0.86, 0.84, 0.81], [0.92, 0.56, 0.38], [0.66, 0.13, 0.16]];
-/** From no error to the limit; lightness falls all the way. */
+/** From no error to the limit; lightness falls throughout. */
 const ERROR = [[0.86, 0.85, 0.83], [0.97, 0.82, 0.53], [0.95, 0.56, 0.27], [0.78, 0.23, 0.24], [0.45, 0.07, 0.28]];
 
 const STEPS = 256;
 
-/** A table of 256 linear colours (3 numbers each) through evenly spaced sRGB stops. */
+/** Interpolate evenly spaced sRGB stops to a table of 256 linear colours (3 numbers each). */
 function table(stops) {
   const values = new Float32Array(3 * STEPS);
   const color = new Color();
@@ -26,7 +27,7 @@ function table(stops) {
   return values;
 }
 
-/** A scale: `paint(share, out, at)` writes the linear colour of a share in 0..1; `css` is the same as a gradient. */
+/** A colour scale: `paint(share, out, at)` writes the linear colour of a share in 0..1; `css` is its gradient. */
 class Scale {
   constructor(stops) {
     this.table = table(stops);

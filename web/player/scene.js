@@ -1,32 +1,32 @@
-// Reads what `mimesh.view.scene.pack_scene` packed. No three.js here: plain arrays in, plain arrays out.
+// Decodes the output of `mimesh.player.pack.pack_scene`. No three.js here: plain arrays in, plain arrays out.
 //
 // decodeScene(packed) -> Promise<Scene>
 //   Scene: { title, model, notes[], left_out[], panels: Panel[], surfaces: Surface[], images: [{type, bytes}], duration }
-//   Panel: what is shown in one panel; panel.sample(seconds, out) writes its points at a time.
+//   Panel: the clip of one panel; panel.sample(seconds, out) writes its points at a time.
 //   Surface: { corners (3 F), origin (R), smooth (R), uv (2 R) | null, colors (4 V) | null, groups: [{start, stop,
 //     material: {color: [r, g, b, a] linear, image: number | null} | null}], smoothCount }
-//     corners: render vertex of each face corner; origin: its vertex; smooth: render vertices with one number share a
-//     normal; groups: runs of faces with one material.
+//     R render vertices, F faces, V vertices. corners: render vertex of each face corner; origin: vertex of each render
+//     vertex; smooth: smoothing group, whose render vertices share a normal; groups: ranges of faces with one material.
 //
-// Packed fields of a panel: role, name, vertices, triangles, frames and fps (of what is here), surface (its number),
-// turn (rows right, up, front of the subject), anchor (where it stands), size (what is 1 on the stage), centre (3 numbers
-// a frame), low, unit and stream (positions, see `Panel`).
+// Packed fields of a panel: role, name, vertices, triangles, frames and fps (after dropping frames), surface (its index),
+// turn (rotation with rows right, up, front of the subject), anchor (point on the floor below it), size (length that is 1
+// on the stage), centre (3 numbers per frame), low, unit and stream (positions, see `Panel`).
 
-/** Bytes of a base64 text. */
+/** Decode base64 to bytes. */
 export function fromBase64(text) {
-  const letters = atob(text);
-  const bytes = new Uint8Array(letters.length);
-  for (let k = 0; k < letters.length; k++) bytes[k] = letters.charCodeAt(k);
+  const characters = atob(text);
+  const bytes = new Uint8Array(characters.length);
+  for (let k = 0; k < characters.length; k++) bytes[k] = characters.charCodeAt(k);
   return bytes;
 }
 
-/** Bytes that zlib deflated, as they were. */
+/** Decompress bytes in zlib format. */
 export async function inflate(bytes) {
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-/** An array that `mimesh.view.stream.packed` packed: a Uint32Array or a Float32Array, flat. */
+/** Decode the output of `mimesh.player.encoding.pack_array` to a flat Uint32Array or Float32Array. */
 export async function unpack(packed) {
   const planes = await inflate(fromBase64(packed.data));
   const count = planes.length / 4;
@@ -34,6 +34,7 @@ export async function unpack(packed) {
   for (let k = 0; k < count; k++) {
     values[k] = planes[k] | (planes[count + k] << 8) | (planes[2 * count + k] << 16) | (planes[3 * count + k] << 24);
   }
+  // Integers are zigzag-coded differences: 0, -1, 1, -2, ... are stored as 0, 1, 2, 3, ...
   if (packed.type === "f32") return new Float32Array(values.buffer);
   for (let k = 0, before = 0; k < count; k++) {
     before = (before + ((values[k] >>> 1) ^ -(values[k] & 1))) >>> 0;
@@ -42,7 +43,7 @@ export async function unpack(packed) {
   return values;
 }
 
-/** Everything in a packed scene, decoded. */
+/** Decode a packed scene. */
 export async function decodeScene(packed) {
   if (packed.format !== "mimesh-scene" || packed.version !== 1) {
     throw new Error(`expected a mimesh-scene of version 1, found ${packed.format} ${packed.version}`);
@@ -55,8 +56,8 @@ export async function decodeScene(packed) {
 }
 
 async function decodeSurface({ corners, origin, smooth, uv, colors, groups }) {
-  const some = (array) => (array ? unpack(array) : null);
-  const [c, o, s, u, v] = await Promise.all([unpack(corners), unpack(origin), unpack(smooth), some(uv), some(colors)]);
+  const optional = (array) => (array ? unpack(array) : null);
+  const [c, o, s, u, v] = await Promise.all([unpack(corners), unpack(origin), unpack(smooth), optional(uv), optional(colors)]);
   return { corners: c, origin: o, smooth: s, uv: u, colors: v, groups, smoothCount: s.reduce((a, b) => Math.max(a, b), -1) + 1 };
 }
 
@@ -72,14 +73,14 @@ export class Panel {
     this.data = frames;
   }
 
-  /** Seconds from the first frame that is here to the last. */
+  /** Seconds from the first frame to the last. */
   get duration() {
     return (this.frames - 1) / this.fps;
   }
 
-  /** Write the points (3 V: x, y, z, x ...) at a time, relative to the anchor, in the file's axes and unit. */
+  /** Write the points (3 V: x, y, z, x ...) at a time, relative to the anchor, in the file's axes; linear in time. */
   sample(seconds, out) {
-    if (this.held) return this.writeHeld(out);
+    if (this.fixedPose) return this.writeFixedPose(out);
     const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const frame = Math.min(Math.floor(at), Math.max(this.frames - 2, 0));
     const share = at - frame;
@@ -99,20 +100,20 @@ export class Panel {
     return out;
   }
 
-  /** Show these points (3 V: x, y, z, x ..., as the file has them) at all times, until null is held. */
-  hold(points) {
-    this.held = points;
-    if (points) this.heldMiddle = [0, 1, 2].map((axis) => mean(points, axis));
+  /** Show these points (3 V: x, y, z, x ..., in the file's coordinates) at all times; null for the clip again. */
+  setFixedPose(points) {
+    this.fixedPose = points;
+    if (points) this.fixedCentre = [0, 1, 2].map((axis) => mean(points, axis));
   }
 
-  writeHeld(out) {
-    for (let k = 0; k < out.length; k++) out[k] = this.held[k] - this.anchor[k % 3];
+  writeFixedPose(out) {
+    for (let k = 0; k < out.length; k++) out[k] = this.fixedPose[k] - this.anchor[k % 3];
     return out;
   }
 
-  /** Write the middle of the points at a time, relative to the first frame's, into a vector of three. */
+  /** Write the offset of the centroid at a time from that of the first frame, into a vector of three. */
   travel(seconds, out) {
-    if (this.held) return Object.assign(out, this.heldMiddle.map((at, axis) => at - this.centre[axis]));
+    if (this.fixedPose) return Object.assign(out, this.fixedCentre.map((at, axis) => at - this.centre[axis]));
     const at = Math.min(Math.max(seconds * this.fps, 0), this.frames - 1);
     const frame = Math.floor(at);
     const next = Math.min(frame + 1, this.frames - 1);
@@ -124,14 +125,17 @@ export class Panel {
   }
 }
 
-/** Mean of every third number: the middle that a packed frame has, too. */
+/** Mean of one coordinate (0, 1, 2) of points: the centroid, as in a packed frame. */
 function mean(points, axis) {
   let sum = 0;
   for (let k = axis; k < points.length; k += 3) sum += points[k];
   return (3 * sum) / points.length;
 }
 
-/** Frames of 16-bit numbers: low bytes, high bytes; differences from the frame before (the first: from its neighbour). */
+/**
+ * Decode frames of 16-bit numbers. A frame has all low bytes, then all high bytes, of zigzag differences to the frame
+ * before; the first frame, to the number before.
+ */
 function decodeFrames(bytes, vertices) {
   const count = 3 * vertices;
   const values = new Uint16Array(bytes.length / 2);

@@ -1,12 +1,12 @@
-// The stage: panels side by side in one canvas, under one camera. No buttons here; `controls.js` has them.
+// The stage: panels side by side in one canvas, with one camera. Buttons are in `controls.js`.
 //
-//   const stage = new Stage(element)        element: a positioned box; panels lie in it
-//   await stage.show(packed, {keepView})    what pack_scene packed; replaces what was shown
+//   const stage = new Stage(element)        element: a positioned element, filled by the panels
+//   await stage.show(packed, {keepView})    the output of pack_scene; replaces the current scene
 //   stage.setTime(seconds)                  any time in 0..stage.duration
 //   stage.set({colours, wireframe, overlay, follow, dark})   each optional; colours: material clay stretch error
-//   stage.look                              how they are set now
-//   stage.offers                            {moves, stretch, error, overlay, travels}: what this scene has
-//   stage.measure                           {what, low, high, unit, mean, most} of the colours shown, or null
+//   stage.look                              the current settings
+//   stage.offers                            {moves, stretch, error, overlay, travels}: what this scene supports
+//   stage.measure                           statistics of the measure shown by the colours (see Meter.paint), or null
 //   stage.resetView(), stage.render(), stage.dispose()
 //   stage.addEventListener("time" | "look" | "scene" | "drawn", ...)
 import * as THREE from "three";
@@ -17,7 +17,7 @@ import { Meter } from "./meter.js";
 import { decodeScene } from "./scene.js";
 import { Subject } from "./surface.js";
 
-/** Pixels below the subject that are left to its caption. */
+/** Pixels below the subject that are reserved for its caption. */
 const CAPTION = 40;
 const LABELS = { identity: "Identity", driving: "Driving", result: "Result", truth: "Truth", mesh: "" };
 
@@ -85,11 +85,11 @@ export class Stage extends EventTarget {
     addLights(scene);
     const subject = new Subject(panel, surface, this.textures);
     scene.add(subject);
-    return { panel, subject, scene, box, shadow: new ContactShadow(scene), away: [0, 0, 0], stale: true };
+    return { panel, subject, scene, box, shadow: new ContactShadow(scene), travel: [0, 0, 0], stale: true };
   }
 
   findOffers() {
-    const travel = Math.max(...this.scene.panels.map(travelled));
+    const longest = Math.max(...this.scene.panels.map(travelDistance));
     return {
       moves: this.duration > 0,
       material: true,
@@ -97,7 +97,7 @@ export class Stage extends EventTarget {
       stretch: this.meter.hasStretch,
       error: this.meter.hasError,
       overlay: this.find("driving") !== undefined && this.find("result") !== undefined,
-      travels: travel > 0.35,
+      travels: longest > 0.35,
     };
   }
 
@@ -105,14 +105,14 @@ export class Stage extends EventTarget {
     return this.views.find((view) => view.panel.role === role);
   }
 
-  /** The driving once more, in the result's panel, to be looked through. */
+  /** Add a translucent copy of the driving mesh to the result's panel. */
   addGhost() {
     if (!this.offers.overlay) return;
     const { panel, subject } = this.find("driving");
     this.ghost = new Subject(panel, subject.surface, this.textures);
     const { material } = this.ghost.body;
-    this.ghost.wears.ghost = Object.assign(material.clone(), { transparent: true, opacity: 0.38, depthWrite: false });
-    this.ghost.body.material = this.ghost.wears.ghost;
+    this.ghost.materials.ghost = Object.assign(material.clone(), { transparent: true, opacity: 0.38, depthWrite: false });
+    this.ghost.body.material = this.ghost.materials.ghost;
     this.ghost.renderOrder = 2;
     this.find("result").scene.add(this.ghost);
   }
@@ -122,7 +122,7 @@ export class Stage extends EventTarget {
     const { colours, wireframe, overlay, dark } = this.look;
     for (const { subject, shadow } of this.views) {
       const measured = this.meter.measures(subject, colours);
-      subject.dress(measured ? "measured" : colours === "material" ? "material" : "clay");
+      subject.setMaterials(measured ? "measured" : colours === "material" ? "material" : "clay");
       subject.showEdges(wireframe, dark ? "#ffffff" : "#241f1b");
       shadow.setTheme(dark);
     }
@@ -136,19 +136,19 @@ export class Stage extends EventTarget {
     for (const view of this.views) {
       if (view.panel.frames === 1 && view.posed) continue;
       view.posed = true;
-      if (this.look.follow) level(view.panel.travel(seconds, view.away), view.panel.turn);
-      view.subject.pose(seconds, this.look.follow ? view.away : null);
+      if (this.look.follow) projectOnFloor(view.panel.travel(seconds, view.travel), view.panel.turn);
+      view.subject.pose(seconds, this.look.follow ? view.travel : null);
       view.stale = true;
     }
-    if (this.ghost?.visible) this.ghost.pose(seconds, this.look.follow ? this.find("driving").away : null);
+    if (this.ghost?.visible) this.ghost.pose(seconds, this.look.follow ? this.find("driving").travel : null);
     this.measure = this.meter?.paint(this.look.colours) ?? null;
     this.dispatchEvent(new Event("time"));
     this.render();
   }
 
-  /** Let a view show these points (see Panel.hold) at all times, or its clip again with null. */
-  hold(view, points) {
-    view.panel.hold(points);
+  /** Show fixed points in a view (see Panel.setFixedPose), or its clip again with null. */
+  setFixedPose(view, points) {
+    view.panel.setFixedPose(points);
     view.posed = false;
     this.setTime(this.time);
   }
@@ -171,7 +171,7 @@ export class Stage extends EventTarget {
     this.render();
   }
 
-  /** Draw once, with the next frame of the browser. */
+  /** Draw with the next frame of the browser, once however often it is called. */
   render() {
     this.pending ??= requestAnimationFrame(() => {
       this.pending = undefined;
@@ -181,7 +181,7 @@ export class Stage extends EventTarget {
 
   draw() {
     const { renderer, camera } = this;
-    const whole = this.element.getBoundingClientRect();
+    const stageBox = this.element.getBoundingClientRect();
     renderer.setScissorTest(false);
     renderer.setRenderTarget(null);
     renderer.clear();
@@ -190,9 +190,9 @@ export class Stage extends EventTarget {
       view.scene.updateMatrixWorld();
       if (view.stale) this.castShadow(view);
       renderer.setScissorTest(true);
-      const place = [box.left - whole.left, whole.bottom - box.bottom, box.width, box.height];
-      renderer.setViewport(...place);
-      renderer.setScissor(...place);
+      const viewport = [box.left - stageBox.left, stageBox.bottom - box.bottom, box.width, box.height];
+      renderer.setViewport(...viewport);
+      renderer.setScissor(...viewport);
       camera.aspect = box.width / (box.height - CAPTION);
       camera.setViewOffset(box.width, box.height - CAPTION, 0, 0, box.width, box.height);
       renderer.render(view.scene, camera);
@@ -200,21 +200,21 @@ export class Stage extends EventTarget {
     this.dispatchEvent(new Event("drawn"));
   }
 
-  /** The shadow of the subject as it stands, alone: without its edges and its ghost. */
+  /** Draw the contact shadow of a subject in its current pose, without wireframe and translucent driving mesh. */
   castShadow(view) {
     const { subject, scene, panel, shadow } = view;
     this.renderer.setScissorTest(false);
     const others = [subject.edges, this.ghost].filter((other) => other?.visible);
     for (const other of others) other.visible = false;
-    const middle = subject.middle(this.time, this.look.follow ? view.away : null);
-    shadow.cast(this.renderer, scene, subject.body, this.floorOf(panel), middle.x, middle.z);
+    const centre = subject.centre(this.time, this.look.follow ? view.travel : null);
+    shadow.cast(this.renderer, scene, subject.body, this.floorOf(panel), centre.x, centre.z);
     for (const other of others) other.visible = true;
     view.stale = false;
   }
 
-  /** Height of the floor on the stage: that of the lowest point of the clip. */
+  /** Return the height of the floor on the stage: that of the lowest point of the clip. */
   floorOf(panel) {
-    panel.floor ??= lowest(panel);
+    panel.floor ??= lowestPoint(panel);
     return panel.floor;
   }
 
@@ -241,49 +241,49 @@ export class Stage extends EventTarget {
   }
 }
 
-/** Whether pictures are drawn without a graphics card: then smooth edges would cost two thirds of the time. */
+/** Whether the browser draws without a graphics card: antialiasing would then take 135 instead of 57 ms per frame. */
 function drawsInSoftware() {
   const gl = document.createElement("canvas").getContext("webgl2");
-  const known = gl?.getExtension("WEBGL_debug_renderer_info");
-  const name = known ? gl.getParameter(known.UNMASKED_RENDERER_WEBGL) : "";
+  const info = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = info ? gl.getParameter(info.UNMASKED_RENDERER_WEBGL) : "";
   gl?.getExtension("WEBGL_lose_context")?.loseContext();
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-/** A PNG or JPEG as a texture, v counted from the lower edge. */
-/** Null where the browser cannot read the image: its surface is then plain. */
+/** Read a PNG or JPEG as a texture, v counted from the lower edge; null if the browser cannot read it. */
 async function readTexture({ type, bytes }) {
   const image = new Image();
   const url = URL.createObjectURL(new Blob([bytes], { type }));
   image.src = url;
-  const read = await image.decode().then(() => true, () => false);
+  const readable = await image.decode().then(() => true, () => false);
   URL.revokeObjectURL(url);
-  if (!read) return null;
+  if (!readable) return null;
   const texture = new THREE.Texture(image);
   Object.assign(texture, { colorSpace: THREE.SRGBColorSpace, wrapS: THREE.RepeatWrapping, wrapT: THREE.RepeatWrapping });
   Object.assign(texture, { anisotropy: 4, needsUpdate: true });
   return texture;
 }
 
-/** How far the middle of a panel's subject goes over the floor, in sizes of the subject. */
-function travelled(panel) {
-  const way = [0, 0, 0];
-  let most = 0;
+/** Compute how far the centroid of a panel's subject moves along the floor, in sizes of the subject. */
+function travelDistance(panel) {
+  const offset = [0, 0, 0];
+  let largest = 0;
   for (let k = 0; k < panel.frames; k++) {
-    level(panel.travel(k / panel.fps, way), panel.turn);
-    most = Math.max(most, Math.hypot(...way) / panel.size);
+    projectOnFloor(panel.travel(k / panel.fps, offset), panel.turn);
+    largest = Math.max(largest, Math.hypot(...offset) / panel.size);
   }
-  return most;
+  return largest;
 }
 
-/** Take the part along the panel's up axis off a vector, in place. */
-function level(vector, turn) {
+/** Remove the component along the panel's up axis from a vector, in place. */
+function projectOnFloor(vector, turn) {
   const height = turn[3] * vector[0] + turn[4] * vector[1] + turn[5] * vector[2];
   for (let k = 0; k < 3; k++) vector[k] -= height * turn[3 + k];
   return vector;
 }
 
-function lowest(panel) {
+/** Find the lowest height of a panel's points over 24 frames, in stage units. */
+function lowestPoint(panel) {
   const [, , , a, b, c] = panel.turn;
   const points = new Float32Array(3 * panel.vertices);
   const count = Math.min(panel.frames, 24);

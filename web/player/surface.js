@@ -1,7 +1,7 @@
-// One panel's subject: geometry, normals in every frame, materials, and colours that measure it.
+// The subject of one panel: geometry, normals of every frame, materials, and colours of measures.
 //
-// new Subject(panel, surface, textures): a three.js Group in the panel's own frame of the stage (y up, size 1, standing
-// at the origin). subject.pose(seconds) moves it; subject.dress(colours) chooses what it wears.
+// new Subject(panel, surface, textures): a three.js Group in the panel's stage coordinates (y up, size 1, on the floor at
+// the origin). subject.pose(seconds) poses it; subject.setMaterials(name) chooses its materials.
 import * as THREE from "three";
 import { CLAY, SLATE, WHITE } from "./palette.js";
 
@@ -12,42 +12,42 @@ export class Subject extends THREE.Group {
     this.surface = surface;
     this.points = new Float32Array(3 * panel.vertices);
     this.geometry = buildGeometry(surface);
-    this.wears = { material: lookMaterials(panel, surface, textures), clay: clay(panel), measured: measured() };
+    this.materials = { material: fileMaterials(panel, surface, textures), clay: clay(panel), measured: measured() };
     this.body = surface.corners.length
-      ? new THREE.Mesh(this.geometry, this.wears.clay)
+      ? new THREE.Mesh(this.geometry, this.materials.clay)
       : new THREE.Points(this.geometry, dots(panel, surface));
     this.body.frustumCulled = false;
     this.add(this.body);
-    this.place = placement(panel);
+    this.stageMatrix = placement(panel);
     this.matrixAutoUpdate = false;
-    this.matrix.copy(this.place);
-    if (surface.corners.length) this.solid = prepareNormals(surface);
+    this.matrix.copy(this.stageMatrix);
+    if (surface.corners.length) this.normals = prepareNormals(surface);
   }
 
-  /** Move to a time in seconds; `away` (three numbers of the file) is taken off, to stay with a subject that travels. */
-  pose(seconds, away = null) {
+  /** Pose at a time in seconds; `travel` (three numbers in the file's axes) is subtracted, to follow the subject. */
+  pose(seconds, travel = null) {
     this.panel.sample(seconds, this.points);
-    this.matrix.copy(this.place);
-    if (away) this.matrix.multiply(shift.makeTranslation(-away[0], -away[1], -away[2]));
+    this.matrix.copy(this.stageMatrix);
+    if (travel) this.matrix.multiply(translation.makeTranslation(-travel[0], -travel[1], -travel[2]));
     this.matrixWorldNeedsUpdate = true;
-    spread(this.points, this.surface.origin, this.geometry.attributes.position);
-    if (this.solid) writeNormals(this.points, this.solid, this.surface.smooth, this.geometry.attributes.normal);
+    copyToRenderVertices(this.points, this.surface.origin, this.geometry.attributes.position);
+    if (this.normals) writeNormals(this.points, this.normals, this.surface.smooth, this.geometry.attributes.normal);
   }
 
-  /** Where the middle of its points is on the stage. */
-  middle(seconds, away = null) {
-    const { panel, place } = this;
-    const way = panel.travel(seconds, [0, 0, 0]);
-    const at = way.map((x, k) => x + panel.centre[k] - panel.anchor[k] - (away ? away[k] : 0));
-    return new THREE.Vector3(...at).applyMatrix4(place);
+  /** Return the centroid of the points in stage coordinates. */
+  centre(seconds, travel = null) {
+    const { panel, stageMatrix } = this;
+    const offset = panel.travel(seconds, [0, 0, 0]);
+    const centre = offset.map((x, k) => x + panel.centre[k] - panel.anchor[k] - (travel ? travel[k] : 0));
+    return new THREE.Vector3(...centre).applyMatrix4(stageMatrix);
   }
 
-  /** Wear the file's materials ("material"), plain "clay", or the colours that `paint` writes ("measured"). */
-  dress(what) {
-    if (this.body.isMesh) this.body.material = this.wears[what];
+  /** Use the file's materials ("material"), plain "clay", or the colours that `paint` writes ("measured"). */
+  setMaterials(name) {
+    if (this.body.isMesh) this.body.material = this.materials[name];
   }
 
-  /** Let a function write the linear colour of each vertex: paint(vertex, array, at). */
+  /** Call a function for every render vertex that writes its linear colour: write(vertex, array, at). */
   paint(write) {
     const { origin } = this.surface;
     const attribute = this.geometry.attributes.measure ?? this.addMeasure();
@@ -76,17 +76,17 @@ export class Subject extends THREE.Group {
   dispose() {
     this.geometry.dispose();
     this.edges?.geometry.dispose();
-    for (const material of Object.values(this.wears).flat()) material.dispose();
+    for (const material of Object.values(this.materials).flat()) material.dispose();
   }
 }
 
-const shift = new THREE.Matrix4();
+const translation = new THREE.Matrix4();
 
-/** From the file's axes and unit, about the anchor, to the stage: y up, +z front, size 1. */
+/** Return the matrix from the file's axes and unit, relative to the anchor, to the stage: y up, +z front, size 1. */
 function placement(panel) {
   const [a, b, c, d, e, f, g, h, i] = panel.turn;
-  const turn = new THREE.Matrix4().set(a, b, c, 0, d, e, f, 0, g, h, i, 0, 0, 0, 0, 1);
-  return turn.premultiply(new THREE.Matrix4().makeScale(1 / panel.size, 1 / panel.size, 1 / panel.size));
+  const matrix = new THREE.Matrix4().set(a, b, c, 0, d, e, f, 0, g, h, i, 0, 0, 0, 0, 1);
+  return matrix.premultiply(new THREE.Matrix4().makeScale(1 / panel.size, 1 / panel.size, 1 / panel.size));
 }
 
 function buildGeometry(surface) {
@@ -118,8 +118,8 @@ function matte(options) {
   });
 }
 
-/** What the file says, one material a group; the tint where it says nothing. */
-function lookMaterials(panel, surface, textures) {
+/** Make the file's materials, one per group; the tint for groups without one. */
+function fileMaterials(panel, surface, textures) {
   const plain = surface.colors ? new THREE.Color(WHITE, WHITE, WHITE) : tint(panel);
   return surface.groups.map(({ material }) => {
     const color = material ? new THREE.Color(...material.color.slice(0, 3)).multiplyScalar(WHITE) : plain;
@@ -132,12 +132,12 @@ function clay(panel) {
   return matte({ color: tint(panel) });
 }
 
-/** Clay for whom the story is about, slate for whom it imitates. */
+/** Return the colour of surfaces without a material: slate for the driving mesh, clay for all others. */
 function tint(panel) {
   return new THREE.Color().setRGB(...(panel.role === "driving" ? SLATE : CLAY), THREE.SRGBColorSpace);
 }
 
-/** Colours from the attribute `measure`, so that a file's own vertex colours stay where they are. */
+/** Make a material with colours from the attribute `measure`; the file's vertex colours are not overwritten. */
 function measured() {
   const material = matte({});
   material.onBeforeCompile = (shader) => {
@@ -151,7 +151,7 @@ function measured() {
   return material;
 }
 
-/** Points as small shaded balls. */
+/** Make a material that draws points as small shaded balls. */
 function dots(panel, surface) {
   const side = 64;
   const canvas = Object.assign(document.createElement("canvas"), { width: side, height: side });
@@ -169,15 +169,15 @@ function dots(panel, surface) {
   return new THREE.PointsMaterial({ size, map, color, alphaTest: 0.5, vertexColors: Boolean(surface.colors) });
 }
 
-/** Each edge of a triangle once, as lines over the same positions. */
+/** Make lines of each edge once, which share the positions of the surface. */
 function edgeLines(geometry, { corners, origin }) {
-  const seen = new Set();
+  const added = new Set();
   const lines = [];
   for (let k = 0; k < corners.length; k++) {
     const [a, b] = [corners[k], corners[k % 3 === 2 ? k - 2 : k + 1]];
     const key = Math.min(a, b) * origin.length + Math.max(a, b);
-    if (seen.has(key)) continue;
-    seen.add(key);
+    if (added.has(key)) continue;
+    added.add(key);
     lines.push(a, b);
   }
   const shape = new THREE.BufferGeometry();
@@ -189,14 +189,15 @@ function edgeLines(geometry, { corners, origin }) {
   return edges;
 }
 
+/** Collect vertices and smoothing groups of all face corners for `writeNormals`. */
 function prepareNormals({ corners, origin, smooth, smoothCount }) {
   const vertices = Uint32Array.from(corners, (r) => origin[r]);
   const groups = Uint32Array.from(corners, (r) => smooth[r]);
   return { vertices, groups, sums: new Float32Array(3 * smoothCount) };
 }
 
-/** Vertex positions to the render vertices that stand there. */
-function spread(points, origin, attribute) {
+/** Copy values of vertices (or of smoothing groups) to their render vertices. */
+function copyToRenderVertices(points, origin, attribute) {
   const { array } = attribute;
   for (let r = 0, o = 0; r < origin.length; r++, o += 3) {
     const v = 3 * origin[r];
@@ -207,7 +208,7 @@ function spread(points, origin, attribute) {
   attribute.needsUpdate = true;
 }
 
-/** Normals as sums of the faces that share them, weighted by area. */
+/** Compute the normal of each smoothing group as the sum of its faces' normals, weighted by area, and write it. */
 function writeNormals(points, { vertices, groups, sums }, smooth, attribute) {
   sums.fill(0);
   for (let k = 0; k < vertices.length; k += 3) {
@@ -228,5 +229,5 @@ function writeNormals(points, { vertices, groups, sums }, smooth, attribute) {
     sums[g + 1] /= length;
     sums[g + 2] /= length;
   }
-  spread(sums, smooth, attribute);
+  copyToRenderVertices(sums, smooth, attribute);
 }

@@ -1,16 +1,16 @@
-// Small pieces of the side panel.
+// Form fields and lists of the side panel.
 import { make } from "./player.js";
 
-/** A labelled field in a grid; returns the field. */
+/** Add a labelled field to a grid; returns the field. */
 export function field(grid, label, control) {
   control.id ||= `field-${label.toLowerCase().replaceAll(/\W+/g, "-")}-${Math.random().toString(36).slice(2, 7)}`;
-  const words = make("label", "", { textContent: label, htmlFor: control.id });
-  grid.append(words, control.closest(".with") ?? control);
-  control.words = words;
+  const caption = make("label", "", { textContent: label, htmlFor: control.id });
+  grid.append(caption, control.closest(".with") ?? control);
+  control.caption = caption;
   return control;
 }
 
-/** A choice; options are [value, words] pairs. */
+/** Make a select; options are [value, text, disabled] lists. */
 export function choice(options, changed) {
   const select = make("select", "");
   fill(select, options);
@@ -18,7 +18,7 @@ export function choice(options, changed) {
   return select;
 }
 
-/** Give a choice other options, if they are others, and keep what was chosen. */
+/** Replace the options of a select if they differ, and keep its value if it is still offered. */
 export function fill(select, options) {
   const key = JSON.stringify(options);
   if (select.dataset.key === key) return;
@@ -30,49 +30,54 @@ export function fill(select, options) {
   if (options.some((option) => option[0] === value)) select.value = value;
 }
 
+/** Make a checkbox. */
 export function checkbox(changed) {
   const box = make("input", "", { type: "checkbox" });
   box.addEventListener("change", () => changed(box.checked));
   return box;
 }
 
-/** Show a value unless the user is just changing it. */
+/** Show a value, unless the user is editing the field. */
 export function showValue(control, value) {
   if (control === document.activeElement && control.type !== "checkbox" && control.tagName !== "SELECT") return;
   if (control.type === "checkbox") control.checked = value;
   else control.value = value;
 }
 
-/** Switch a field and its label on or off; `why` is said where it is off. */
-export function allow(control, on, why = "") {
+/** Enable or disable a field and its label; `reason` is the tooltip if disabled. */
+export function setEnabled(control, on, reason = "") {
   control.disabled = !on;
-  control.words.classList.toggle("off", !on);
-  control.title = control.words.title = on ? "" : why;
+  control.caption.classList.toggle("off", !on);
+  control.title = control.caption.title = on ? "" : reason;
 }
 
-/** Show words, or nothing. */
-export function say(element, words) {
-  if (element.textContent !== words) element.textContent = words;
-  element.hidden = !words;
+/** Show a text, or hide the element if it is empty. */
+export function showText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+  element.hidden = !text;
 }
 
-/** Keep one child of a list for each thing of an array, known by its number. */
-export function keep(list, things, build) {
+/**
+ * Show one row of a list for each entry of an array. Rows are found again by the entry's number, so that open details
+ * and the focus stay; `build(row, entry)` fills a new row and returns the function that shows later states.
+ */
+export function updateList(list, entries, build) {
   const rows = new Map([...list.children].map((row) => [Number(row.dataset.number), row]));
-  for (const thing of things) {
-    let row = rows.get(thing.number);
+  for (const entry of entries) {
+    let row = rows.get(entry.number);
     if (!row) {
       row = make("li", "row");
-      row.dataset.number = thing.number;
-      row.show = build(row, thing);
+      row.dataset.number = entry.number;
+      row.show = build(row, entry);
       list.append(row);
     }
-    rows.delete(thing.number);
-    row.show(thing);
+    rows.delete(entry.number);
+    row.show(entry);
   }
   for (const row of rows.values()) row.remove();
 }
 
-export function megabytes(bytes) {
+/** Format a size. */
+export function formatBytes(bytes) {
   return bytes < 2 ** 20 ? `${Math.max(1, Math.round(bytes / 1024))} KiB` : `${(bytes / 2 ** 20).toFixed(1)} MiB`;
 }

@@ -1,30 +1,30 @@
 // The two forms of the side panel: the model with its options, and what to export.
 import { make } from "./player.js";
-import { allow, checkbox, choice, field, fill, showValue } from "./fields.js";
+import { checkbox, choice, field, fill, setEnabled, showValue } from "./fields.js";
 
-const WORDS = {
-  mime: "joints of both, then skinning: fast, and the best by far",
-  "mime-network": "the same without fitting a body",
-  npt: "Neural Pose Transfer, pairs points",
+const DESCRIPTIONS = {
+  mime: "predicts joints and skinning weights of both meshes; fast",
+  "mime-network": "mime without fitting a body model",
+  npt: "Neural Pose Transfer (2020), frame by frame",
   "npt-maxpool": "its variant with one pose code",
-  aniformer: "AniFormer, sees three frames at once",
-  skeleton: "fits a body to both; slow",
-  copy: "the driving's own vertices, to compare with",
+  aniformer: "AniFormer (2021), three frames at once",
+  skeleton: "fits a body model to both meshes; slow",
+  copy: "the driving mesh's own vertices, for comparison",
 };
-const ROOTS = { scale: "as its legs take it", keep: "as far as the driving", drop: "nowhere, in place" };
-const JOINTS_ONLY = "Only models with joints (mime) can do this.";
+const ROOTS = { scale: "scaled by leg length", keep: "as far as the driving", drop: "none, in place" };
+const JOINTS_ONLY = "Available for models with joints (mime).";
 
 export class ModelForm {
   constructor(section, changed) {
     const grid = section.querySelector(".fields");
-    const give = (name, read = (value) => value) => (value) => changed({ [name]: read(value) });
-    this.model = field(grid, "Model", choice([], give("model")));
-    this.words = grid.appendChild(make("small", ""));
-    this.root = field(grid, "Travels", choice(Object.entries(ROOTS), give("root")));
-    this.ground = field(grid, "Feet stand", checkbox(give("ground")));
-    this.smooth = this.addSmooth(grid, give("smooth", Number));
-    const refine = [["", "as the model needs"], ["true", "yes"], ["false", "no"]];
-    this.refine = field(grid, "Smooth surface", choice(refine, give("refine", (value) => (value ? value === "true" : null))));
+    const send = (name, read = (value) => value) => (value) => changed({ [name]: read(value) });
+    this.model = field(grid, "Model", choice([], send("model")));
+    this.description = grid.appendChild(make("small", ""));
+    this.root = field(grid, "Root motion", choice(Object.entries(ROOTS), send("root")));
+    this.ground = field(grid, "Feet on the ground", checkbox(send("ground")));
+    this.smooth = this.addSmooth(grid, send("smooth", Number));
+    const refine = [["", "automatic"], ["true", "yes"], ["false", "no"]];
+    this.refine = field(grid, "Refine surface", choice(refine, send("refine", (value) => (value ? value === "true" : null))));
   }
 
   addSmooth(grid, changed) {
@@ -36,7 +36,7 @@ export class ModelForm {
       clearTimeout(this.waiting);
       this.waiting = setTimeout(() => changed(slider.value), 60);
     });
-    return field(grid, "Calm motion", slider);
+    return field(grid, "Smoothing", slider);
   }
 
   showSeconds(value) {
@@ -46,10 +46,10 @@ export class ModelForm {
   show({ models, options }) {
     fill(this.model, models.map(({ name }) => [name, name.split(/[\\/]/).pop()]));
     showValue(this.model, options.model);
-    this.words.textContent = WORDS[options.model] ?? "";
-    this.words.hidden = !this.words.textContent;
+    this.description.textContent = DESCRIPTIONS[options.model] ?? "";
+    this.description.hidden = !this.description.textContent;
     const joints = models.find(({ name }) => name === options.model)?.joints;
-    for (const control of [this.root, this.ground, this.smooth]) allow(control, joints, JOINTS_ONLY);
+    for (const control of [this.root, this.ground, this.smooth]) setEnabled(control, joints, JOINTS_ONLY);
     showValue(this.root, options.root);
     showValue(this.ground, options.ground);
     showValue(this.smooth, options.smooth);
@@ -64,13 +64,13 @@ export class ExportForm {
     this.format = field(grid, "Format", choice([], () => this.show(this.state)));
     this.needs = grid.appendChild(make("small", "", { hidden: true }));
     this.which = field(grid, "Meshes", choice([["", "all"]], () => {}));
-    this.skinned = field(grid, "As joints", checkbox(() => this.show(this.state)));
-    this.shapes = field(grid, "Blend shapes", make("input", "", { type: "number", min: 1, max: 512, placeholder: "one a frame" }));
+    this.skinned = field(grid, "With skeleton", checkbox(() => this.show(this.state)));
+    this.shapes = field(grid, "Blend shapes", make("input", "", { type: "number", min: 1, max: 512, placeholder: "one per frame" }));
     this.button = section.querySelector("#write");
-    this.button.addEventListener("click", () => write(this.given()));
+    this.button.addEventListener("click", () => write(this.values()));
   }
 
-  given() {
+  values() {
     const shapes = this.shapes.disabled || !this.shapes.value ? null : Number(this.shapes.value);
     const meshes = this.which.value ? [Number(this.which.value)] : [];
     return { suffix: this.format.value, skinned: this.skinned.checked && !this.skinned.disabled, blendshapes: shapes, meshes };
@@ -79,17 +79,17 @@ export class ExportForm {
   show(state) {
     this.state = state;
     const { formats, identities, models, options, moving } = state;
-    fill(this.format, formats.map(({ suffix, words, needs }) => [suffix, `${words} (${suffix})`, needs]));
+    fill(this.format, formats.map(({ suffix, words: name, needs }) => [suffix, `${name} (${suffix})`, needs]));
     if (this.format.selectedIndex < 0) this.format.selectedIndex = 0;
     const chosen = formats.find(({ suffix }) => suffix === this.format.value);
     const lacking = formats.filter(({ needs }) => needs);
     this.needs.hidden = !lacking.length;
-    this.needs.textContent = `Some need more: ${[...new Set(lacking.map(({ needs }) => needs))].join(", ")}`;
+    this.needs.textContent = `Some formats need: ${[...new Set(lacking.map(({ needs }) => needs))].join(", ")}`;
     const joints = models.find(({ name }) => name === options.model)?.joints;
-    allow(this.skinned, joints && chosen?.joints, "GLB and glTF from models with joints (mime) alone.");
-    allow(this.shapes, moving && chosen?.joints && !this.skinned.checked, "Clips as GLB and glTF alone, without joints.");
+    setEnabled(this.skinned, joints && chosen?.joints, "Only as GLB or glTF, from models with joints (mime).");
+    setEnabled(this.shapes, moving && chosen?.joints && !this.skinned.checked, "Only clips as GLB or glTF, without a skeleton.");
     fill(this.which, [["", identities.length > 1 ? `all ${identities.length}` : "all"], ...identities.map(({ number, name }) => [String(number), name])]);
-    this.which.hidden = this.which.words.hidden = identities.length < 2;
+    this.which.hidden = this.which.caption.hidden = identities.length < 2;
     this.button.disabled = !identities.some((mesh) => mesh.outcome?.state === "done");
   }
 }

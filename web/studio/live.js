@@ -1,18 +1,18 @@
-// Keeps the stage as the desk is: fetches the scene when it changes, and until a result is there asks for the pose
-// under the time slider, one wish at a time, so that the newest is always the next.
-import { askPose, call } from "./server.js";
+// Keeps the stage up to date with the session: fetches the scene when it changes and, until a result is finished, the
+// pose under the time slider. Each mesh has one request at a time, so that the next one is always for the newest time.
+import { call, fetchPose } from "./server.js";
 
 export class Live {
   constructor(stage, controls, failed) {
-    Object.assign(this, { stage, controls, failed, key: "", numbers: [], state: null, asking: new Map() });
+    Object.assign(this, { stage, controls, failed, key: "", numbers: [], state: null, requests: new Map() });
     stage.addEventListener("time", () => this.follow());
   }
 
-  /** The state is new: show another scene if there is one, and follow the slider where results are of before. */
-  async see(state) {
+  /** Take a new state: load its scene if it changed, and fetch poses of meshes whose results are not finished. */
+  async update(state) {
     this.state = state;
     if (state.scene !== this.key && !this.loading) await this.load();
-    this.mark();
+    this.markWaiting();
     this.follow();
   }
 
@@ -21,13 +21,13 @@ export class Live {
     try {
       while (this.state.scene !== this.key) {
         const { key, numbers, scene } = await call("GET", "/api/scene");
-        const known = this.numbers.join() === numbers.join();
+        const sameItems = this.numbers.join() === numbers.join();
         this.key = key;
         this.numbers = numbers;
-        this.forget();
-        if (scene) await this.stage.show(scene, { keepView: known });
+        this.abortRequests();
+        if (scene) await this.stage.show(scene, { keepView: sameItems });
         document.documentElement.dataset.scene = key;
-        if (scene && !known && this.stage.offers.moves && !calm()) this.controls.play();
+        if (scene && !sameItems && this.stage.offers.moves && !reducedMotion()) this.controls.play();
       }
     } catch (error) {
       this.failed(error.message);
@@ -36,17 +36,17 @@ export class Live {
     }
   }
 
-  /** Whether the result of a mesh is that of now. */
+  /** Whether the shown result of a mesh is not being computed again. */
   current(number) {
-    const mesh = this.state?.identities.find((each) => each.number === number);
+    const mesh = this.state?.identities.find((item) => item.number === number);
     return !mesh?.outcome || mesh.outcome.state !== "moving";
   }
 
   versionOf(number) {
-    return this.state.identities.find((each) => each.number === number)?.outcome?.version;
+    return this.state.identities.find((item) => item.number === number)?.outcome?.version;
   }
 
-  /** The panels that show results, with the numbers of their meshes. */
+  /** Iterate over [number, view] of the panels that show results. */
   *results() {
     if (this.loading) return;
     for (const [k, view] of this.stage.views.entries()) {
@@ -54,52 +54,52 @@ export class Live {
     }
   }
 
-  mark() {
+  markWaiting() {
     for (const [number, view] of this.results()) {
       const waiting = !this.current(number);
       view.box.classList.toggle("waiting", waiting);
-      view.box.classList.toggle("posed", Boolean(view.panel.held));
-      if (!waiting && view.panel.held && !this.asking.has(number)) {
-        this.stage.hold(view, null);
+      view.box.classList.toggle("posed", Boolean(view.panel.fixedPose));
+      if (!waiting && view.panel.fixedPose && !this.requests.has(number)) {
+        this.stage.setFixedPose(view, null);
       }
     }
   }
 
   follow() {
     for (const [number, view] of this.results()) {
-      if (!this.current(number) && !this.asking.has(number)) this.ask(number, view);
+      if (!this.current(number) && !this.requests.has(number)) this.requestPoses(number, view);
     }
   }
 
-  /** Ask for poses until the one that is shown is the one under the slider. */
-  async ask(number, view) {
-    const stop = new AbortController();
-    this.asking.set(number, stop);
-    const wish = () => `${this.frame()} ${this.versionOf(number)}`;
+  /** Fetch poses until the shown one is that under the slider. */
+  async requestPoses(number, view) {
+    const controller = new AbortController();
+    this.requests.set(number, controller);
+    const wantedPose = () => `${this.frame()} ${this.versionOf(number)}`;
     try {
-      while (!this.current(number) && view.had !== wish() && !stop.signal.aborted) {
-        view.had = wish();
-        const points = await askPose(number, this.frame(), stop.signal);
-        if (!points || stop.signal.aborted || points.length !== 3 * view.panel.vertices) break;
-        this.stage.hold(view, points);
-        this.mark();
+      while (!this.current(number) && view.shownPose !== wantedPose() && !controller.signal.aborted) {
+        view.shownPose = wantedPose();
+        const points = await fetchPose(number, this.frame(), controller.signal);
+        if (!points || controller.signal.aborted || points.length !== 3 * view.panel.vertices) break;
+        this.stage.setFixedPose(view, points);
+        this.markWaiting();
       }
     } catch (error) {
       if (error.name !== "AbortError") this.failed(error.message);
     } finally {
-      if (this.asking.get(number) === stop) this.asking.delete(number);
+      if (this.requests.get(number) === controller) this.requests.delete(number);
     }
   }
 
-  /** The frame under the slider. */
+  /** Return the index of the frame under the slider. */
   frame() {
     return Math.round(this.stage.time * (this.state.driving?.fps || 30));
   }
 
-  forget() {
-    for (const stop of this.asking.values()) stop.abort();
-    this.asking.clear();
+  abortRequests() {
+    for (const controller of this.requests.values()) controller.abort();
+    this.requests.clear();
   }
 }
 
-const calm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+const reducedMotion = () => matchMedia("(prefers-reduced-motion: reduce)").matches;

@@ -1,2 +1,2 @@
-// What the studio uses of the player, whose bundle the page loads before its own, so that three.js is sent once.
+// The parts of the player that the studio uses. The page loads the player's bundle first, so that three.js is sent once.
 export const { Controls, Stage, make } = globalThis.mimeshPlayer;

@@ -1,10 +1,10 @@
-// Rows of the side panel: a mesh to move or what to imitate, and an export.
+// Rows of the side panel: meshes to move, the driving clip, and exports.
 import { make } from "./player.js";
-import { choice, field, fill, megabytes, say, showValue } from "./fields.js";
+import { choice, field, fill, formatBytes, showText, showValue } from "./fields.js";
 
-const count = (number, word) => `${number.toLocaleString("en")} ${word}`;
+const quantity = (number, unit) => `${number.toLocaleString("en")} ${unit}`;
 
-/** The head of a row: a name and a cross. */
+/** Add the head of a row: a name and a button to remove it. */
 function head(row, name, label, removed) {
   const box = row.appendChild(make("div", "row-head"));
   const title = box.appendChild(make("b", "", { textContent: name, title: name }));
@@ -15,7 +15,7 @@ function head(row, name, label, removed) {
   return { box, title };
 }
 
-/** Build the row of a mesh; the function that is returned shows it as it is. `act` has change, remove and stop. */
+/** Build the row of a mesh or clip; returns the function that shows its state. `act` has change, remove and stop. */
 export function meshRow(row, mesh, act) {
   head(row, mesh.name, `Remove ${mesh.name}`, () => act.remove(mesh.number));
   const facts = row.appendChild(make("small", ""));
@@ -26,20 +26,20 @@ export function meshRow(row, mesh, act) {
   const error = row.appendChild(make("p", "error", { hidden: true }));
   error.setAttribute("role", "alert");
   const notes = row.appendChild(make("div", ""));
-  const more = facing(row, mesh, act);
+  const showFacing = addFacing(row, mesh, act);
   return (now) => {
-    const made = now.outcome;
-    row.dataset.state = now.state === "ready" && made ? made.state : now.state;
+    const outcome = now.outcome;
+    row.dataset.state = now.state === "ready" && outcome ? outcome.state : now.state;
     facts.textContent = factsOf(now);
     showProgress(bar, now);
-    stop.hidden = made?.state !== "moving" || made.done === 0 || made.done > 0.98;
-    say(error, now.error || made?.error || "");
-    const words = (made?.notes ?? []).join("\n");
-    if (notes.dataset.words !== words) {
-      notes.dataset.words = words;
-      notes.replaceChildren(...(made?.notes ?? []).map((note) => make("p", "note", { textContent: note })));
+    stop.hidden = outcome?.state !== "moving" || outcome.done === 0 || outcome.done > 0.98;
+    showText(error, now.error || outcome?.error || "");
+    const text = (outcome?.notes ?? []).join("\n");
+    if (notes.dataset.text !== text) {
+      notes.dataset.text = text;
+      notes.replaceChildren(...(outcome?.notes ?? []).map((note) => make("p", "note", { textContent: note })));
     }
-    more(now);
+    showFacing(now);
   };
 }
 
@@ -47,8 +47,8 @@ function factsOf({ state, vertices, triangles, frames, fps, outcome, uploading }
   if (uploading !== undefined) return `uploading ${Math.round(100 * uploading)} %`;
   if (state === "reading") return "reading …";
   if (state === "failed") return "";
-  const parts = [triangles ? count(vertices, "vertices") : count(vertices, "points, no faces")];
-  if (frames > 1) parts.push(`${count(frames, "frames")}, ${+fps.toFixed(2)} a second`);
+  const parts = [triangles ? quantity(vertices, "vertices") : quantity(vertices, "points, no faces")];
+  if (frames > 1) parts.push(`${quantity(frames, "frames")}, ${+fps.toFixed(2)} per second`);
   if (frames === 1) parts.push("a pose");
   if (outcome?.state === "done") parts.push(`moved in ${outcome.seconds.toFixed(outcome.seconds < 10 ? 2 : 0)} s`);
   if (outcome?.state === "stopped") parts.push("stopped");
@@ -62,18 +62,18 @@ function showProgress(bar, { state, outcome, uploading }) {
   else bar.value = done;
 }
 
-/** Which way a mesh faces, and animation and frame rate of a clip. */
-function facing(row, mesh, act) {
+/** Add fields for the facing of a mesh, and for animation and frame rate of a clip; returns what shows their state. */
+function addFacing(row, mesh, act) {
   const box = row.appendChild(make("details", ""));
   const summary = box.appendChild(make("summary", ""));
   const grid = box.appendChild(make("div", "fields"));
   const change = (name) => (value) => act.change(mesh.number, { [name]: value || null });
   const axes = ["+x", "+y", "+z", "-x", "-y", "-z"];
-  const found = (axis) => [["", axis ? `found: ${axis}` : "found"], ...axes.map((name) => [name, name])];
-  const up = field(grid, "Up", choice(found(), change("up")));
-  const front = field(grid, "Front", choice(found(), change("front")));
+  const options = (axis) => [["", axis ? `detected: ${axis}` : "detected"], ...axes.map((name) => [name, name])];
+  const up = field(grid, "Up", choice(options(), change("up")));
+  const front = field(grid, "Front", choice(options(), change("front")));
   const animation = field(grid, "Animation", choice([], change("animation")));
-  const fps = field(grid, "Frames a second", make("input", "", { type: "number", min: 1, max: 1000, step: "any" }));
+  const fps = field(grid, "Frames per second", make("input", "", { type: "number", min: 1, max: 1000, step: "any" }));
   fps.addEventListener("change", () => act.change(mesh.number, { fps: fps.value ? Number(fps.value) : null }));
   return (now) => {
     const ready = now.state === "ready";
@@ -83,23 +83,23 @@ function facing(row, mesh, act) {
     box.classList.toggle("unsure", unsure);
     if (unsure && !box.dataset.opened) box.open = Boolean((box.dataset.opened = "yes"));
     summary.textContent = `${unsure ? "Facing is uncertain: " : "Faces "}${now.facing.front}, up ${now.facing.up}`;
-    fill(up, found(now.up ? "" : now.facing.up));
-    fill(front, found(now.front ? "" : now.facing.front));
+    fill(up, options(now.up ? "" : now.facing.up));
+    fill(front, options(now.front ? "" : now.facing.front));
     showValue(up, now.up ?? "");
     showValue(front, now.front ?? "");
-    animation.hidden = animation.words.hidden = now.animations.length < 2;
+    animation.hidden = animation.caption.hidden = now.animations.length < 2;
     fill(animation, [["", "the first"], ...now.animations.map((name) => [name, name])]);
     showValue(animation, now.animation ?? "");
-    fps.hidden = fps.words.hidden = !(now.frames > 1) || now.shipped;
+    fps.hidden = fps.caption.hidden = !(now.frames > 1) || now.shipped;
     fps.placeholder = `${+now.fps.toFixed(3)}`;
     showValue(fps, now.given_fps ?? "");
   };
 }
 
-/** Build the row of an export; a link once it is written. */
-export function exportRow(row, made, act) {
-  const { box, title } = head(row, made.suffix, "Remove this export", () => act.removeExport(made.number));
-  const link = make("a", "get", { href: `/api/exports/${made.number}`, hidden: true });
+/** Build the row of an export, a link once it is written; returns the function that shows its state. */
+export function exportRow(row, entry, act) {
+  const { box, title } = head(row, entry.suffix, "Remove this export", () => act.removeExport(entry.number));
+  const link = make("a", "get", { href: `/api/exports/${entry.number}`, hidden: true });
   box.insertBefore(link, title);
   const bar = row.appendChild(make("progress", "", { max: 1 }));
   const error = row.appendChild(make("p", "error", { hidden: true }));
@@ -111,13 +111,13 @@ export function exportRow(row, made, act) {
     title.textContent = now.state === "writing" ? `writing ${now.suffix} …` : now.suffix;
     link.hidden = now.state !== "ready";
     link.download = now.name;
-    link.textContent = `${now.name} (${megabytes(now.bytes)})`;
+    link.textContent = `${now.name} (${formatBytes(now.bytes)})`;
     bar.hidden = now.state !== "writing";
     if (now.done) bar.value = now.done;
-    say(error, now.error);
+    showText(error, now.error);
     if (notes.childElementCount !== now.notes.length) {
       notes.replaceChildren(...now.notes.map((note) => make("p", "note", { textContent: note })));
     }
-    if (now.state === "ready" && act.takeOnce(now.number)) link.click();
+    if (now.state === "ready" && act.takeDownload(now.number)) link.click();
   };
 }

@@ -1,15 +1,15 @@
-// What the page says to the server. Every call throws an Error whose message is the server's one line.
+// Requests to the server. Every function throws an Error with the server's message.
 const JSON_TYPE = { "content-type": "application/json" };
-const LOST = "The studio does not answer: it has ended, or the computer sleeps. Start it again with mimesh studio.";
+const LOST = "The studio does not respond: it has ended, or the computer was asleep. Start it again with mimesh studio.";
 
-/** Send a small object and get one back. */
-export async function call(method, path, given) {
-  const answer = await send(method, path, given === undefined ? undefined : JSON.stringify(given));
-  return answer.json();
+/** Send an object as JSON and return the response's. */
+export async function call(method, path, body) {
+  const response = await send(method, path, body === undefined ? undefined : JSON.stringify(body));
+  return response.json();
 }
 
-/** Positions of a mesh in one frame, as a Float32Array; null where the wish was dropped for a newer one. */
-export async function askPose(number, frame, signal) {
+/** Fetch positions of a mesh in one frame, as a Float32Array; null if a newer request cancelled this one. */
+export async function fetchPose(number, frame, signal) {
   const response = await fetch(`/api/meshes/${number}/pose`, {
     method: "POST", headers: JSON_TYPE, body: JSON.stringify({ frame }), signal,
   });
@@ -23,24 +23,25 @@ async function send(method, path, body) {
   } catch {
     throw new Error(LOST);
   }
-  if (!response.ok) throw new Error(await wordsOf(response));
+  if (!response.ok) throw new Error(await messageOf(response));
   return response;
 }
 
-async function wordsOf(response) {
+/** Read the error message of a response. */
+async function messageOf(response) {
   const text = await response.text();
   if (response.headers.get("content-type")?.startsWith("application/json")) return JSON.parse(text).error;
-  return text.trim() || `The studio answered ${response.status}.`;
+  return text.trim() || `The studio responded with status ${response.status}.`;
 }
 
-/** Call `seen` with the state, now and after every change, until the page ends; `lost` where there is no answer. */
-export async function watch(seen, lost) {
+/** Call `update` with the state, now and after every change (long polling), and `lost` if there is no response. */
+export async function watchState(update, lost) {
   let version = "";
   for (;;) {
     try {
       const state = await call("GET", `/api/state?since=${version}`);
       version = state.version;
-      seen(state);
+      update(state);
     } catch (error) {
       lost(error.message);
       await new Promise((done) => setTimeout(done, 1500));
@@ -48,19 +49,19 @@ export async function watch(seen, lost) {
   }
 }
 
-/** Upload files ({file, name} each) that belong together, for a role; `told` gets the share that is sent. */
-export async function upload(role, files, limit, told) {
+/** Upload files ({file, name} each) that belong together, for a role; `report` is called with the sent share. */
+export async function upload(role, files, limit, report) {
   const large = files.find(({ file }) => file.size > limit);
   if (large) {
-    const [found, most] = [large.file.size, limit].map((bytes) => Math.round(bytes / 2 ** 20).toLocaleString("en"));
-    throw new Error(`${large.name}: expected ${most} MiB or less, found ${found}; start mimesh studio with a larger --limit`);
+    const [found, allowed] = [large.file.size, limit].map((bytes) => Math.round(bytes / 2 ** 20).toLocaleString("en"));
+    throw new Error(`${large.name}: expected ${allowed} MiB or less, found ${found}; start mimesh studio with a larger --limit`);
   }
   const { upload: number } = await call("POST", "/api/uploads");
-  const whole = files.reduce((sum, { file }) => sum + file.size, 0) || 1;
+  const total = files.reduce((sum, { file }) => sum + file.size, 0) || 1;
   let sent = 0;
   try {
     for (const { file, name } of files) {
-      await put(`/api/uploads/${number}?name=${encodeURIComponent(name)}`, file, (done) => told((sent + done) / whole));
+      await put(`/api/uploads/${number}?name=${encodeURIComponent(name)}`, file, (done) => report((sent + done) / total));
       sent += file.size;
     }
     return await call("POST", `/api/uploads/${number}/${role}`);
@@ -70,13 +71,13 @@ export async function upload(role, files, limit, told) {
   }
 }
 
-/** XMLHttpRequest, since fetch does not tell how much it has sent. */
-function put(path, file, told) {
+/** Send a file with XMLHttpRequest, since fetch does not report upload progress. */
+function put(path, file, report) {
   return new Promise((done, fail) => {
     const request = new XMLHttpRequest();
     request.open("PUT", path);
-    request.upload.addEventListener("progress", (event) => told(event.loaded));
-    request.addEventListener("error", () => fail(new Error(`${file.name}: the studio stopped taking it`)));
+    request.upload.addEventListener("progress", (event) => report(event.loaded));
+    request.addEventListener("error", () => fail(new Error(`${file.name}: the upload was interrupted; send it again`)));
     request.addEventListener("load", () => {
       if (request.status < 300) return done();
       const json = request.getResponseHeader("content-type")?.startsWith("application/json");

@@ -49,4 +49,4 @@ def studio(
             print(f"studio: {address}" if quiet else f"studio: {address}\nCtrl-C ends it")
         sys.stdout.flush()
 
-    serve(files or [], host=host, port=port, limit=limit * 2**20, model=model, opened=opened, said=said)
+    serve(files or [], host=host, port=port, limit=limit * 2**20, model=model, open_browser=opened, report_address=said)

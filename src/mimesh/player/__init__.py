@@ -1,1 +1,1 @@
-"""The offline page that shows meshes and clips: what is packed into it, and how it is written."""
+"""The offline page that shows meshes and clips: packing of its data, and writing of its HTML."""

@@ -1,7 +1,7 @@
-"""Packs meshes and clips for the browser: a dictionary of plain values that `json` writes and `web/player` shows.
+"""Packs meshes and clips for the browser: a dictionary of JSON values that `web/player` shows.
 
-The player's page and the studio's server both send what `pack_scene` gives; `web/player/scene.js` reads it and states
-every field. Positions keep 16 bits, vertices their order, materials their base colours and textures.
+Both the player's page and the studio's server send the output of `pack_scene`; `web/player/scene.js` decodes it and
+documents every field. Positions have 16 bits, vertices keep their order, materials their base colours and textures.
 """
 
 from __future__ import annotations
@@ -17,61 +17,65 @@ from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.mesh import Clip, Mesh
 from ..render import camera
-from .encoding import Quantization, coded_frames, packed
-from .pictures import TextureStore
+from .encoding import Quantization, encode_frames, pack_array
 from .split_vertices import SplitMesh, split_vertices
-from .thinning import DENSE, simplified, thinned, too_dense
+from .texture_store import TextureStore
+from .thinning import DENSE_VERTICES, drop_frames, simplify_clip, too_dense
 
 ROLES = ("identity", "driving", "result", "truth", "mesh")
+"""What a panel can show; `mesh` is a file on its own."""
 BUDGET = 24 * 2**20
-"""Bytes that a page may have by default."""
+"""Default size of a page in bytes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One panel: a clip, or a mesh as `Clip.still`."""
+    """One panel of the player: a clip, or a mesh as `Clip.still`."""
 
     role: str
-    """One of ROLES. A result is measured against the identity and the truth, where they have its vertices."""
+    """One of ROLES. A result is compared with the identity and the truth if they have as many vertices."""
     clip: Clip
     name: str = ""
-    """What the panel is called; the name of the mesh by default."""
+    """Caption of the panel; the name of the mesh by default."""
     up: str = "y"
+    """Axis of the clip that points up: x, y, z, -x, -y or -z."""
     front: str | None = None
+    """Axis of the clip that points to the front; see `camera.fit`."""
 
 
 def pack_scene(
-    shown: Sequence[Panel],
+    panels: Sequence[Panel],
     *,
     title: str = "",
     model: str = "",
     notes: Sequence[str] = (),
     budget: int = BUDGET,
 ) -> dict[str, Any]:
-    """The panels, side by side in the order given, in about `budget` letters of JSON.
+    """Pack panels, side by side in the order given, in about `budget` characters of JSON.
 
-    Where that is too few, every n-th frame is kept, a dense driving clip is simplified, and large textures are made
-    smaller; `left_out` says so in words. A single pose is never cut, so that the budget can be exceeded.
+    If that is too few, every n-th frame is kept, a dense driving clip is simplified, and large textures are reduced;
+    `left_out` lists messages about that. A single pose is never reduced, so that the budget can be exceeded.
 
     Raises:
-        InputError: no panel, or a role that is none.
+        InputError: no panel, or a role that is not one of ROLES.
     """
-    if not shown:
+    if not panels:
         raise InputError("player: expected at least one mesh, found none; name a file")
-    for panel in shown:
+    for panel in panels:
         if panel.role not in ROLES:
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
-    shown = [_lightened(panel, budget, left_out) for panel in shown]
-    pictures, surfaces, owners = TextureStore(), [], []
-    for panel in shown:
-        owners.append(_surface_of(panel, owners, shown, surfaces, pictures))
-    images = pictures.packed(budget // 3, left_out)
-    room = budget - sum(_size(value) for value in (*surfaces, *images))
-    clips, boxes = thinned([panel.clip for panel in shown], room, left_out)
-    panels = [
-        _panel(panel, clip, box, place, owner)
-        for panel, clip, box, place, owner in zip(shown, clips, boxes, _places(shown), owners, strict=True)
+    panels = [_simplify_driving(panel, budget, left_out) for panel in panels]
+    # A third of the budget each for textures and for a dense driving clip; frames share what is left.
+    textures, surfaces, surface_indices = TextureStore(), [], []
+    for panel in panels:
+        surface_indices.append(_surface_index(panel, surface_indices, panels, surfaces, textures))
+    images = textures.pack(budget // 3, left_out)
+    frame_budget = budget - sum(_json_size(value) for value in (*surfaces, *images))
+    clips, quantizations = drop_frames([panel.clip for panel in panels], frame_budget, left_out)
+    packed_panels = [
+        _pack_panel(*fields)
+        for fields in zip(panels, clips, quantizations, _placements(panels), surface_indices, strict=True)
     ]
     return {
         "format": "mimesh-scene",
@@ -80,15 +84,17 @@ def pack_scene(
         "model": model,
         "notes": list(notes),
         "left_out": left_out,
-        "panels": panels,
+        "panels": packed_panels,
         "surfaces": surfaces,
         "images": images,
         "download": None,
     }
 
 
-def _panel(panel: Panel, clip: Clip, box: Quantization, place: dict[str, Any], owner: int) -> dict[str, Any]:
-    """One panel; `clip` is what is left of its clip."""
+def _pack_panel(
+    panel: Panel, clip: Clip, quantization: Quantization, placement: dict[str, Any], surface: int
+) -> dict[str, Any]:
+    """Pack one panel; `clip` has the remaining frames of its clip."""
     return {
         "role": panel.role,
         "name": panel.name or clip.mesh.name,
@@ -96,101 +102,109 @@ def _panel(panel: Panel, clip: Clip, box: Quantization, place: dict[str, Any], o
         "triangles": len(clip.mesh.faces),
         "frames": len(clip),
         "fps": clip.fps,
-        "surface": owner,
-        **place,
-        "centre": [float(x) for x in box.centre.ravel()],
-        "low": [float(x) for x in box.low],
-        "unit": box.step,
-        "stream": coded_frames(clip.vertices, box),
+        "surface": surface,
+        **placement,
+        "centre": [float(x) for x in quantization.centre.ravel()],
+        "low": [float(x) for x in quantization.low],
+        "unit": quantization.step,
+        "stream": encode_frames(clip.vertices, quantization),
     }
 
 
-def _lightened(panel: Panel, budget: int, left_out: list[str]) -> Panel:
-    """A dense driving clip with fewer vertices, where it would take a share of the budget that is the result's."""
+def _simplify_driving(panel: Panel, budget: int, left_out: list[str]) -> Panel:
+    """Simplify a dense driving clip that would take more than a third of the budget; other panels are not changed."""
     if panel.role != "driving" or not too_dense(panel.clip, budget // 3):
         return panel
-    left_out.append(f"the driving mesh is shown with {DENSE:,} of its {len(panel.clip.mesh.vertices):,} vertices")
-    return dataclasses.replace(panel, clip=simplified(panel.clip, DENSE))
+    left_out.append(
+        f"the driving mesh is shown with {DENSE_VERTICES:,} of its {len(panel.clip.mesh.vertices):,} vertices"
+    )
+    return dataclasses.replace(panel, clip=simplify_clip(panel.clip, DENSE_VERTICES))
 
 
-def _size(value: Any) -> int:
-    """About how many letters of JSON a value takes: those of its long strings."""
+def _json_size(value: Any) -> int:
+    """Estimate the characters of JSON of a value: those of its strings, and 8 for any other value."""
     if isinstance(value, dict):
-        return sum(_size(entry) for entry in value.values())
+        return sum(_json_size(entry) for entry in value.values())
     if isinstance(value, list):
-        return sum(_size(entry) for entry in value)
+        return sum(_json_size(entry) for entry in value)
     return len(value) if isinstance(value, str) else 8
 
 
-def _surface_of(
-    panel: Panel, owners: list[int], shown: Sequence[Panel], surfaces: list[dict[str, Any]], pictures: TextureStore
+def _surface_index(
+    panel: Panel, indices: list[int], panels: Sequence[Panel], surfaces: list[dict[str, Any]], textures: TextureStore
 ) -> int:
-    """The number of a panel's packed surface: that of a panel before it that is the same, or a new one.
+    """Return the index of a panel's packed surface: that of an earlier panel with the same surface, or of a new one.
 
-    Files that are merely compared keep their own: one may have hard edges where the other has none.
+    Files that are compared (role `mesh`) keep their own: one may have hard edges where the other has none.
     """
     mesh = panel.clip.mesh
-    for owner, other in zip(owners, shown, strict=False):
+    for index, other in zip(indices, panels, strict=False):
         if mesh is other.clip.mesh or ("mesh" not in (panel.role, other.role) and _same_surface(mesh, other.clip.mesh)):
-            return owner
-    surfaces.append(_surface(mesh, split_vertices(mesh), pictures))
+            return index
+    surfaces.append(_pack_surface(mesh, split_vertices(mesh), textures))
     return len(surfaces) - 1
 
 
 def _same_surface(a: Mesh, b: Mesh) -> bool:
-    """Whether one surface is enough for both: hard edges of a pose are those of the mesh that was posed."""
-    same_looks = a.parts == b.parts and a.vertex_colors is b.vertex_colors and a.corner_uv is b.corner_uv
+    """Whether two meshes can share a surface. Values of normals are not compared: posing a mesh rotates them."""
+    same_materials = a.parts == b.parts and a.vertex_colors is b.vertex_colors and a.corner_uv is b.corner_uv
     same_normals = (a.corner_normals is None) == (b.corner_normals is None)
     same_faces = a.faces is b.faces or np.array_equal(a.faces, b.faces)
-    return len(a.vertices) == len(b.vertices) and same_looks and same_normals and same_faces
+    return len(a.vertices) == len(b.vertices) and same_materials and same_normals and same_faces
 
 
-def _surface(mesh: Mesh, split: SplitMesh, pictures: TextureStore) -> dict[str, Any]:
+def _pack_surface(mesh: Mesh, split: SplitMesh, textures: TextureStore) -> dict[str, Any]:
+    """Pack what stays the same in all frames; successive parts with one material become one group of faces."""
     groups: list[dict[str, Any]] = []
     for part in mesh.parts:
-        looks = None
+        material = None
         if part.material is not None:
             texture = part.material.texture if split.uv is not None else None
-            looks = {"color": [float(x) for x in part.material.base_color], "image": pictures.number(texture)}
-        if groups and groups[-1]["material"] == looks:
+            material = {"color": [float(x) for x in part.material.base_color], "image": textures.index(texture)}
+        if groups and groups[-1]["material"] == material:
             groups[-1]["stop"] = part.stop
         else:
-            groups.append({"start": part.start, "stop": part.stop, "material": looks})
+            groups.append({"start": part.start, "stop": part.stop, "material": material})
     colors = None
     if mesh.vertex_colors is not None:
-        colors = packed(np.rint(np.clip(mesh.vertex_colors, 0, 1) * 65535).astype(np.uint32))
+        colors = pack_array(np.rint(np.clip(mesh.vertex_colors, 0, 1) * 65535).astype(np.uint32))
     return {
-        "corners": packed(split.corners),
-        "origin": packed(split.origin),
-        "smooth": packed(split.smooth),
-        "uv": None if split.uv is None else packed(split.uv),
+        "corners": pack_array(split.corners),
+        "origin": pack_array(split.origin),
+        "smooth": pack_array(split.smooth),
+        "uv": None if split.uv is None else pack_array(split.uv),
         "colors": colors,
         "groups": groups or [{"start": 0, "stop": len(mesh.faces), "material": None}],
     }
 
 
-def _places(shown: Sequence[Panel]) -> list[dict[str, Any]]:
-    """How each panel is turned, where it stands, and how large it is; what is moved and what moves it are made alike.
+def _placements(panels: Sequence[Panel]) -> list[dict[str, Any]]:
+    """Compute each panel's rotation `turn` (to y up, z front), `anchor` (on the floor) and `size` (drawn as 1).
 
-    `size` is the mean diagonal of a frame's bounding box. In one pose, result and driving have about the same share of
-    it; the identity has the result's size, since it is the same body in the same unit.
+    `size` is the mean diagonal of a frame's bounding box. Result and driving have the same poses, so they are drawn
+    equally large without any fitting; the identity gets the result's size, since it is the same body in the same unit.
     """
-    sizes = [_diagonal(panel.clip) for panel in shown]
-    roles = [panel.role for panel in shown]
+    sizes = [_mean_diagonal(panel.clip) for panel in panels]
+    roles = [panel.role for panel in panels]
     if "result" in roles:
-        own = sizes[roles.index("result")]
-        sizes = [own if role in ("identity", "truth") else size for role, size in zip(roles, sizes, strict=True)]
-    places = []
-    for panel, size in zip(shown, sizes, strict=True):
-        turn = camera.axes(panel.up, panel.front)
-        first = np.asarray(panel.clip.vertices[0], np.float64) @ turn.T
+        result_size = sizes[roles.index("result")]
+        sizes = [
+            result_size if role in ("identity", "truth") else size for role, size in zip(roles, sizes, strict=True)
+        ]
+    placements = []
+    for panel, size in zip(panels, sizes, strict=True):
+        axes = camera.axes(panel.up, panel.front)
+        first = np.asarray(panel.clip.vertices[0], np.float64) @ axes.T
         low, high = first.min(axis=0), first.max(axis=0)
-        stand = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]) @ turn
-        places.append({"turn": [float(x) for x in turn.ravel()], "anchor": [float(x) for x in stand], "size": size})
-    return places
+        anchor = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]) @ axes
+        placements.append(
+            {"turn": [float(x) for x in axes.ravel()], "anchor": [float(x) for x in anchor], "size": size}
+        )
+    return placements
 
 
-def _diagonal(clip: Clip) -> float:
+def _mean_diagonal(clip: Clip) -> float:
+    """Return the mean diagonal of the bounding boxes of 12 frames, evenly spaced."""
     chosen = np.unique(np.linspace(0, len(clip) - 1, 12).round().astype(int))
     frames = each_frame(clip.vertices[chosen])
     return float(np.mean([np.linalg.norm(np.ptp(points, axis=0)) for points in frames]))

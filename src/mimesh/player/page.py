@@ -1,4 +1,4 @@
-"""One HTML file that plays meshes and clips side by side: offline, in any browser, with all that it needs inside."""
+"""Writes one HTML file that plays meshes and clips side by side, in any browser and without a network."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from urllib.parse import quote
 
 from ..core.errors import InputError
 from ..io.atomic import whole_file, writing
-from .encoding import LEVEL, text
+from .encoding import LEVEL, to_base64
 from .pack import BUDGET, Panel, pack_scene
 
-NOTEBOOK = 3 * 2**20
-"""Bytes of a page in a notebook."""
+NOTEBOOK_BUDGET = 3 * 2**20
+"""Size of a page in a notebook in bytes; notebooks store it in every output."""
 PAGE = """<!doctype html>
 <html lang="en">
 <head>
@@ -32,7 +32,7 @@ PAGE = """<!doctype html>
 </head>
 <body>
 <div id="mimesh">
-<noscript><p class="refusal">This page draws with JavaScript, which is switched off here.</p></noscript>
+<noscript><p class="refusal">This page needs JavaScript, which is switched off in this browser.</p></noscript>
 </div>
 <script type="application/json" id="mimesh-scene">{scene}</script>
 <script>{script}</script>
@@ -43,15 +43,15 @@ PAGE = """<!doctype html>
 
 @dataclass(frozen=True)
 class Download:
-    """What the page's button gives: a file's bytes where they fit, else a link to the file beside the page."""
+    """The file of the page's download button: embedded if it fits, else a link to the file beside the page."""
 
     name: str
     content: bytes | None
-    """None: link to it."""
+    """None for a link."""
 
 
 def player_page(
-    shown: Sequence[Panel],
+    panels: Sequence[Panel],
     *,
     title: str,
     model: str = "",
@@ -59,23 +59,30 @@ def player_page(
     download: Download | None = None,
     budget: int = BUDGET,
 ) -> str:
-    """The page as text; same input, same text. See `pack_scene` for what `budget` (bytes of the page) does.
+    """Build the page as HTML text; same input, same text.
+
+    Args:
+        model: name of the model, shown beside the title.
+        notes: messages shown below the panels.
+        download: a file that the page offers; it may take half of the budget.
+        budget: size of the page in bytes; see `pack_scene` for what is reduced.
 
     Raises:
-        InputError: no panel, or a role that is none.
+        InputError: no panel, or a role that is not one of ROLES.
     """
     script, style = web_file("player.js"), web_file("player.css")
-    room = budget - len(script) - len(style) - len(PAGE)
-    given = _download(download, room // 2)
-    scene = pack_scene(shown, title=title, model=model, notes=notes, budget=room - len(given.get("data") or ""))
-    scene["download"] = given or None
-    # Names of files may hold bytes that are no text.
-    plain = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
-    return PAGE.format(title=plain, style=style, scene=embedded(scene), script=script)
+    available = budget - len(script) - len(style) - len(PAGE)
+    packed_download = _pack_download(download, available // 2)
+    scene_budget = available - len(packed_download.get("data") or "")
+    scene = pack_scene(panels, title=title, model=model, notes=notes, budget=scene_budget)
+    scene["download"] = packed_download or None
+    # File names may contain bytes that are not valid text (surrogate escapes).
+    escaped_title = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
+    return PAGE.format(title=escaped_title, style=style, scene=embed_json(scene), script=script)
 
 
-def write_player(path: str | Path, shown: Sequence[Panel], **options: Any) -> Path:
-    """Write `player_page` into a file, whole or not at all.
+def write_player(path: str | Path, panels: Sequence[Panel], **options: Any) -> Path:
+    """Write `player_page` to a file, completely or not at all.
 
     Raises:
         InputError: as `player_page`, a name that does not end in .html, or a path that cannot be written.
@@ -83,35 +90,36 @@ def write_player(path: str | Path, shown: Sequence[Panel], **options: Any) -> Pa
     if Path(path).suffix.lower() != ".html":
         found = Path(path).suffix
         raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")
-    page = player_page(shown, **options)
+    page = player_page(panels, **options)
     with writing(Path(path)), whole_file(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return Path(path)
 
 
-def notebook_frame(shown: Sequence[Panel], **options: Any) -> str:
-    """A page as an `iframe` for notebooks, of at most NOTEBOOK bytes."""
-    page = player_page(shown, title=shown[0].clip.mesh.name, budget=NOTEBOOK, **options)
+def notebook_frame(panels: Sequence[Panel], **options: Any) -> str:
+    """Build a page as an `iframe` for notebooks, of at most NOTEBOOK_BUDGET bytes."""
+    page = player_page(panels, title=panels[0].clip.mesh.name, budget=NOTEBOOK_BUDGET, **options)
     style = "width:100%;height:520px;border:0;border-radius:12px"
     return f'<iframe srcdoc="{html.escape(page)}" style="{style}" title="mimesh player"></iframe>'
 
 
-def embedded(value: Any) -> str:
-    """JSON that may stand in a script element: nothing in it can end the element or open a comment."""
+def embed_json(value: Any) -> str:
+    """Encode JSON for a script element: without `<`, nothing in it can end the element or open a comment."""
     return json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def web_file(name: str) -> str:
-    """A file of the built web pages."""
+    """Read a file of the web bundle."""
     return (files("mimesh.player") / "web" / name).read_text(encoding="utf-8")
 
 
-def _download(download: Download | None, room: int) -> dict[str, Any]:
+def _pack_download(download: Download | None, budget: int) -> dict[str, Any]:
+    """Pack the file in at most `budget` characters, else a link to it; empty without one."""
     if download is None:
         return {}
     name = os.path.basename(download.name)
     if download.content is not None:
-        data = text(zlib.compress(download.content, LEVEL))
-        if len(data) <= room:
+        data = to_base64(zlib.compress(download.content, LEVEL))
+        if len(data) <= budget:
             return {"name": name, "bytes": len(download.content), "data": data}
     return {"name": name, "href": quote(os.fsencode(name))}

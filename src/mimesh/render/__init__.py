@@ -1,5 +1,5 @@
-"""Pictures without a GPU or a window: what shows that a transfer worked.
+"""Rendering without a GPU or a window: pictures of meshes and clips that show whether a transfer worked.
 
-camera -> zbuffer -> paint, light -> raster     one picture
-sheet, movie                                    pages and moving pictures of it
+camera -> zbuffer -> textures, shading, shadow -> raster     one picture
+sheet, movie, heat                                           sheets, movies and heat maps made of pictures
 """

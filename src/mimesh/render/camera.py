@@ -1,4 +1,7 @@
-"""Cameras: named views, fitted so that a mesh or a whole clip fills the picture and nothing jumps between frames."""
+"""Cameras: named views, fitted so that a mesh or a whole clip fills the picture without jumps between frames.
+
+World coordinates are those of the mesh; camera coordinates have x to the right, y up and z towards the viewer.
+"""
 
 from __future__ import annotations
 
@@ -23,25 +26,25 @@ VIEWS = {
 }
 """Azimuth about the up axis and elevation above the floor, in degrees; azimuth 0 looks at the front.
 
-Negative azimuths stand at the subject's right, so that it faces the right edge of the picture, the way one reads.
+At negative azimuths the camera is at the subject's right, so that it faces the right edge of the picture.
 """
 
 FIELD_OF_VIEW = 26.0
-"""Degrees from top to bottom: a portrait lens, which keeps proportions honest and still shows depth."""
+"""Degrees from top to bottom: narrow, as a portrait lens, so that perspective distorts proportions little."""
 MARGIN = 0.08
-"""Share of the picture that stays free at each edge."""
+"""Share of the picture that stays empty at each edge."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where the picture is taken from; the floor and the subject's size are kept here so that a clip shares them."""
+    """Position, orientation and lens; also the floor and the subject's size, which all frames of a clip share."""
 
     rotmat_camera_world: Float[np.ndarray, "3 3"]
     """Rows are the picture's right, its up, and the direction towards the viewer, in world coordinates."""
     eye: Float[np.ndarray, 3]
-    """World position; with an orthographic camera, a point in front of everything."""
+    """World position of the camera; if orthographic, a point in front of everything."""
     half_height: float
-    """Half the picture's height: tangent of half the field of view, or world units when orthographic."""
+    """Half the picture's height: tangent of half the field of view, or world units if orthographic."""
     up: Float[np.ndarray, 3]
     """Unit vector away from the floor."""
     floor: float
@@ -53,9 +56,10 @@ class Camera:
     perspective: bool = True
 
     def project(self, points: Float[np.ndarray, "N 3"], size: tuple[int, int]) -> Float[np.ndarray, "N 3"]:
-        """Pixel x (to the right), pixel y (down), and a rank that is smaller nearer and linear across the picture.
+        """Project points to pixel x (to the right), pixel y (down) and a depth rank.
 
-        The rank is -1 / distance in perspective and the distance otherwise. Points behind a perspective eye get NaN.
+        The rank is smaller for nearer points and linear on screen: -1 / distance in perspective, else the distance.
+        Points behind a perspective eye get NaN.
         """
         width, height = size
         x, y, z = ((points - self.eye) @ self.rotmat_camera_world.T).T
@@ -75,14 +79,14 @@ def fit(
     up: str = "y",
     front: str | None = None,
 ) -> Camera:
-    """The camera that shows all points (a mesh, or every frame of a clip) as large as the picture allows.
+    """Fit a camera that shows all points (a mesh, or every frame of a clip) as large as the picture allows.
 
     Args:
-        points: any leading axes; the floor is put under the lowest of them.
+        points: any leading axes; the floor is at the lowest of them.
         size: width and height in pixels; only their ratio matters.
         view: a name in `VIEWS`, or azimuth and elevation in degrees.
-        perspective: a portrait lens, or else parallel rays.
-        margin: share of the picture left free at each edge.
+        perspective: a lens of FIELD_OF_VIEW, or else an orthographic projection.
+        margin: share of the picture left empty at each edge.
         up: axis that points away from the floor: x, y, z, -x, -y or -z.
         front: axis that faces azimuth 0; +z, or -y when z is up.
 
@@ -90,14 +94,14 @@ def fit(
         InputError: an unknown view or axis, or front along up.
     """
     world = axes(up, front)
-    rotmat = _turn(*_angles(view)) @ world
+    rotmat = _view_rotation(*_angles(view)) @ world
     flat = np.asarray(points, np.float64).reshape(-1, 3)
     low, high = flat.min(axis=0), flat.max(axis=0)
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
-    # Measured from the centre, so that a mesh far from the origin gets the same picture to the last bits.
+    # Relative to the centre, so that a mesh far from the origin gets the same picture to the last bits.
     local = (flat - centre) @ rotmat.T
-    place = _fit_perspective if perspective else _fit_parallel
-    offset, half_height = place(local, _frame(size, margin), _slope(), radius)
+    solve = _fit_perspective if perspective else _fit_orthographic
+    offset, half_height = solve(local, _half_extent(size, margin), _slope(), radius)
     return Camera(
         rotmat_camera_world=rotmat,
         eye=centre + offset @ rotmat,
@@ -119,42 +123,46 @@ def orbit(
     up: str = "y",
     front: str | None = None,
 ) -> list[Camera]:
-    """Cameras evenly around the subject, all at one distance that keeps it in the picture from everywhere."""
+    """Return cameras evenly around the subject, all at one distance that keeps it in the picture from every side."""
     camera = fit(points, size, view, up=up, front=front)
     flat = np.asarray(points, np.float64).reshape(-1, 3) - camera.centre
-    swept = np.concatenate([flat @ _about(camera.up, angle).T for angle in range(0, 360, 20)])
+    # The points rotated in steps of 20 degrees stand for all sides.
+    swept = np.concatenate([flat @ _axis_rotation(camera.up, angle).T for angle in range(0, 360, 20)])
     wide = fit(swept + camera.centre, size, view, up=up, front=front)
-    return [turned(wide, 360.0 * k / count) for k in range(count)]
+    return [rotate_camera(wide, 360.0 * k / count) for k in range(count)]
 
 
-def extremes(
+def extreme_points(
     frames: Float[np.ndarray, "T V 3"],
     size: tuple[int, int] = (512, 512),
     view: str | tuple[float, float] = "three-quarter",
-    travel: Float[np.ndarray, "T 3"] | None = None,
+    offsets: Float[np.ndarray, "T 3"] | None = None,
     *,
     up: str = "y",
     front: str | None = None,
 ) -> Float[np.ndarray, "P 3"]:
-    """The few points of a clip that decide how `fit` sees all of them with a lens; frames are read one by one.
+    """Find the few points of a clip for which `fit` gives the same perspective camera as for all of its points.
+
+    Frames are read one by one, so that a clip on disk needs no memory.
 
     Args:
-        travel: what is taken away from each frame's points first.
+        offsets: subtracted from each frame's points first.
     """
     world = axes(up, front)
-    rotmat = _turn(*_angles(view)) @ world
-    reach = _slope() * _frame(size, MARGIN)
-    cones = [[1, 0, reach[0]], [-1, 0, reach[0]], [0, 1, reach[1]], [0, -1, reach[1]], [0, 0, 1]]
-    directions = np.concatenate([np.array(cones) @ rotmat, -world[1:2], np.eye(3), -np.eye(3)])
-    best, found = np.full(len(directions), -np.inf), np.zeros((len(directions), 3))
+    rotmat = _view_rotation(*_angles(view)) @ world
+    reach = _slope() * _half_extent(size, MARGIN)
+    # What `fit` looks at: the four planes of the lens (see `_fit_perspective`), the nearest point, the floor, the box.
+    planes = [[1, 0, reach[0]], [-1, 0, reach[0]], [0, 1, reach[1]], [0, -1, reach[1]], [0, 0, 1]]
+    directions = np.concatenate([np.array(planes) @ rotmat, -world[1:2], np.eye(3), -np.eye(3)])
+    best, extremes = np.full(len(directions), -np.inf), np.zeros((len(directions), 3))
     for t, points in enumerate(each_frame(frames)):
-        moved_points = points if travel is None else points - travel[t]
-        value = directions @ moved_points.T
+        points = points if offsets is None else points - offsets[t]
+        value = directions @ points.T
         farthest = value.argmax(axis=1)
         value = value[np.arange(len(value)), farthest]
         better = value > best
-        best[better], found[better] = value[better], moved_points[farthest[better]]
-    return found
+        best[better], extremes[better] = value[better], points[farthest[better]]
+    return extremes
 
 
 def follow(
@@ -165,33 +173,33 @@ def follow(
     up: str = "y",
     front: str | None = None,
 ) -> list[Camera]:
-    """One camera per frame at one distance and height, moved along the floor with the subject's middle."""
+    """Return one camera per frame, at one distance and height, that follow the subject's centroid along the floor."""
     vertical = axes(up, front)[1]
-    middle = np.stack([frame.mean(axis=0) for frame in each_frame(points)])
-    travel = middle - middle[0]
-    travel -= (travel @ vertical)[:, None] * vertical
-    camera = fit(extremes(points, size, view, travel, up=up, front=front), size, view, up=up, front=front)
-    return [moved(camera, step) for step in travel]
+    centroid = np.stack([frame.mean(axis=0) for frame in each_frame(points)])
+    offsets = centroid - centroid[0]
+    offsets -= (offsets @ vertical)[:, None] * vertical
+    camera = fit(extreme_points(points, size, view, offsets, up=up, front=front), size, view, up=up, front=front)
+    return [translate_camera(camera, offset) for offset in offsets]
 
 
-def turned(camera: Camera, degrees: float) -> Camera:
-    """The camera carried around the vertical through the subject's middle; positive is counter-clockwise from above."""
-    turn = _about(camera.up, degrees)
+def rotate_camera(camera: Camera, degrees: float) -> Camera:
+    """Rotate a camera about the vertical through the subject's centre; positive is counter-clockwise from above."""
+    rotmat = _axis_rotation(camera.up, degrees)
     return dataclasses.replace(
         camera,
-        rotmat_camera_world=camera.rotmat_camera_world @ turn.T,
-        eye=camera.centre + turn @ (camera.eye - camera.centre),
+        rotmat_camera_world=camera.rotmat_camera_world @ rotmat.T,
+        eye=camera.centre + rotmat @ (camera.eye - camera.centre),
     )
 
 
-def moved(camera: Camera, offset: Float[np.ndarray, " 3"]) -> Camera:
-    """The camera and its floor, moved."""
+def translate_camera(camera: Camera, offset: Float[np.ndarray, " 3"]) -> Camera:
+    """Move a camera and its floor by an offset in world coordinates."""
     floor = camera.floor + float(offset @ camera.up)
     return dataclasses.replace(camera, eye=camera.eye + offset, centre=camera.centre + offset, floor=floor)
 
 
-def _about(axis, degrees) -> Float[np.ndarray, "3 3"]:
-    """Rotation matrix about a unit axis."""
+def _axis_rotation(axis, degrees) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation matrix about a unit axis (Rodrigues' formula)."""
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     angle = np.radians(degrees)
@@ -199,17 +207,22 @@ def _about(axis, degrees) -> Float[np.ndarray, "3 3"]:
 
 
 def _slope() -> float:
+    """Return the tangent of half the field of view."""
     return float(np.tan(np.radians(FIELD_OF_VIEW / 2)))
 
 
-def _frame(size: tuple[int, int], margin: float) -> Float[np.ndarray, " 2"]:
-    """Half the width and height that are to be filled, over half the picture's height."""
+def _half_extent(size: tuple[int, int], margin: float) -> Float[np.ndarray, " 2"]:
+    """Return half the width and height that the subject may fill, as multiples of half the picture's height."""
     return np.array([size[0] / size[1], 1.0]) * (1 - 2 * margin)
 
 
-def _fit_perspective(local, frame, slope, radius):
-    """Solve |x - ex| <= slope_x (ez - z) and the same for y over all points: four maxima decide it exactly."""
-    reach = slope * frame
+def _fit_perspective(local, extent, slope, radius):
+    """Solve |x - ex| <= slope_x (ez - z) and the same for y over all points, for the eye (ex, ey, ez) with least ez.
+
+    Exact: each side of the picture is a plane through the eye, so each of the four constraints depends on the points
+    through one maximum, of +-x + slope_x z or +-y + slope_y z.
+    """
+    reach = slope * extent
     z = local[:, 2]
     offset = np.zeros(3)
     depths = []
@@ -218,20 +231,22 @@ def _fit_perspective(local, frame, slope, radius):
         minus = (-local[:, k] + reach[k] * z).max()
         offset[k] = (plus - minus) / 2
         depths.append((plus + minus) / (2 * reach[k]))
-    # A flat or single-point subject seen edge-on must not end up at the eye.
+    # Without this, a flat subject seen edge-on, or a single point, would be at the eye itself.
     offset[2] = max(*depths, float(z.max()) + 0.05 * radius)
     return offset, slope
 
 
-def _fit_parallel(local, frame, slope, radius):
+def _fit_orthographic(local, extent, slope, radius):
+    """Centre the points' bounding box in the picture; the same arguments as `_fit_perspective`."""
     low, high = local.min(axis=0), local.max(axis=0)
-    half = float(((high - low)[:2] / 2 / frame).max())
+    half = float(((high - low)[:2] / 2 / extent).max())
     offset = (low + high) / 2
     offset[2] = high[2] + radius
     return offset, max(half, 1e-3 * radius)
 
 
 def _angles(view: str | tuple[float, float]) -> tuple[float, float]:
+    """Look up azimuth and elevation of a view, in degrees."""
     if not isinstance(view, str):
         return view
     if view not in VIEWS:
@@ -239,8 +254,8 @@ def _angles(view: str | tuple[float, float]) -> tuple[float, float]:
     return VIEWS[view]
 
 
-def _turn(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
-    """Rows right, up, back of a camera at these angles, in coordinates where y is up and z is the front."""
+def _view_rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
+    """Return rows right, up, back of a camera at angles in degrees, in coordinates where y is up and z is the front."""
     a, e = np.radians([azimuth, elevation])
     right = [np.cos(a), 0.0, -np.sin(a)]
     back = [np.sin(a) * np.cos(e), np.sin(e), np.cos(a) * np.cos(e)]
@@ -248,7 +263,7 @@ def _turn(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]:
 
 
 def axes(up: str, front: str | None) -> Float[np.ndarray, "3 3"]:
-    """Rows right, up, front of the subject's own frame, in world coordinates."""
+    """Return unit vectors in world coordinates as rows: right (of the picture in the front view), up, front."""
     front = front or ("-y" if up.strip("+") == "z" else "y" if up == "-z" else "z")
     vertical, forward = _axis("up", up), _axis("front", front)
     if abs(vertical @ forward) > 0.5:
@@ -257,6 +272,7 @@ def axes(up: str, front: str | None) -> Float[np.ndarray, "3 3"]:
 
 
 def _axis(what: str, name: str) -> Float[np.ndarray, 3]:
+    """Parse the name of an axis into a unit vector; `what` is the option that an error names."""
     letter = name.lstrip("+-")
     if letter not in ("x", "y", "z") or len(name) > 2:
         raise InputError(f"{what}: expected x, y, z, -x, -y or -z, found {name}; name one of them")

@@ -1,4 +1,4 @@
-"""Heat maps: how far a mesh or clip is from the truth, or how much its edges are stretched, as colours with a scale."""
+"""Heat maps: the distance of a mesh or clip to the truth, or the stretch of its edges, as colours with a colour bar."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
-from .movie import clip_cameras, posing
+from .movie import clip_cameras, mesh_poser
 from .raster import render
 from .shading import BACKGROUND
 from .sheet import FAINT, Color, captioned, font, ink
@@ -21,13 +21,14 @@ if TYPE_CHECKING:
     from PIL import Image
 
 HEAT = ((0.80, 0.79, 0.77), (0.95, 0.80, 0.52), (0.93, 0.55, 0.27), (0.78, 0.23, 0.24), (0.45, 0.07, 0.28))
-"""From no error to the limit; lightness falls all the way, so the order survives grey printing and colour blindness."""
+"""sRGB stops from no error to the limit; lightness falls all the way, so that the order is visible in grey, too."""
 TILE = (520, 620)
+"""Width and height of the picture in pixels, without the colour bar."""
 SAMPLED = 24
-"""Frames of a clip that decide the deepest colour of its heat map."""
+"""Frames of a clip, evenly spaced, from which the limit of its heat map is computed."""
 
 Measure = Callable[[int, np.ndarray], np.ndarray]
-"""Of a frame's number and its vertices (V, 3): a figure for every vertex (V,), in the unit that is shown."""
+"""A function of a frame's index and its vertices (V, 3); returns a value for every vertex (V,), in the unit shown."""
 
 
 def heat_map(
@@ -42,19 +43,19 @@ def heat_map(
     up: str = "y",
     front: str | None = None,
 ) -> Image.Image:
-    """The result coloured by each vertex's distance to the truth, with a colour bar in units.
+    """Draw the result coloured by each vertex's distance to the truth, with a colour bar in units.
 
     Args:
-        limit: distance (of the mesh's own unit) at the deepest colour; by default the 99th percentile.
-        unit: what the bar's numbers are called.
+        limit: distance (in the unit of the mesh) at the last colour; by default the 99th percentile.
+        unit: name of the unit at the colour bar.
         per_unit: how many of it make one unit of the mesh; metres to millimetres by default.
 
     Raises:
-        InputError: another number of vertices.
+        InputError: result and truth have different numbers of vertices.
     """
     measure = distance_to(Clip.still(result), truth if isinstance(truth, np.ndarray) else truth.vertices, per_unit)
-    shown = None if limit is None else limit * per_unit
-    return next(heat_frames(Clip.still(result), measure, unit, tile, limit=shown, view=view, up=up, front=front))
+    shown_limit = None if limit is None else limit * per_unit
+    return next(heat_frames(Clip.still(result), measure, unit, tile, limit=shown_limit, view=view, up=up, front=front))
 
 
 def heat_frames(
@@ -71,35 +72,36 @@ def heat_frames(
     labels: bool = True,
     background: Color = BACKGROUND,
 ) -> Iterator[Image.Image]:
-    """Yield a clip's pictures coloured by a figure per vertex, with one scale for all of them.
+    """Yield a clip's pictures coloured by a value per vertex, with one scale for all of them.
 
     Args:
-        limit: figure at the deepest colour; by default the 99th percentile over some frames, evenly spread.
-        track: the camera goes along the floor with the subject.
+        limit: value at the last colour; by default the 99th percentile over SAMPLED frames.
+        track: the camera follows the subject along the floor.
     """
     from PIL import Image
 
     limit = limit or _limit(clip, measure)
     cameras = clip_cameras(clip, tile, view, track, up, front)
-    bar, pose = None, posing(clip.mesh)
+    bar, pose_mesh = None, mesh_poser(clip.mesh)
     for t, (points, camera) in enumerate(zip(each_frame(clip.vertices), cameras, strict=True)):
-        mesh, figure = pose(points), measure(t, points)
-        colors = heat_colors(figure / limit)
+        mesh, values = pose_mesh(points), measure(t, points)
+        colors = heat_colors(values / limit)
         picture = render(
             points, mesh.faces, camera, tile, colors, corner_normals=mesh.corner_normals, background=background
         )
         if bar is None:
-            bar = color_bar(picture, limit, unit, clipped=bool(figure.max() > limit * 1.0001) or len(clip) > 1)
+            # A later frame of a clip may exceed the limit: its bar always says so.
+            bar = color_bar(picture, limit, unit, clipped=bool(values.max() > limit * 1.0001) or len(clip) > 1)
         picture = np.concatenate([picture, bar], axis=1)
-        label = f"mean {figure.mean():.3g} {unit}, largest {figure.max():.3g} {unit}"
+        label = f"mean {values.mean():.3g} {unit}, largest {values.max():.3g} {unit}"
         yield captioned(picture, label) if labels else Image.fromarray(picture)
 
 
 def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"], per_unit: float = 1000.0) -> Measure:
-    """Distance of every vertex to its place in the truth: a mesh, or a clip of as many frames.
+    """Return the measure of every vertex's distance to the same vertex of the truth (a mesh, or a clip as long).
 
     Raises:
-        InputError: another number of vertices or frames.
+        InputError: clip and truth have different numbers of vertices or frames.
     """
     _same_vertices(clip, truth.shape[-2], "the truth")
     if truth.ndim == 3 and len(truth) not in (1, len(clip)):
@@ -112,12 +114,12 @@ def distance_to(clip: Clip, truth: Float[np.ndarray, "... V 3"], per_unit: float
 
 
 def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:
-    """Change in length of the edges at every vertex, the mean of their absolute values, in percent of the reference.
+    """Return the measure of stretch: the mean absolute change in length of a vertex's edges, in percent.
 
-    Edges of no length in the reference are left out.
+    Lengths are compared with a reference pose; edges of no length there are left out.
 
     Raises:
-        InputError: another number of vertices, or no edges.
+        InputError: clip and reference have different numbers of vertices, or the mesh has no edges.
     """
     _same_vertices(clip, len(reference), "the reference")
     if len(clip.mesh.faces) == 0:
@@ -133,18 +135,18 @@ def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:
 
 
 def heat_colors(share: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 3"]:
-    """Colour (sRGB in 0..1) of an error given as a share of the limit; below 0 and above 1 are clipped."""
+    """Map errors, as shares of the limit, to colours (sRGB in 0..1); below 0 and above 1 are clipped."""
     stops = np.linspace(0, 1, len(HEAT))
     return np.stack([np.interp(share, stops, channel) for channel in zip(*HEAT, strict=True)], axis=1)
 
 
 def color_bar(picture: np.ndarray, limit: float, unit: str, clipped: bool) -> np.ndarray:
-    """A vertical scale from 0 to the limit with five ticks, on the paper of the picture that it stands beside."""
+    """Draw a vertical colour bar from 0 to the limit with five ticks, as high as a picture and on its background."""
     from PIL import Image, ImageDraw
 
-    height, paper = len(picture), tuple(picture[0, 0].tolist())
+    height, background = len(picture), tuple(picture[0, 0].tolist())
     size = max(11, height // 40)
-    image = Image.new("RGB" if len(paper) == 3 else "RGBA", (round(6.5 * size), height), paper)
+    image = Image.new("RGB" if len(background) == 3 else "RGBA", (round(6.5 * size), height), background)
     top, bottom, left, right = round(0.2 * height), round(0.8 * height), size, round(2.1 * size)
     share = np.linspace(1, 0, bottom - top)
     bar = (np.repeat(heat_colors(share)[:, None], right - left, axis=1) * 255).round().astype(np.uint8)
@@ -152,17 +154,18 @@ def color_bar(picture: np.ndarray, limit: float, unit: str, clipped: bool) -> np
     draw = ImageDraw.Draw(image)
     for k in range(5):
         y = bottom - (bottom - top) * k / 4
-        more = "+" if clipped and k == 4 else ""
+        plus = "+" if clipped and k == 4 else ""
         draw.line([(right, y), (right + 0.35 * size, y)], FAINT, 1)
-        draw.text((right + 0.7 * size, y), f"{limit * k / 4:.3g}{more}", ink(paper), font(size), anchor="lm")
+        draw.text((right + 0.7 * size, y), f"{limit * k / 4:.3g}{plus}", ink(background), font(size), anchor="lm")
     draw.text((left, top - 1.1 * size), unit, FAINT, font(size), anchor="ls")
     return np.asarray(image)
 
 
 def _limit(clip: Clip, measure: Measure) -> float:
+    """Return the 99th percentile of a measure over SAMPLED frames; 1 if it is zero."""
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLED).round().astype(int)).tolist()
-    figures = [measure(t, np.asarray(clip.vertices[t], np.float64)) for t in chosen]
-    return float(np.percentile(figures, 99)) or 1.0
+    values = [measure(t, np.asarray(clip.vertices[t], np.float64)) for t in chosen]
+    return float(np.percentile(values, 99)) or 1.0
 
 
 def _same_vertices(clip: Clip, count: int, what: str) -> None:

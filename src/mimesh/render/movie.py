@@ -1,4 +1,4 @@
-"""Moving pictures: frames of clips and turntables, written as animated WebP, GIF or MP4."""
+"""Movies: frames of clips and turntables, written as animated WebP, GIF or MP4."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..io import save_clip
 from ..io.atomic import whole_file, writing
-from .camera import Camera, extremes, fit, follow, orbit
+from .camera import Camera, extreme_points, fit, follow, orbit
 from .raster import render_mesh
 from .shading import BACKGROUND
 from .sheet import Color, captioned, page
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MOVIES = (".gif", ".mp4", ".webp")
 """Suffixes of clips that are written as pictures."""
 MOVIE_SIZE = (640, 720)
-"""Width and height, in pixels, of a movie whose size nobody chose."""
+"""Default width and height of a movie in pixels."""
 
 
 def write_clip(
@@ -42,19 +42,19 @@ def write_clip(
     """Write a clip as a file, a folder of frames or a movie.
 
     Args:
-        blendshapes: .glb and .gltf alone: so many morph targets in all instead of one a frame; see `io.blend_shapes`.
+        blendshapes: .glb and .gltf only: number of morph targets, instead of one per frame; see `io.blend_shapes`.
 
     Returns:
-        With `blendshapes`, how far a vertex is from its frame at most, over the size of the mesh.
+        With `blendshapes`, the largest distance of a vertex to its position in the clip, over the size of the mesh.
 
     Raises:
-        InputError: a format that holds no clip, or no blend shapes, or a place that cannot be written to.
+        InputError: a format without clips or without blend shapes, or a path that cannot be written to.
     """
     if path.suffix.lower() not in MOVIES or blendshapes is not None:
         error = save_clip(clip, path, frames_as, progress, blendshapes)
         return None if error is None else error / float(np.ptp(clip.vertices[0], axis=0).max())
-    stands = Normalization.fit(clip.mesh)
-    pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=stands.up, front=stands.front)
+    normalization = Normalization.fit(clip.mesh)
+    pictures = clip_frames(clip, MOVIE_SIZE, track=True, up=normalization.up, front=normalization.front)
     save_movie(counted(pictures, len(clip), progress), path, clip.fps)
     return None
 
@@ -62,10 +62,10 @@ def write_clip(
 def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps: float = 30.0) -> int:
     """Write frames as an endlessly looping .webp or .gif, or as an .mp4, and return how many there were.
 
-    WebP keeps full colour and is the smaller. GIF gets one palette for all frames, so that nothing flickers, and times
-    in hundredths of a second, spread so that the whole lasts as long as it should; viewers slow down above 50 frames
-    a second. Both merge frames that are exactly alike into one longer frame. MP4 is H.264 and needs PyAV; its frames
-    are written one by one, and a side of odd length loses its last pixel.
+    WebP keeps full colour and is the smaller. GIF gets one palette for all frames, so that colours do not flicker, and
+    times in hundredths of a second, rounded so that the total duration stays right; viewers slow down above 50 frames
+    a second. Both merge identical frames into one longer frame. MP4 is H.264 and needs PyAV; its frames are written
+    one by one, and a side of odd length loses its last pixel.
 
     Raises:
         InputError: another suffix, no frames, a frame rate that is not positive, or a Pillow without WebP.
@@ -105,26 +105,26 @@ def clip_frames(
 ) -> Iterator[Image.Image]:
     """Yield the pictures of a clip, or of several side by side with captions, one by one.
 
-    Each clip has one camera for all of its frames, so nothing jumps. Side by side, time runs at the first clip's rate
-    and shorter clips hold their last frame.
+    Each clip has one camera for all of its frames, so that the picture does not jump. Side by side, the first clip's
+    frame rate is used and shorter clips stay at their last frame.
 
     Args:
         size: of one panel in pixels; a caption adds to its height.
         tints: sRGB colour of each clip's clay; None keeps its materials.
-        track: the camera goes along the floor with the subject (a walk that leaves the picture otherwise).
+        track: the camera follows the subject along the floor, for instance in a long walk.
     """
     named = [("", clips)] if isinstance(clips, Clip) else list(clips)
     cameras = [clip_cameras(clip, size, view, track, up, front) for _, clip in named]
-    poses, colors = [posing(clip.mesh) for _, clip in named], tints or [None] * len(named)
+    posers, colors = [mesh_poser(clip.mesh) for _, clip in named], tints or [None] * len(named)
     fps = named[0][1].fps
     for k in range(max(round(clip.seconds * fps) for _, clip in named)):
         tiles = []
-        for (label, clip), path, pose, tint in zip(named, cameras, poses, colors, strict=True):
+        for (label, clip), clip_camera, pose_mesh, tint in zip(named, cameras, posers, colors, strict=True):
             t = min(int(k / fps * clip.fps + 1e-6), len(clip) - 1)
             picture = render_mesh(
-                pose(np.asarray(clip.vertices[t], np.float64)),
+                pose_mesh(np.asarray(clip.vertices[t], np.float64)),
                 size,
-                path[t],
+                clip_camera[t],
                 clay=clay,
                 tint=tint,
                 background=background,
@@ -147,15 +147,15 @@ def turntable_frames(
     front: str | None = None,
     background: Color = BACKGROUND,
 ) -> Iterator[Image.Image]:
-    """Yield the pictures of one full turn around the mesh; played in a loop it has no seam."""
+    """Yield the pictures of one full turn around the mesh; the last is followed by the first in a loop."""
     from PIL import Image
 
     for camera in orbit(mesh.vertices, size, count, view, up=up, front=front):
         yield Image.fromarray(render_mesh(mesh, size, camera, clay=clay, background=background))
 
 
-def posing(mesh: Mesh) -> Callable[[np.ndarray], Mesh]:
-    """A function of vertices (V, 3) as `mesh.with_vertices`, for many frames of one mesh."""
+def mesh_poser(mesh: Mesh) -> Callable[[np.ndarray], Mesh]:
+    """Return a function of vertices (V, 3) that does the same as `mesh.with_vertices`, but faster for many frames."""
     if mesh.corner_normals is None:
         return mesh.with_vertices
     turn = normal_turner(mesh.corner_normals, mesh.faces, mesh.vertices)
@@ -165,10 +165,12 @@ def posing(mesh: Mesh) -> Callable[[np.ndarray], Mesh]:
 def clip_cameras(
     clip: Clip, size: tuple[int, int], view: str | tuple[float, float], track: bool, up: str, front: str | None
 ) -> list[Camera]:
-    """A camera per frame: one for all, or one that goes along; the clip is read frame by frame."""
+    """Fit a camera for each frame: one for all, or one that follows the subject; the clip is read frame by frame."""
     if track:
         return follow(clip.vertices, size, view, up=up, front=front)
-    return [fit(extremes(clip.vertices, size, view, up=up, front=front), size, view, up=up, front=front)] * len(clip)
+    return [fit(extreme_points(clip.vertices, size, view, up=up, front=front), size, view, up=up, front=front)] * len(
+        clip
+    )
 
 
 def _as_image(frame: Image.Image | np.ndarray) -> Image.Image:
@@ -221,7 +223,7 @@ def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
 
 
 def _shared_palette(images: list[Image.Image]) -> Image.Image:
-    """256 colours chosen from eight frames spread over the movie."""
+    """Choose 256 colours from eight frames spread over the movie."""
     from PIL import Image
 
     chosen = images[:: max(1, len(images) // 8)][:8]
@@ -232,7 +234,7 @@ def _shared_palette(images: list[Image.Image]) -> Image.Image:
     return board.quantize(256, method=Image.Quantize.MEDIANCUT)
 
 
-def _durations(count: int, each: float, step: int) -> list[int]:
-    """Milliseconds per frame in multiples of `step`, rounded so that their running sum stays right."""
-    ends = [max(round(each * k / step), k) * step for k in range(count + 1)]
-    return [b - a for a, b in itertools.pairwise(ends)]
+def _durations(count: int, exact: float, step: int) -> list[int]:
+    """Return milliseconds per frame in multiples of `step`, rounded so that their cumulative sum stays right."""
+    ends = [max(round(exact * k / step), k) * step for k in range(count + 1)]
+    return [stop - start for start, stop in itertools.pairwise(ends)]

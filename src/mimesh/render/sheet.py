@@ -1,4 +1,4 @@
-"""Pages of pictures: contact sheet, transfer, strip and turntable, each with captions, as Pillow images."""
+"""Sheets of captioned pictures as Pillow images: contact sheet, transfer, strip and turntable."""
 
 from __future__ import annotations
 
@@ -20,12 +20,13 @@ if TYPE_CHECKING:
 TILE = (400, 480)
 """Width and height of one picture in pixels."""
 INK = (74, 70, 66)
-"""Captions on paper, sRGB 8 bit; lighter on a dark or no background, see `ink`."""
+"""Captions on a light background, 8-bit sRGB; see `ink`."""
 LIGHT_INK = (214, 210, 204)
+"""Captions on a dark background, 8-bit sRGB."""
 FAINT = (146, 140, 134)
-"""Ticks, signs and second lines."""
+"""Ticks, plus and equals signs, and captions on no background, 8-bit sRGB."""
 DRIVING_TINT = (0.60, 0.68, 0.76)
-"""The driving mesh is slate blue wherever it stands beside an identity in clay."""
+"""sRGB slate blue of the driving mesh, wherever it is shown beside an identity in clay."""
 
 Color = tuple[float, float, float] | None
 """sRGB in 0..1 of a background; None is transparent."""
@@ -43,10 +44,10 @@ def contact_sheet(
     labels: bool = True,
     background: Color = BACKGROUND,
 ) -> Image.Image:
-    """Meshes in rows, each as large as its tile allows, with its label below it.
+    """Draw meshes in rows, each as large as its tile allows, with its label below it.
 
     Args:
-        columns: a near-square page by default.
+        columns: by default as many as make a nearly square sheet.
         clay: leave materials and textures out.
     """
     if not items:
@@ -71,20 +72,20 @@ def transfer_sheet(
     up: str = "y",
     front: str | None = None,
 ) -> Image.Image:
-    """Identity + driving = result, and the truth beside it from the same camera if there is one."""
-    shown = np.concatenate([m.vertices for m in (result, truth) if m is not None])
-    before, source, camera = (
-        fit(points, tile, view, up=up, front=front) for points in (identity.vertices, driving.vertices, shown)
+    """Draw identity + driving = result, and the truth, if any, beside it from the same camera."""
+    outputs = np.concatenate([m.vertices for m in (result, truth) if m is not None])
+    identity_camera, driving_camera, camera = (
+        fit(points, tile, view, up=up, front=front) for points in (identity.vertices, driving.vertices, outputs)
     )
     tiles = [
-        captioned(render_mesh(identity, tile, before), "identity"),
-        captioned(render_mesh(driving, tile, source, tint=DRIVING_TINT), "driving"),
+        captioned(render_mesh(identity, tile, identity_camera), "identity"),
+        captioned(render_mesh(driving, tile, driving_camera, tint=DRIVING_TINT), "driving"),
         captioned(render_mesh(result, tile, camera), "result"),
     ]
     if truth is not None:
         tiles.append(captioned(render_mesh(truth, tile, camera), "truth"))
     sheet = page(tiles, len(tiles))
-    _signs(sheet, tile)
+    _draw_signs(sheet, tile)
     return sheet
 
 
@@ -101,7 +102,7 @@ def strip(
     labels: bool = True,
     background: Color = BACKGROUND,
 ) -> Image.Image:
-    """Frames of a clip side by side, first to last, with their times; one distance, moving along with the subject."""
+    """Draw frames of a clip side by side, first to last, with their times; the camera follows at one distance."""
     chosen = np.unique(np.linspace(0, len(clip) - 1, frames).round().astype(int))
     points = np.asarray(clip.vertices[chosen], np.float64)
     tiles = []
@@ -124,7 +125,7 @@ def turntable(
     labels: bool = True,
     background: Color = BACKGROUND,
 ) -> Image.Image:
-    """The mesh from evenly spaced sides at one distance, in two rows."""
+    """Draw the mesh from evenly spaced sides at one distance, in two rows."""
     cameras = orbit(mesh.vertices, tile, count, view, up=up, front=front)
     tiles = []
     for k, camera in enumerate(cameras):
@@ -134,28 +135,28 @@ def turntable(
 
 
 def captioned(picture: UInt8[np.ndarray, "h w C"], label: str | None) -> Image.Image:
-    """The picture with a line of text centred below it, shortened to fit; without a label, the picture alone.
+    """Add a line of text centred below a picture, shortened to fit; without a label, return the picture alone.
 
-    The paper goes on in the colour of the picture's corner.
+    The background of the caption has the colour of the picture's corner.
     """
     from PIL import Image, ImageDraw
 
     if label is None:
         return Image.fromarray(picture)
     height, width = picture.shape[:2]
-    paper = tuple(picture[0, 0].tolist())
+    background = tuple(picture[0, 0].tolist())
     size = 6 + round(min(width, height) / 36)
-    image = Image.new("RGB" if len(paper) == 3 else "RGBA", (width, height + round(2.1 * size)), paper)
+    image = Image.new("RGB" if len(background) == 3 else "RGBA", (width, height + round(2.1 * size)), background)
     image.paste(Image.fromarray(picture))
-    draw, letters = ImageDraw.Draw(image), font(size)
-    while draw.textlength(label, letters) > 0.94 * width and len(label) > 2:
+    draw, typeface = ImageDraw.Draw(image), font(size)
+    while draw.textlength(label, typeface) > 0.94 * width and len(label) > 2:
         label = label[:-2].rstrip() + "…"
-    draw.text((width / 2, height + 0.35 * size), label, ink(paper), letters, anchor="ma")
+    draw.text((width / 2, height + 0.35 * size), label, ink(background), typeface, anchor="ma")
     return image
 
 
 def page(tiles: Sequence[Image.Image], columns: int) -> Image.Image:
-    """Equal tiles on one sheet of paper, row by row; a short last row is centred."""
+    """Arrange equal tiles on one sheet, row by row; a short last row is centred."""
     from PIL import Image
 
     width, height = tiles[0].size
@@ -169,7 +170,7 @@ def page(tiles: Sequence[Image.Image], columns: int) -> Image.Image:
 
 
 def stack(rows: Sequence[Image.Image]) -> Image.Image:
-    """Pages one below another, such as the strips of a driving clip and of its result, centred on the widest."""
+    """Stack sheets, such as the strips of a driving clip and of its result, centred on the widest."""
     from PIL import Image
 
     width = max(row.width for row in rows)
@@ -181,7 +182,7 @@ def stack(rows: Sequence[Image.Image]) -> Image.Image:
     return sheet
 
 
-def _signs(sheet: Image.Image, tile: tuple[int, int]) -> None:
+def _draw_signs(sheet: Image.Image, tile: tuple[int, int]) -> None:
     """Draw + and = between the first three tiles of a new sheet."""
     from PIL import ImageDraw
 
@@ -194,14 +195,14 @@ def _signs(sheet: Image.Image, tile: tuple[int, int]) -> None:
 
 
 def font(size: int):
-    """The font of all captions, at a height in pixels."""
+    """Load the font of all captions, at a height in pixels."""
     from PIL import ImageFont
 
     return ImageFont.load_default(size)
 
 
-def ink(paper: tuple[int, ...]) -> tuple[int, int, int]:
-    """Colour of letters that can be read on a paper (sRGB or RGBA, 8 bit): on no paper, on both white and black."""
-    if len(paper) == 4 and paper[3] == 0:
+def ink(background: tuple[int, ...]) -> tuple[int, int, int]:
+    """Choose a legible text colour for a background (8-bit RGB or RGBA); if transparent, legible on white and black."""
+    if len(background) == 4 and background[3] == 0:
         return FAINT
-    return INK if sum(paper[:3]) > 3 * 110 else LIGHT_INK
+    return INK if sum(background[:3]) > 3 * 110 else LIGHT_INK

@@ -1,6 +1,6 @@
-"""`mimesh studio`: a page on this machine on which meshes are moved, served until Ctrl-C.
+"""`mimesh studio`: a local web page for moving meshes, served until Ctrl-C.
 
-Everything a page asks for happens in one temporary folder; files that are named on the command line are read in place.
+Uploads and exports are in one temporary folder; files of the command line are read in place and never changed.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from .session import Session
 from .state import STUDIO_MODELS
 from .uploads import UploadFolder
 
-IN_ALL = 4
-"""Uploads may take so many times the limit of one."""
-PATIENCE = 1
-"""Seconds that requests are given to end when the studio does."""
+TOTAL_FACTOR = 4
+"""Limit of all uploads together, as a multiple of the limit of one file."""
+SHUTDOWN_SECONDS = 1
+"""Time that running requests have to finish when the studio ends."""
 
 
 def serve(
@@ -35,79 +35,79 @@ def serve(
     port: int,
     limit: int,
     model: str,
-    opened: bool,
-    said: Callable[[str], None],
+    open_browser: bool,
+    report_address: Callable[[str], None],
 ) -> None:
-    """Serve a studio until it is told to end; nothing of it is left then.
+    """Serve a studio until it is interrupted; its temporary files are deleted then.
 
     Args:
-        files: meshes to move and, if there are several, last what to imitate; .onnx files are models.
-        port: 0 takes a free one.
-        limit: bytes of an uploaded file.
-        opened: show the page in the browser.
-        said: is told the address.
+        files: meshes to move; the last of several is the driving clip. Files ending in .onnx are models.
+        port: 0 for any free one.
+        limit: largest size of an uploaded file in bytes.
+        open_browser: show the page in the browser.
+        report_address: called with the address, token included, once the port is open.
 
     Raises:
-        InputError: a file or model that cannot be used, or a port that cannot be had.
+        InputError: a file or model that cannot be used, or a port that is not available.
     """
-    desk, token = make_desk(files, limit, model), new_token()
+    session, token = make_session(files, limit, model), new_token()
     # Ctrl-C is how a studio ends; uvicorn raises it again after it has ended well.
-    with contextlib.closing(desk), _listening(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
+    with contextlib.closing(session), open_socket(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
         port = listening.getsockname()[1]
-        address = f"http://{_shown_host(host)}:{port}/?token={token}"
-        said(address)
-        if opened:
+        address = f"http://{_url_host(host)}:{port}/?token={token}"
+        report_address(address)
+        if open_browser:
             webbrowser.open(address)
-        server = make_server(desk, token, host, port)
+        server = make_server(session, token, host, port)
         server.run(sockets=[listening])
 
 
-def make_server(desk: Session, token: str, host: str, port: int) -> uvicorn.Server:
-    """What serves a desk to whoever has the token."""
+def make_server(session: Session, token: str, host: str, port: int) -> uvicorn.Server:
+    """Build the web server of a session; the token is needed to use it."""
 
-    def closing() -> bool:
+    def is_closing() -> bool:
         return server.should_exit
 
     server = uvicorn.Server(
         uvicorn.Config(
-            AccessControl(make_app(desk, closing), token, host, port),
+            AccessControl(make_app(session, is_closing), token, host, port),
             log_level="error",
             access_log=False,
             server_header=False,
-            timeout_graceful_shutdown=PATIENCE,
+            timeout_graceful_shutdown=SHUTDOWN_SECONDS,
         )
     )
     return server
 
 
-def make_desk(files: list[Path], limit: int, model: str = "mime") -> Session:
-    """A desk with these files on it, and their models to be chosen; see `serve`.
+def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:
+    """Start a session with files, models among them, as `serve` takes them.
 
     Raises:
-        InputError: a file that is not there, or a model that is none.
+        InputError: a file that does not exist, or an unknown model.
     """
     for file in files:
         if not file.exists():
             raise InputError(f"{file}: expected a file or folder, found nothing of that name; check the path")
-    own = [str(file) for file in files if file.suffix == ".onnx"]
-    models = tuple(dict.fromkeys((*STUDIO_MODELS, *own, model)))
-    chosen = [name for name in models if name not in STUDIO_MODELS]
-    jointed = tuple(name for name in chosen if isinstance(find_method(name), SkinnedMethod))
-    given = [file for file in files if file.suffix != ".onnx"]
-    desk = Session(UploadFolder(limit, IN_ALL * limit), models, model, jointed)
+    onnx_models = [str(file) for file in files if file.suffix == ".onnx"]
+    models = tuple(dict.fromkeys((*STUDIO_MODELS, *onnx_models, model)))
+    other_models = [name for name in models if name not in STUDIO_MODELS]
+    skinned_models = tuple(name for name in other_models if isinstance(find_method(name), SkinnedMethod))
+    meshes = [file for file in files if file.suffix != ".onnx"]
+    session = Session(UploadFolder(limit, TOTAL_FACTOR * limit), models, model, skinned_models)
     with contextlib.ExitStack() as undo:
-        undo.callback(desk.close)
-        if len(given) > 1 or (given and given[0].is_dir()):
-            driving = given.pop()
-            desk.set_driving(driving, driving.resolve().name)
-        if given:
-            desk.add_identities(given)
+        undo.callback(session.close)
+        if len(meshes) > 1 or (meshes and meshes[0].is_dir()):
+            driving = meshes.pop()
+            session.set_driving(driving, driving.resolve().name)
+        if meshes:
+            session.add_identities(meshes)
         undo.pop_all()
-    return desk
+    return session
 
 
-def _listening(host: str, port: int) -> socket.socket:
-    """A socket that listens, so that the port is known before the server runs."""
+def open_socket(host: str, port: int) -> socket.socket:
+    """Open a listening socket, so that the port is known and works before its address is printed."""
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -123,7 +123,8 @@ def _listening(host: str, port: int) -> socket.socket:
     return listening
 
 
-def _shown_host(host: str) -> str:
+def _url_host(host: str) -> str:
+    """Return the host for a URL: this machine's own for wildcard addresses, IPv6 in brackets."""
     if host in ("0.0.0.0", "::"):
         return "127.0.0.1" if host == "0.0.0.0" else "[::1]"
     return f"[{host}]" if ":" in host else host

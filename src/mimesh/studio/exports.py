@@ -1,4 +1,4 @@
-"""Results as files to be fetched: one file as it is, several (with images, frames, many meshes) as a .zip."""
+"""Writes results as files to download: a single file as it is, several (images, frames, many meshes) as a .zip."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from ..render.movie import MOVIES
 from ..tools.convert import blend_note, not_kept, part, rate_note
 from .uploads import safe_name
 
-KEPT = 12
-"""Exports that are kept; older ones go."""
+MAX_EXPORTS = 12
+"""Number of exports that are stored; older ones are deleted."""
 FRAMES = tuple(f"frames{suffix}" for suffix in FRAME_SUFFIXES)
-"""Folders of numbered meshes."""
+"""Formats that are folders of numbered meshes."""
 NEEDS = {suffix: ("pxr", "usd") for suffix in (".usd", ".usda", ".usdc", ".usdz")}
 NEEDS |= {".abc": ("alembic3d", "alembic"), ".mp4": ("av", "video")}
-"""Module that a format needs, and the extra that brings it."""
-WORDS = {
+"""Module that a format needs, and the extra of mimesh that installs it."""
+FORMAT_NAMES = {
     ".abc": "Alembic",
     ".gif": "GIF, a movie",
     ".glb": "GLB",
@@ -46,51 +46,57 @@ WORDS = {
     "frames.obj": "OBJ frames",
     "frames.ply": "PLY frames",
 }
+"""Names of the formats on the page."""
 
 
 @dataclass(eq=False)
 class Export:
-    """Something that is written, or has been."""
+    """A file to download, while it is written and afterwards."""
 
     number: int
     suffix: str
+    """Format: a suffix of io.formats or render.movie, or one of FRAMES."""
     skinned: bool
     blendshapes: int | None
+    """Number of morph targets; None for one per frame."""
     folder: Path
+    """Where it is written; deleted with the export."""
     path: Path | None = None
-    """Once it is whole."""
-    done: float = 0.0
+    """None until it is complete."""
+    progress: float = 0.0
+    """Written share, 0 to 1."""
     error: str = ""
     notes: tuple[str, ...] = ()
 
 
 def formats(moving: bool) -> list[dict[str, str | bool]]:
-    """What results can be written as; `needs` is what has to be installed first, if anything."""
+    """List the formats for clips (`moving`) or poses; `needs` is the command that installs a missing library, or ""."""
     first = (".glb",) if moving else (".glb", ".obj")
     known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
     return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
 
 
 def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: Progress) -> Path:
-    """Write results, each with the name of its mesh and of what it imitates, and return the one file to be fetched.
+    """Write results, each with the names of its mesh and of the driving clip, and return the one file to download.
 
     Raises:
-        InputError: a format or option that does not fit.
+        InputError: a format or option that is not possible for these results.
     """
     _check(export, results)
-    inside, notes, used = export.folder / "files", [], set()
+    files_folder, notes, used = export.folder / "files", [], set()
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)
-        notes += _write_one(export, result, inside, stem, part(progress, k, len(results)) or progress)
+        notes += _write_one(export, result, files_folder, stem, part(progress, k, len(results)) or progress)
     export.notes = tuple(dict.fromkeys(notes))
-    files = sorted(path for path in inside.rglob("*") if path.is_file())
+    files = sorted(path for path in files_folder.rglob("*") if path.is_file())
     if len(files) == 1:
         return files[0]
     stem = sorted(used)[0] if len(results) == 1 else f"{len(results)} meshes"
-    return _zipped(files, inside, export.folder / f"{stem}.zip")
+    return _zip(files, files_folder, export.folder / f"{stem}.zip")
 
 
 def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, progress: Progress) -> list[str]:
+    """Write one result and return notes on what the format leaves out."""
     path = folder / (stem if export.suffix in FRAMES else f"{stem}{export.suffix}")
     if len(result.clip) == 1 and not export.skinned:
         save_mesh(result.clip.mesh, path)
@@ -103,17 +109,17 @@ def _write_one(export: Export, result: ClipResult, folder: Path, stem: str, prog
         result.save_skinned(path)
     else:
         result.save(path, export.blendshapes, progress)
-    blended = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
-    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blended]
+    blend_notes = blend_note(result.report.get("blendshapes_deviation")) if export.blendshapes else ()
+    return [*not_kept(result.clip.mesh, path), *rate_note(result.fps, path), *blend_notes]
 
 
 def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
     if not results:
-        raise InputError("export: expected a result, found none; add a mesh to move and what to imitate")
+        raise InputError("export: expected a result, found none; add a mesh to move and a driving motion")
     moving = len(results[0][2].clip) > 1
-    known = [one["suffix"] for one in formats(moving)]
-    if export.suffix not in known:
-        raise InputError(f"format: expected one of {' '.join(map(str, known))}, found {export.suffix!r}; choose one")
+    suffixes = [entry["suffix"] for entry in formats(moving)]
+    if export.suffix not in suffixes:
+        raise InputError(f"format: expected one of {' '.join(map(str, suffixes))}, found {export.suffix!r}; choose one")
     if (export.skinned or export.blendshapes) and export.suffix not in (".glb", ".gltf"):
         raise InputError(f"{export.suffix}: expected .glb or .gltf for joints and blend shapes, found this; choose one")
 
@@ -121,17 +127,18 @@ def _check(export: Export, results: list[tuple[str, str, ClipResult]]) -> None:
 def _format(suffix: str) -> dict[str, str | bool]:
     module, extra = NEEDS.get(suffix, ("", ""))
     needs = f"pip install 'mimesh[{extra}]'" if module and find_spec(module) is None else ""
-    return {"suffix": suffix, "words": WORDS[suffix], "needs": needs, "joints": suffix in (".glb", ".gltf")}
+    return {"suffix": suffix, "words": FORMAT_NAMES[suffix], "needs": needs, "joints": suffix in (".glb", ".gltf")}
 
 
 def _unused(stem: str, used: set[str]) -> str:
+    """Return a stem that is not in `used`, with a number if needed, and add it there."""
     name = next(name for k in range(len(used) + 1) if (name := stem if k == 0 else f"{stem}-{k + 1}") not in used)
     used.add(name)
     return name
 
 
-def _zipped(files: list[Path], top: Path, path: Path) -> Path:
-    """Pack files by their places below `top`."""
+def _zip(files: list[Path], top: Path, path: Path) -> Path:
+    """Pack files into an archive, with paths relative to `top`."""
     with whole_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as pack:
         for file in files:
             pack.write(file, file.relative_to(top))

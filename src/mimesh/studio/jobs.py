@@ -1,7 +1,8 @@
-"""One thread that does the work of the studio: long jobs one after another, and urgent ones between their frames.
+"""One worker thread for the studio: runs long jobs one after another, and urgent ones between their frames.
 
-A job is known by its key. Putting another of the same key drops the older one, whether it waits or runs: the newest
-wish wins. Jobs look at whether they are still wanted whenever they tell their progress.
+Jobs are identified by keys. Submitting another one with the same key cancels the earlier one, whether it waits or runs:
+only the newest request counts. A running job checks for cancellation whenever it reports progress. One thread needs no
+locks around models, and an urgent job waits for one frame at most.
 """
 
 from __future__ import annotations
@@ -18,23 +19,23 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 
 Work = Callable[[Progress], Any]
-"""What a job does; it is given what to tell its progress to."""
+"""The function of a job; its argument is to be called with the progress."""
 
 
 class Cancelled(Exception):
-    """The job is no longer wanted."""
+    """Raised in a cancelled job, and by its future."""
 
 
 @dataclass(eq=False)
 class Job:
-    """One piece of work and what has become of it."""
+    """One function to be run by the worker, and its future result."""
 
     key: Hashable
     work: Work
     urgent: bool
-    unwanted: bool = False
+    cancelled: bool = False
     future: Future = field(default_factory=Future)
-    """What the work gave, or the error that ended it: Dropped, InputError, or a bug of ours."""
+    """Gives the return value of the work, or raises its error: Cancelled, InputError, or any other for a bug."""
 
 
 class Worker:
@@ -48,11 +49,11 @@ class Worker:
         self._thread = threading.Thread(target=self._work, name="mimesh-studio", daemon=True)
         self._thread.start()
 
-    def put(self, key: Hashable, work: Work, urgent: bool = False) -> Future:
-        """Have work done; what waits or runs under the same key is dropped."""
+    def submit(self, key: Hashable, work: Work, urgent: bool = False) -> Future:
+        """Queue work; a job with the same key, whether it waits or runs, is cancelled."""
         job = Job(key, work, urgent)
         with self._changed:
-            self.drop(key)
+            self.cancel(key)
             if self._closed:
                 job.future.set_exception(Cancelled())
                 return job.future
@@ -60,23 +61,23 @@ class Worker:
             self._changed.notify()
         return job.future
 
-    def drop(self, key: Hashable) -> None:
-        """Forget the jobs of a key; one that runs ends when it next tells its progress."""
+    def cancel(self, key: Hashable) -> None:
+        """Cancel the jobs of a key; a running one ends when it next reports progress."""
         with self._changed:
             for job in self._running:
-                job.unwanted |= job.key == key
-            dropped = [job for job in self._waiting if job.key == key]
+                job.cancelled |= job.key == key
+            cancelled = [job for job in self._waiting if job.key == key]
             self._waiting = [job for job in self._waiting if job.key != key]
-        for job in dropped:
+        for job in cancelled:
             job.future.set_exception(Cancelled())
 
     def close(self, seconds: float = 0.5) -> None:
-        """Take no more work, drop what there is, and wait a little for what runs."""
+        """Accept no more work, cancel all jobs, and wait up to so many seconds for the running one."""
         with self._changed:
             self._closed = True
-            left, self._waiting = self._waiting, []
+            cancelled, self._waiting = self._waiting, []
             self._changed.notify()
-        for job in left:
+        for job in cancelled:
             job.future.set_exception(Cancelled())
         self._thread.join(seconds)
 
@@ -86,47 +87,47 @@ class Worker:
                 self._changed.wait_for(lambda: self._waiting or self._closed)
                 if self._closed:
                     return
-                job = self._next(urgent=any(each.urgent for each in self._waiting))
+                job = self._next(urgent=any(waiting.urgent for waiting in self._waiting))
             if job is not None:
-                self._do(job)
-                del job  # with all that it made, while there is no other
+                self._run(job)
+                del job  # so that its result is not kept in memory while waiting for the next
 
     def _next(self, urgent: bool) -> Job | None:
-        """Take the first waiting job of a kind off the queue."""
+        """Remove the first waiting job from the queue, of the urgent or of the other ones."""
         with self._changed:
-            found = next((job for job in self._waiting if job.urgent == urgent), None)
-            if found is not None:
-                self._waiting.remove(found)
-                self._running.append(found)
-            return found
+            job = next((job for job in self._waiting if job.urgent == urgent), None)
+            if job is not None:
+                self._waiting.remove(job)
+                self._running.append(job)
+            return job
 
-    def _do(self, job: Job) -> None:
+    def _run(self, job: Job) -> None:
         try:
-            given = job.work(lambda done, total: self._between(job))
-            if job.unwanted:
+            value = job.work(lambda done, total: self._between_frames(job))
+            if job.cancelled:
                 raise Cancelled
         except (Cancelled, InputError) as error:
             job.future.set_exception(error)
         except Exception as error:
-            # A bug of ours must be seen, and must not end the thread.
+            # A bug must be visible in the terminal, and must not end the thread.
             traceback.print_exc(file=sys.stderr)
             job.future.set_exception(error)
         else:
-            job.future.set_result(given)
+            job.future.set_result(value)
         finally:
             with self._changed:
                 self._running.remove(job)
 
-    def _between(self, job: Job) -> None:
-        """Between two frames of a job: end it if it is unwanted, and do what is urgent first if it is not."""
-        if job.unwanted or self._closed:
+    def _between_frames(self, job: Job) -> None:
+        """Called between two frames of a job: end it if it is cancelled, else run urgent jobs first."""
+        if job.cancelled or self._closed:
             raise Cancelled
         while not job.urgent and (urgent := self._next(urgent=True)) is not None:
-            self._do(urgent)
+            self._run(urgent)
 
 
-def words(error: BaseException) -> str:
-    """An error as the page shows it: InputError's own line, that memory ran out, else that it is a bug of ours."""
+def error_line(error: BaseException) -> str:
+    """Describe an error in one line: an InputError's message, that memory ran out, or else that it is a bug."""
     if isinstance(error, InputError):
         return " ".join(str(error).split())
     if isinstance(error, MemoryError):

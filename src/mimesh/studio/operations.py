@@ -1,4 +1,4 @@
-"""What the worker of a studio does: read, prepare, pose and play, by the same functions as `pipeline.animate`."""
+"""What the studio's worker runs: read, prepare, pose and animate, with the same functions as `pipeline.animate`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from .options import Options
 
 __all__ = [
     "animations",
+    "compute_result",
     "demo_clip",
+    "detect_facing",
     "for_page",
     "pose_frame",
-    "prepared",
+    "prepare_inputs",
     "read_clip",
     "read_mesh",
-    "result",
-    "stands",
 ]
 
 OPTION_WORDS = {
@@ -45,66 +45,67 @@ OPTION_WORDS = {
     "give another with --fps": "give another frame rate",
     "name another with -o": "choose another format",
 }
-"""What the command line calls by its options, and the page by its fields."""
+"""Replacements in messages: options of the command line by fields of the page."""
 
 
 def read_mesh(path: Path, folder: Path | None) -> Mesh:
-    """A mesh to move; of an upload, what it names is read from its folder alone."""
+    """Read a mesh; files that an uploaded mesh refers to are read from its upload's folder only."""
     with _within(folder):
         return load_mesh(path)
 
 
 def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, animation: str | None) -> Clip:
-    """What to imitate; a mesh is a clip of one frame, and a folder is called `name`. As for `read_mesh`."""
+    """Read a driving clip, as `read_mesh`; a mesh is a clip of one frame, and a folder gets the name `name`."""
     with _within(folder):
         clip = load_clip(path, fps, animation)
     return dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=name)) if path.is_dir() else clip
 
 
 def demo_clip(motion: str) -> Clip:
-    """The shipped person in a shipped motion."""
+    """Return the shipped body in a shipped motion."""
     return played(load_body(), motion)
 
 
-def stands(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:
-    """How a mesh, or a clip in its first frame, is found to stand (see `report.facing`), and whether that is unsure."""
+def detect_facing(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:
+    """Detect the axes of a mesh, or of a clip's first frame (see `report.facing`), and whether they are uncertain."""
     if isinstance(content, Clip):
         first = dataclasses.replace(content.mesh, vertices=content.vertices[0].astype(np.float64))
-        frame = Normalization.fit(first, *driving_axes(content, *axes))
+        normalization = Normalization.fit(first, *driving_axes(content, *axes))
     else:
-        frame = Normalization.fit(content, *axes)
-    return {**facing(frame), "unsure": frame.unsure}
+        normalization = Normalization.fit(content, *axes)
+    return {**facing(normalization), "unsure": normalization.unsure}
 
 
 def animations(content: Mesh | Clip) -> tuple[str, ...]:
-    """Names of a glTF file's animations."""
+    """Return the names of the animations in a glTF file; none for other files."""
     mesh = content.mesh if isinstance(content, Clip) else content
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepared(identity: Mesh, clip: Clip, model: str, axes: Axes) -> Prepared:
-    """Both read by the model, nothing refined yet."""
-    theirs = driving_axes(clip, *axes[2:])
-    return prepare(identity, clip, lambda frame: find_method(model), (*axes[:2], *theirs), False, MotionOptions())
+def prepare_inputs(identity: Mesh, clip: Clip, model: str, axes: Axes) -> Prepared:
+    """Prepare identity and driving clip for a model, without refinement."""
+    all_axes = (*axes[:2], *driving_axes(clip, *axes[2:]))
+    return prepare(identity, clip, lambda frame: find_method(model), all_axes, False, MotionOptions())
 
 
-def result(ready: Prepared, options: Options, progress: Progress) -> ClipResult:
-    """The whole clip, as `pipeline.animate` gives it, or the one pose, as `pipeline.transfer` does."""
-    seconds, clip = Timer(), ready.clip
+def compute_result(prepared: Prepared, options: Options, progress: Progress) -> ClipResult:
+    """Compute the whole clip, as `pipeline.animate` does, or the one pose, as `pipeline.transfer` does."""
+    seconds, clip = Timer(), prepared.clip
     dtype = np.float64 if len(clip) == 1 else np.float32
-    moved = play(ready, seconds, options.motion(ready.method), progress, dtype)
+    moved = play(prepared, seconds, options.motion(prepared.method), progress, dtype)
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
-    shown = Clip(ready.identity.with_vertices(first), moved.vertices, clip.fps)
-    return ClipResult(shown, ready.method.name, seconds, moved.report, moved.notes, moved.skeleton)
+    result_clip = Clip(prepared.identity.with_vertices(first), moved.vertices, clip.fps)
+    return ClipResult(result_clip, prepared.method.name, seconds, moved.report, moved.notes, moved.skeleton)
 
 
 def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:
+    """Confine file references to a folder; None for no limit."""
     return contextlib.nullcontext() if folder is None else confined(folder)
 
 
 def for_page(text: str, folder: Path) -> str:
-    """Words of an error or a note that fit the page: files by the names they were given, fields instead of options."""
+    """Adapt a message to the page: files by the names they were given, fields instead of command-line options."""
     text = re.sub(rf"{re.escape(str(folder))}[/\\](uploads|exports)[/\\]\d+[/\\]?", "", text)
-    for ours, theirs in OPTION_WORDS.items():
-        text = text.replace(ours, theirs)
+    for option, page_field in OPTION_WORDS.items():
+        text = text.replace(option, page_field)
     return text

@@ -1,4 +1,4 @@
-"""What is chosen on the page, and what of it a model can do."""
+"""The options of the page, and which of them apply to a model."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..pipeline.run import ROOTS, MotionOptions
 
 @dataclass(frozen=True)
 class Options:
-    """See `pipeline.animate` for what they mean."""
+    """Model and motion options; `pipeline.animate` documents them."""
 
     model: str = "mime"
     root: str = "scale"
@@ -22,20 +22,20 @@ class Options:
     smooth: float = 0.0
     refine: bool | None = None
 
-    def changed(self, given: dict[str, Any], models: tuple[str, ...]) -> Options:
-        """With some of them as a page wants them.
+    def changed(self, changes: dict[str, Any], models: tuple[str, ...]) -> Options:
+        """Return the options with some values changed.
 
         Raises:
-            InputError: an option that is not known, or a value that makes no sense.
+            InputError: an unknown option, or a value that is not possible.
         """
-        values: dict[str, Any] = dataclasses.asdict(self) | given
-        unknown = given.keys() - {field.name for field in dataclasses.fields(self)}
+        values: dict[str, Any] = dataclasses.asdict(self) | changes
+        unknown = changes.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
-        _one_of(values, "model", models)
-        _one_of(values, "root", ROOTS)
-        _one_of(values, "ground", (True, False))
-        _one_of(values, "refine", (None, True, False))
+        _check_choice(values, "model", models)
+        _check_choice(values, "root", ROOTS)
+        _check_choice(values, "ground", (True, False))
+        _check_choice(values, "refine", (None, True, False))
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
@@ -43,14 +43,14 @@ class Options:
         return Options(**values)
 
     def motion(self, method: Method) -> MotionOptions:
-        """What is asked of a model with joints; nothing of others."""
+        """Return the motion options for a method: only those with joints have any."""
         return (
             MotionOptions(self.root, self.ground, self.smooth) if isinstance(method, SkinnedMethod) else MotionOptions()
         )
 
 
-def rate(value: Any) -> float | None:
-    """A frame rate as a page gives it; None is the file's own.
+def parse_rate(value: Any) -> float | None:
+    """Parse a frame rate of the page in frames per second; None for the file's own.
 
     Raises:
         InputError: not a positive number.
@@ -62,7 +62,10 @@ def rate(value: Any) -> float | None:
     return float(value)
 
 
-def _one_of(values: dict[str, Any], name: str, known: tuple) -> None:
+def _check_choice(values: dict[str, Any], name: str, choices: tuple) -> None:
+    """Raise InputError unless a value is one of the choices; 1 is not True."""
     found = values[name]
-    if not any(found is one or (isinstance(found, str) and found == one) for one in known):
-        raise InputError(f"{name}: expected one of {', '.join(map(str, known))}, found {str(found)[:60]!r}; choose one")
+    if not any(found is choice or (isinstance(found, str) and found == choice) for choice in choices):
+        raise InputError(
+            f"{name}: expected one of {', '.join(map(str, choices))}, found {str(found)[:60]!r}; choose one"
+        )

@@ -1,4 +1,4 @@
-"""Who may talk to a studio: the browser that was given the token, and no page of another site through it."""
+"""Access control of the studio: requests need the token, and pages of other sites cannot use a browser that has it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from starlette.datastructures import Headers, MutableHeaders, QueryParams
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-POLICY = "; ".join(
+CONTENT_POLICY = "; ".join(
     (
         "default-src 'none'",
         "script-src 'self'",
@@ -24,8 +24,9 @@ POLICY = "; ".join(
         "frame-ancestors 'none'",
     )
 )
+"""Content security policy: the page loads and connects to nothing but the studio itself."""
 HEADERS = {
-    "content-security-policy": POLICY,
+    "content-security-policy": CONTENT_POLICY,
     "cache-control": "no-store",
     "cross-origin-opener-policy": "same-origin",
     "cross-origin-resource-policy": "same-origin",
@@ -33,22 +34,24 @@ HEADERS = {
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
 }
-CLOSED = "This studio is open to the browser it was started for: use the address that `mimesh studio` printed.\n"
+"""Headers of every response."""
+FORBIDDEN = "This studio is open to the browser it was started for: use the address that `mimesh studio` printed.\n"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+"""Host names that mean this machine."""
 
 
 def new_token() -> str:
-    """What opens a studio: 256 random bits."""
+    """Make the secret token of a studio: 256 random bits."""
     return secrets.token_urlsafe(32)
 
 
 class AccessControl:
-    """Checks every request before the application sees it.
+    """ASGI middleware that checks every request before it reaches the application.
 
-    * The Host header names this machine, so that no name of another site that points here is served (DNS rebinding).
-    * The token comes as `?token=` once, which is answered with a cookie, then as that cookie, or as the header
-      `x-mimesh-token`.
-    * What changes something comes from our own page (Origin), or with the token as a header.
+    * The Host header must name this machine: another site's name that resolves to it is refused (DNS rebinding).
+    * The token must come as `?token=` once, which sets a cookie, then as that cookie, or as the header
+      `x-mimesh-token`. The port is in the cookie's name, since all ports of a host share their cookies.
+    * Requests that change something must come from the studio's page (Origin), or with the token as a header (CSRF).
     """
 
     def __init__(self, app: ASGIApp, token: str, host: str, port: int) -> None:
@@ -62,43 +65,44 @@ class AccessControl:
         if scope["type"] != "http":
             return
 
-        async def send_guarded(message: Message) -> None:
+        async def send_with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
                 MutableHeaders(scope=message).update(HEADERS)
             await send(message)
 
-        answer = self._refusal(scope)
-        await (answer or self._app)(scope, receive, send_guarded)
+        response = self._early_response(scope)
+        await (response or self._app)(scope, receive, send_with_headers)
 
-    def _refusal(self, scope: Scope) -> Response | None:
-        """What is answered in place of the application; None lets a request pass."""
-        headers, given = Headers(scope=scope), QueryParams(scope["query_string"])
+    def _early_response(self, scope: Scope) -> Response | None:
+        """Return a refusal or the redirect that sets the cookie; None to pass the request to the application."""
+        headers, query = Headers(scope=scope), QueryParams(scope["query_string"])
         host = headers.get("host", "")
-        if not self._known_host(host):
-            return PlainTextResponse("This name is not that of the studio.\n", 421)
+        if not self._is_own_host(host):
+            return PlainTextResponse("This host name is not that of the studio.\n", 421)
         safe = scope["method"] in ("GET", "HEAD")
-        if safe and scope["path"] == "/" and self._opens(given.get("token", "")):
-            answer = RedirectResponse("/", 303)
-            answer.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
-            return answer
-        by_header = self._opens(headers.get("x-mimesh-token", ""))
-        if not by_header and not self._opens(self._from_cookie(headers.get("cookie", ""))):
-            return PlainTextResponse(CLOSED, 403)
+        if safe and scope["path"] == "/" and self._is_token(query.get("token", "")):
+            response = RedirectResponse("/", 303)
+            response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
+            return response
+        by_header = self._is_token(headers.get("x-mimesh-token", ""))
+        if not by_header and not self._is_token(self._from_cookie(headers.get("cookie", ""))):
+            return PlainTextResponse(FORBIDDEN, 403)
         origin = headers.get("origin")
         if origin is not None and origin != f"http://{host}" and not (safe and origin == "null"):
-            return PlainTextResponse("Requests of other sites are not served.\n", 403)
+            return PlainTextResponse("Requests from other sites are refused.\n", 403)
         if not safe and origin is None and not by_header:
             return PlainTextResponse("A change needs the Origin header, or the token as a header.\n", 403)
         return None
 
-    def _known_host(self, host: str) -> bool:
+    def _is_own_host(self, host: str) -> bool:
         name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
         name = name.strip("[]").lower()
         if self._host in LOOPBACK:
             return name in LOOPBACK
         return name in (*LOOPBACK, self._host.lower(), socket.gethostname().lower()) or _is_address(name)
 
-    def _opens(self, token: str) -> bool:
+    def _is_token(self, token: str) -> bool:
+        """Compare in constant time, so that response times reveal nothing."""
         return hmac.compare_digest(token.encode(), self._token.encode())
 
     def _from_cookie(self, header: str) -> str:

@@ -1,7 +1,7 @@
-"""What lies on the desk of a studio: meshes to move, a clip to imitate, options, and what came of them.
+"""The state of a studio: meshes to move, the driving clip, options, and the results computed from them.
 
-One desk serves one page (or several showing the same). Methods are called by requests; what takes long is done by the
-worker. `version` grows with every change, so that pages know when to look again.
+One session serves one page (or several that show the same). Its methods are called by requests; what takes long is done
+by the worker thread. `version` grows with every change, so that pages know when to fetch the state again.
 """
 
 from __future__ import annotations
@@ -26,17 +26,76 @@ from ..core.normalization import parse_axis
 from ..pipeline.result import ClipResult
 from ..pipeline.run import Prepared
 from . import operations
-from .exports import KEPT, Export, write
-from .jobs import Cancelled, Worker, words
-from .options import Options, rate
+from .exports import MAX_EXPORTS, Export, write
+from .jobs import Cancelled, Worker, error_line
+from .options import Options, parse_rate
 from .uploads import UploadFolder
+
+MOST_IDENTITIES = 32
+"""Largest number of meshes to move; each is stored with its result."""
+
+
+@dataclass(eq=False)
+class Item:
+    """A mesh to move or the driving clip: its file, its content once read, and its result."""
+
+    number: int
+    name: str
+    path: Path | None = None
+    """None for characters and motions that ship with mimesh."""
+    upload: int | None = None
+    """Number of the upload it came with; None for files of the command line and shipped ones."""
+    content: Mesh | Clip | None = None
+    """None until it has been read."""
+    animations: tuple[str, ...] = ()
+    """Names of the animations in the file."""
+    animation: str | None = None
+    """Chosen animation; None for the first."""
+    fps: float | None = None
+    """Chosen frame rate; None for the file's own."""
+    up: str | None = None
+    front: str | None = None
+    error: str = ""
+    facing: dict[str, Any] = field(default_factory=dict)
+    """Detected or chosen axes as `report.facing` gives them, and whether they are uncertain."""
+    read: int = 0
+    """Number of times it has been read, so that results of an earlier reading are recognized."""
+    outcome: Outcome | None = None
+    prepared: tuple[tuple, bool | None, Prepared] | None = None
+    """Inputs (see `preparation_inputs`), option `refine`, and what the model prepared for them last."""
+
+    @property
+    def axes(self) -> tuple[str | None, str | None]:
+        return self.up, self.front
+
+
+@dataclass(eq=False)
+class Outcome:
+    """State of the result of one mesh for the current driving clip and options."""
+
+    version: int
+    """Version of the session when this was begun or finished."""
+    progress: float = 0.0
+    """Finished share of the frames, 0 to 1."""
+    error: str = ""
+    stopped: bool = False
+    result: ClipResult | None = None
+    """The previous result until this one is finished."""
+    result_version: int = 0
+    """Version of the session when `result` was finished."""
+    current: bool = False
+    """Whether `result` is finished for the current inputs."""
+    inputs: tuple = ()
+    """Everything the result depends on; another value means that it must be computed again."""
 
 
 class Session:
-    """The state of a session."""
+    """Everything the studio's page shows and changes."""
 
-    def __init__(self, workplace: UploadFolder, models: tuple[str, ...], model: str, jointed: tuple[str, ...]) -> None:
-        self.workplace, self.models, self.jointed = workplace, models, jointed
+    def __init__(
+        self, uploads: UploadFolder, models: tuple[str, ...], model: str, skinned_models: tuple[str, ...]
+    ) -> None:
+        self.uploads, self.models, self.skinned_models = uploads, models, skinned_models
         self.options = Options(model)
         self.identities: dict[int, Item] = {}
         self.driving: Item | None = None
@@ -44,24 +103,25 @@ class Session:
         self.version = 0
         self.worker = Worker()
         self._lock = threading.RLock()
-        self._last = 0
+        self._last_number = 0
 
     def changed(self) -> int:
-        """Have pages look again."""
+        """Count a change, so that pages fetch the state; returns the new version."""
         with self._lock:
             self.version += 1
             return self.version
 
     def next_number(self) -> int:
+        """Return a number that no item or export has had."""
         with self._lock:
-            self._last += 1
-            return self._last
+            self._last_number += 1
+            return self._last_number
 
     def add_identities(self, paths: list[Path], upload: int | None = None) -> list[int]:
-        """Read meshes to move; each becomes an item at once.
+        """Add meshes to move, to be read by the worker; returns their numbers.
 
         Raises:
-            InputError: more than can lie there.
+            InputError: more than MOST_IDENTITIES.
         """
         check_room(len(self.identities) + len(paths))
         added = []
@@ -73,13 +133,13 @@ class Session:
         return added
 
     def set_driving(self, path: Path, name: str, upload: int | None = None) -> int:
-        """Read what to imitate, a file or a folder of frames, in place of what was there."""
+        """Replace the driving clip by a file or a folder of frames, to be read by the worker; returns its number."""
         item = self._new_driving(name, path, upload)
         self._read(item, partial(operations.read_clip, path, self._folder(upload), name, None, None))
         return item.number
 
     def use_demo(self, what: str, name: str, motion: str) -> None:
-        """Lay a character of the shipped cast on the desk ("identity"), a shipped motion ("driving"), or "both"."""
+        """Load a shipped character (`what` is "identity"), a shipped motion ("driving"), or "both"."""
         if what in ("identity", "both"):
             check_room(len(self.identities) + 1)
             item = Item(self.next_number(), name)
@@ -89,127 +149,135 @@ class Session:
             self._read(self._new_driving(motion), partial(operations.demo_clip, motion))
 
     def remove(self, number: int) -> None:
-        """Take a mesh or the driving off the desk, with its files if nothing else on the desk came with them."""
+        """Remove a mesh or the driving clip, and its upload unless another item came with it."""
         item = self.item(number)
-        self._drop(item)
+        self._cancel_jobs(item)
         if item is self.driving:
             self.driving = None
         self.identities.pop(number, None)
         if item.upload is not None and not self.uses(item.upload):
-            self.workplace.remove_upload(item.upload)
+            self.uploads.remove_upload(item.upload)
         self.refresh()
 
     def item(self, number: int) -> Item:
-        """Raises InputError where nothing has that number."""
+        """Return the item of a number.
+
+        Raises:
+            InputError: there is none.
+        """
         if self.driving is not None and self.driving.number == number:
             return self.driving
         if number not in self.identities:
-            raise InputError(f"mesh {number}: expected one on the desk, found none; reload the page")
+            raise InputError(f"mesh {number}: expected one of this session, found none; reload the page")
         return self.identities[number]
 
     def uses(self, upload: int) -> bool:
-        """Whether something on the desk came with an upload."""
+        """Whether an item came with an upload."""
         return any(item.upload == upload for item in (*self.identities.values(), self.driving) if item is not None)
 
-    def set_item(self, number: int, given: dict[str, Any]) -> None:
-        """Change axes of a mesh, or the animation and frame rate of the driving (which is then read again)."""
+    def set_item(self, number: int, changes: dict[str, Any]) -> None:
+        """Change the axes of an item, or the animation and frame rate of the driving clip, which is then read again.
+
+        Raises:
+            InputError: an unknown field, or a value that is not possible.
+        """
         item = self.item(number)
-        unknown = given.keys() - {"up", "front", "animation", "fps"}
+        unknown = changes.keys() - {"up", "front", "animation", "fps"}
         if unknown:
             raise InputError(f"{min(unknown)}: expected up, front, animation or fps, found it; leave it out")
-        up, front = (parse_axis(given.get(axis, getattr(item, axis)) or None, axis) for axis in ("up", "front"))
+        up, front = (parse_axis(changes.get(axis, getattr(item, axis)) or None, axis) for axis in ("up", "front"))
         if up and front and up[1] == front[1]:
             raise InputError(f"{item.name}: expected up and front on two axes, found {up} and {front}; change one")
         item.up, item.front = up, front
         if item.content is not None:
-            item.facing = operations.stands(item.content, item.axes)
-        if item is self.driving and given.keys() & {"animation", "fps"} and item.path is not None:
-            item.animation = given.get("animation", item.animation) or None
-            item.fps = rate(given.get("fps", item.fps))
-            self._read(
-                item,
-                partial(
-                    operations.read_clip, item.path, self._folder(item.upload), item.name, item.fps, item.animation
-                ),
-            )
+            item.facing = operations.detect_facing(item.content, item.axes)
+        if item is self.driving and changes.keys() & {"animation", "fps"} and item.path is not None:
+            item.animation = changes.get("animation", item.animation) or None
+            item.fps = parse_rate(changes.get("fps", item.fps))
+            folder = self._folder(item.upload)
+            self._read(item, partial(operations.read_clip, item.path, folder, item.name, item.fps, item.animation))
         self.refresh()
 
-    def set_options(self, given: dict[str, Any]) -> None:
-        """Change options; results follow."""
-        self.options = self.options.changed(given, self.models)
+    def set_options(self, changes: dict[str, Any]) -> None:
+        """Change options and compute the results again that depend on them."""
+        self.options = self.options.changed(changes, self.models)
         self.refresh()
 
     def refresh(self) -> None:
-        """Make all results anew that are not those of now."""
+        """Compute all results again whose inputs have changed."""
         self.changed()
         with self._lock:
             for item in list(self.identities.values()):
-                self._make(item)
+                self._start_result(item)
 
     def stop(self, number: int) -> None:
-        """End the making of a result; that of before stays, if there is one."""
+        """Stop computing a result; the previous one, if any, stays."""
         item = self.item(number)
-        self.worker.drop(("result", number))
+        self.worker.cancel(("result", number))
         if item.outcome is not None and not item.outcome.current:
             item.outcome.stopped = True
         self.changed()
 
     def pose(self, number: int, frame: int) -> Future:
-        """A mesh in one frame with the options of now, soon; older wishes for it are dropped.
+        """Compute a mesh in one frame with the current options, before other work; cancels earlier calls for it.
 
         The future gives (V, 3) positions.
         """
         item = self.item(number)
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
-            ready = self._prepared(item)
-            return operations.pose_frame(ready, min(max(frame, 0), len(ready.clip) - 1))
+            prepared = self._prepare(item)
+            return operations.pose_frame(prepared, min(max(frame, 0), len(prepared.clip) - 1))
 
-        return self.worker.put(("pose", number), work, urgent=True)
+        return self.worker.submit(("pose", number), work, urgent=True)
 
     def export(self, suffix: str, numbers: list[int], skinned: bool, blendshapes: int | None) -> int:
-        """Write results in a format, to be fetched; several go into one archive."""
+        """Start to write results in a format, several into one archive; returns the number of the export."""
         items = [self.item(number) for number in numbers or self.identities]
-        export = Export(self.next_number(), suffix, skinned, blendshapes, self.workplace.new_export())
-        name = Path(self.driving.name).stem if self.driving else ""
+        export = Export(self.next_number(), suffix, skinned, blendshapes, self.uploads.new_export())
+        driving_name = Path(self.driving.name).stem if self.driving else ""
 
         def work(progress: Progress) -> Path:
-            def told(done: int, total: int) -> None:
+            def report(done: int, total: int) -> None:
                 progress(done, total)
-                export.done = done / total
+                export.progress = done / total
 
-            return write(export, [(item.name, name, finished(item)) for item in items], told)
+            return write(export, [(item.name, driving_name, finished_result(item)) for item in items], report)
 
-        def done(future: Future) -> None:
+        def finish(future: Future) -> None:
             error = future.exception()
             if error is None:
                 export.path = future.result()
             elif not isinstance(error, Cancelled):
-                export.error = self.said(error)
+                export.error = self.page_error(error)
             self.changed()
 
         self.exports[export.number] = export
-        for number in sorted(self.exports)[:-KEPT]:
+        for number in sorted(self.exports)[:-MAX_EXPORTS]:
             self.remove_export(number)
-        self.worker.put(("export", export.number), work).add_done_callback(done)
+        self.worker.submit(("export", export.number), work).add_done_callback(finish)
         self.changed()
         return export.number
 
     def remove_export(self, number: int) -> None:
-        """Stop the writing of an export, or take what was written away."""
+        """Stop writing an export, or delete its files."""
         export = self.exports.pop(number, None)
         if export is not None:
-            self.worker.drop(("export", number))
+            self.worker.cancel(("export", number))
             shutil.rmtree(export.folder, ignore_errors=True)
         self.changed()
 
     def close(self) -> None:
-        """End all work and take the files away."""
+        """Stop all work and delete the files."""
         self.worker.close()
-        self.workplace.close()
+        self.uploads.close()
+
+    def page_error(self, error: BaseException) -> str:
+        """Describe an error for the page: files by the names the user gave them, without the temporary folder."""
+        return operations.for_page(error_line(error), self.uploads.folder)
 
     def _folder(self, upload: int | None) -> Path | None:
-        return None if upload is None else self.workplace.upload(upload).folder
+        return None if upload is None else self.uploads.upload(upload).folder
 
     def _new_driving(self, name: str, path: Path | None = None, upload: int | None = None) -> Item:
         if self.driving is not None:
@@ -218,16 +286,16 @@ class Session:
         return self.driving
 
     def _read(self, item: Item, read: Callable[[], Mesh | Clip]) -> None:
-        """Have an item read; its results follow."""
+        """Let the worker read an item; results that depend on it are computed afterwards."""
         item.content, item.error, item.outcome = None, "", None
         item.read += 1
-        self._drop(item)
+        self._cancel_jobs(item)
 
-        def done(future: Future) -> None:
+        def finish(future: Future) -> None:
             error = future.exception()
             if isinstance(error, Cancelled):
                 return
-            item.error = "" if error is None else self.said(error)
+            item.error = "" if error is None else self.page_error(error)
             if error is None:
                 content, item.facing = future.result()
                 item.content, item.animations = content, operations.animations(content)
@@ -235,136 +303,94 @@ class Session:
 
         def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:
             content = read()
-            return content, operations.stands(content, item.axes)
+            return content, operations.detect_facing(content, item.axes)
 
-        self.worker.put(("read", item.number), work).add_done_callback(done)
+        self.worker.submit(("read", item.number), work).add_done_callback(finish)
         self.changed()
 
-    def _make(self, item: Item) -> None:
-        """Have the result of a mesh made, if it can be and is not there."""
+    def _start_result(self, item: Item) -> None:
+        """Let the worker compute the result of a mesh, unless inputs are missing or it is there or under way."""
         if not isinstance(item.content, Mesh) or self.driving is None or not isinstance(self.driving.content, Clip):
-            self.worker.drop(("result", item.number))
-            item.outcome = item.ready = None
+            self.worker.cancel(("result", item.number))
+            item.outcome = item.prepared = None
             return
-        wanted = (*wants(item, self.driving, self.options), self.options)
-        if getattr(item.outcome, "wanted", None) == wanted:
+        inputs = (*preparation_inputs(item, self.driving, self.options), self.options)
+        if getattr(item.outcome, "inputs", None) == inputs:
             return
         before = item.outcome or Outcome(0)
-        outcome = Outcome(self.changed(), result=before.result, shown=before.shown, wanted=wanted)
+        outcome = Outcome(self.changed(), result=before.result, result_version=before.result_version, inputs=inputs)
         item.outcome = outcome
         options = self.options
 
         def work(progress: Progress) -> ClipResult:
-            def told(done: int, total: int) -> None:
+            def report(done: int, total: int) -> None:
                 progress(done, total)
-                self._tell(outcome, done / total)
+                self._report_progress(outcome, done / total)
 
-            return operations.result(self._prepared(item), options, told)
+            return operations.compute_result(self._prepare(item), options, report)
 
-        self.worker.put(("result", item.number), work).add_done_callback(partial(self._made, outcome))
+        self.worker.submit(("result", item.number), work).add_done_callback(partial(self._finish_result, outcome))
 
-    def _made(self, outcome: Outcome, future: Future) -> None:
+    def _finish_result(self, outcome: Outcome, future: Future) -> None:
         error = future.exception()
         if isinstance(error, Cancelled):
             return
         if error is None:
-            outcome.result, outcome.current, outcome.done = future.result(), True, 1.0
+            outcome.result, outcome.current, outcome.progress = future.result(), True, 1.0
         else:
-            outcome.error, outcome.result = self.said(error), None
-        outcome.version = outcome.shown = self.changed()
+            outcome.error, outcome.result = self.page_error(error), None
+        outcome.version = outcome.result_version = self.changed()
 
-    def _tell(self, outcome: Outcome, done: float) -> None:
-        if done - outcome.done >= 0.01 or done == 1.0:
-            outcome.done = done
+    def _report_progress(self, outcome: Outcome, progress: float) -> None:
+        """Store the progress in steps of a percent: each change wakes up all pages."""
+        if progress - outcome.progress >= 0.01 or progress == 1.0:
+            outcome.progress = progress
             self.changed()
 
-    def _prepared(self, item: Item) -> Prepared:
-        """The mesh and the driving, read by the model; once for all options that do not matter to it."""
+    def _prepare(self, item: Item) -> Prepared:
+        """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.
+
+        Preparation (fitting, normalization) takes most of the time to the first pose and does not depend on the motion
+        options, so that sliders respond quickly.
+        """
         driving, mesh = self.driving, item.content
         if driving is None or not isinstance(mesh, Mesh) or not isinstance(driving.content, Clip):
             raise Cancelled
-        wanted, options, kept = wants(item, driving, self.options), self.options, item.ready
-        if kept is None or kept[0] != wanted:
+        inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.prepared
+        if cached is None or cached[0] != inputs:
             axes = (*item.axes, *driving.axes)
-            kept = (wanted, False, operations.prepared(mesh, driving.content, options.model, axes))
-        if kept[1] != options.refine:
-            kept = (wanted, options.refine, kept[2].refined(options.refine))
-        item.ready = kept
-        return kept[2]
+            cached = (inputs, False, operations.prepare_inputs(mesh, driving.content, options.model, axes))
+        if cached[1] != options.refine:
+            cached = (inputs, options.refine, cached[2].refined(options.refine))
+        item.prepared = cached
+        return cached[2]
 
-    def _drop(self, item: Item) -> None:
+    def _cancel_jobs(self, item: Item) -> None:
         for what in ("read", "pose", "result"):
-            self.worker.drop((what, item.number))
-
-    def said(self, error: BaseException) -> str:
-        """An error in words that fit the page: files by the names they were given."""
-        return operations.for_page(words(error), self.workplace.folder)
-
-
-MOST_IDENTITIES = 32
-"""Each is kept with its result."""
-
-
-@dataclass(eq=False)
-class Item:
-    """A mesh to move or what to imitate, as far as it has been read, and what became of it."""
-
-    number: int
-    name: str
-    path: Path | None = None
-    """None for what is shipped."""
-    upload: int | None = None
-    content: Mesh | Clip | None = None
-    animations: tuple[str, ...] = ()
-    animation: str | None = None
-    fps: float | None = None
-    up: str | None = None
-    front: str | None = None
-    error: str = ""
-    facing: dict[str, Any] = field(default_factory=dict)
-    """How it stands, as `report.facing` says it, and whether that is unsure."""
-    read: int = 0
-    """Grows with every reading, so that what was made from an older one is known."""
-    outcome: Outcome | None = None
-    ready: tuple[tuple, bool | None, Prepared] | None = None
-    """What was prepared last, and for what."""
-
-    @property
-    def axes(self) -> tuple[str | None, str | None]:
-        return self.up, self.front
-
-
-@dataclass(eq=False)
-class Outcome:
-    """What came of one mesh to move with the driving and the options of now."""
-
-    version: int
-    done: float = 0.0
-    error: str = ""
-    stopped: bool = False
-    result: ClipResult | None = None
-    """Until this one is done, that of before."""
-    shown: int = 0
-    """Version of the desk when the result came."""
-    current: bool = False
-    """Whether the result is that of now."""
-    wanted: tuple = ()
-    """What it is made of."""
+            self.worker.cancel((what, item.number))
 
 
 def check_room(count: int) -> None:
-    """Raises InputError where so many meshes to move cannot lie on one desk."""
+    """Check the number of meshes to move.
+
+    Raises:
+        InputError: more than MOST_IDENTITIES.
+    """
     if count > MOST_IDENTITIES:
         raise InputError(f"meshes to move: expected {MOST_IDENTITIES} or fewer, found {count}; remove some")
 
 
-def finished(item: Item) -> ClipResult:
-    """Raises InputError where the result of now is not there."""
+def finished_result(item: Item) -> ClipResult:
+    """Return the result of a mesh.
+
+    Raises:
+        InputError: it is not finished for the current inputs.
+    """
     if item.outcome is None or item.outcome.result is None or not item.outcome.current:
-        raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see what is said of it")
+        raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see its error message")
     return item.outcome.result
 
 
-def wants(item: Item, driving: Item, options: Options) -> tuple:
-    """What a result is prepared for."""
+def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
+    """Return everything that preparing a mesh and the driving clip for a model depends on."""
     return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes)

@@ -1,4 +1,4 @@
-"""The desk as the page sees it: one JSON object for the panel, one packed scene for the stage."""
+"""A session as the page shows it: one JSON object for the side panel, one packed scene for the stage."""
 
 from __future__ import annotations
 
@@ -19,83 +19,84 @@ from .session import Item, Session
 STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
 """Models that need nothing but the two meshes."""
 SCENE_BUDGET = 256 * 2**20
-"""Letters of a scene: it travels within this machine."""
+"""Size of a scene in bytes: large, since it is sent within one machine."""
 
 
-def described(desk: Session) -> dict[str, Any]:
-    """Everything the panel shows."""
-    driving = desk.driving
+def describe(session: Session) -> dict[str, Any]:
+    """Describe everything that the side panel shows, as JSON values."""
+    driving = session.driving
     frames = len(driving.content) if driving and isinstance(driving.content, Clip) else 0
     return {
-        "version": desk.version,
-        "identities": [_mesh(desk, item) for item in list(desk.identities.values())],
-        "driving": None if driving is None else _mesh(desk, driving),
-        "options": vars(desk.options),
-        "models": [{"name": name, "joints": has_joints(name, desk.jointed)} for name in desk.models],
+        "version": session.version,
+        "identities": [_describe_item(session, item) for item in list(session.identities.values())],
+        "driving": None if driving is None else _describe_item(session, driving),
+        "options": vars(session.options),
+        "models": [{"name": name, "joints": has_joints(name, session.skinned_models)} for name in session.models],
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
         "characters": tuple(CHARACTERS),
         "formats": formats(frames != 1),
         "moving": frames != 1,
-        "exports": [_export(export) for export in list(desk.exports.values())],
-        "limit": desk.workplace.limit,
-        "scene": scene_key(desk),
+        "exports": [_describe_export(export) for export in list(session.exports.values())],
+        "limit": session.uploads.limit,
+        "scene": scene_key(session),
     }
 
 
-def has_joints(model: str, others: tuple[str, ...]) -> bool:
-    """Whether root, ground, smooth and skinned files can be asked of a model."""
-    return model == "mime" or model in WITHOUT_FIT or model in others
+def has_joints(model: str, skinned_models: tuple[str, ...]) -> bool:
+    """Whether a model has joints, and with them the options root, ground, smooth and skinned exports."""
+    return model == "mime" or model in WITHOUT_FIT or model in skinned_models
 
 
-def scene_key(desk: Session) -> str:
-    """Changes when the stage has to be drawn anew."""
-    parts = [f"{item.number}.{item.read}.{item.up}.{item.front}" for item in _shown_items(desk)]
-    results = [item.outcome.shown for item in _shown_items(desk) if item.outcome is not None]
+def scene_key(session: Session) -> str:
+    """Return a key that changes when the stage has to show another scene."""
+    parts = [f"{item.number}.{item.read}.{item.up}.{item.front}" for item in _shown_items(session)]
+    results = [item.outcome.result_version for item in _shown_items(session) if item.outcome is not None]
     return " ".join(map(str, (*parts, *results)))
 
 
-def scene(desk: Session) -> dict[str, Any]:
-    """What the stage shows, and the number of the mesh in each panel: one mesh beside what it imitates and its result.
+def scene(session: Session) -> dict[str, Any]:
+    """Pack what the stage shows, with its key and the number of the item in each panel.
 
-    Of several meshes only the results, which stand as their meshes do until they are there.
+    One mesh is shown with the driving clip and its result. Of several meshes, only the results are shown; until the
+    first result is finished, a mesh is shown in its place.
     """
-    key, driving = scene_key(desk), desk.driving
-    meshes = [item for item in list(desk.identities.values()) if item.content is not None]
-    shown = [(item, _at_rest(item)) for item in meshes]
+    key, driving = scene_key(session), session.driving
+    identities = [item for item in list(session.identities.values()) if item.content is not None]
+    panels = [(item, _identity_panel(item)) for item in identities]
     if driving is not None and driving.content is not None:
-        before = shown if len(shown) == 1 else []
-        shown = [*before, (driving, _driving(driving)), *((item, _result(item)) for item in meshes)]
-    packed = pack_scene([panel for _, panel in shown], budget=SCENE_BUDGET) if shown else None
-    return {"key": key, "numbers": [item.number for item, _ in shown], "scene": packed}
+        first = panels if len(panels) == 1 else []
+        panels = [*first, (driving, _driving_panel(driving)), *((item, _result_panel(item)) for item in identities)]
+    packed = pack_scene([panel for _, panel in panels], budget=SCENE_BUDGET) if panels else None
+    return {"key": key, "numbers": [item.number for item, _ in panels], "scene": packed}
 
 
-def _shown_items(desk: Session) -> list[Item]:
-    items = [desk.driving, *desk.identities.values()]
+def _shown_items(session: Session) -> list[Item]:
+    items = [session.driving, *session.identities.values()]
     return [item for item in items if item is not None and item.content is not None]
 
 
-def _at_rest(item: Item) -> Panel:
+def _identity_panel(item: Item) -> Panel:
     assert isinstance(item.content, Mesh)
     return Panel("identity", Clip.still(item.content), item.name, item.facing["up"], item.facing["front"])
 
 
-def _driving(item: Item) -> Panel:
+def _driving_panel(item: Item) -> Panel:
     assert isinstance(item.content, Clip)
     return Panel("driving", item.content, item.name, item.facing["up"], item.facing["front"])
 
 
-def _result(item: Item) -> Panel:
-    """The result of now or, until it is there, of before; before the first the mesh itself stands for it."""
+def _result_panel(item: Item) -> Panel:
+    """Return the panel of the current or else of the previous result; without any, the mesh itself."""
     result = item.outcome.result if item.outcome else None
     if result is None:
-        return dataclasses.replace(_at_rest(item), role="result")
-    used = result.report["identity"]
-    return Panel("result", result.clip, item.name, used["up"], used["front"])
+        return dataclasses.replace(_identity_panel(item), role="result")
+    axes = result.report["identity"]
+    return Panel("result", result.clip, item.name, axes["up"], axes["front"])
 
 
-def _mesh(desk: Session, item: Item) -> dict[str, Any]:
+def _describe_item(session: Session, item: Item) -> dict[str, Any]:
     content = item.content
     mesh = content.mesh if isinstance(content, Clip) else content
     clip = content if isinstance(content, Clip) else None
@@ -116,21 +117,21 @@ def _mesh(desk: Session, item: Item) -> dict[str, Any]:
         "up": item.up,
         "front": item.front,
         "facing": item.facing,
-        "outcome": _outcome(desk, item),
+        "outcome": _describe_outcome(session, item),
     }
 
 
-def _outcome(desk: Session, item: Item) -> dict[str, Any] | None:
+def _describe_outcome(session: Session, item: Item) -> dict[str, Any] | None:
     outcome = item.outcome
     if outcome is None:
         return None
     state = "failed" if outcome.error else "done" if outcome.current else "stopped" if outcome.stopped else "moving"
     result = outcome.result if outcome.current else None
-    folder = desk.workplace.folder
+    folder = session.uploads.folder
     return {
         "state": state,
         "version": outcome.version,
-        "done": outcome.done,
+        "done": outcome.progress,
         "error": outcome.error,
         "notes": [] if result is None else [operations.for_page(note, folder) for note in result.notes],
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
@@ -139,14 +140,14 @@ def _outcome(desk: Session, item: Item) -> dict[str, Any] | None:
     }
 
 
-def _export(export: Export) -> dict[str, Any]:
+def _describe_export(export: Export) -> dict[str, Any]:
     return {
         "number": export.number,
         "suffix": export.suffix,
         "name": export.path.name if export.path else "",
         "bytes": export.path.stat().st_size if export.path and export.path.exists() else 0,
         "state": "failed" if export.error else "ready" if export.path else "writing",
-        "done": export.done,
+        "done": export.progress,
         "error": export.error,
         "notes": export.notes,
     }

@@ -1,4 +1,4 @@
-"""The temporary folder of a studio: what is uploaded and exported lies there, under safe names and within limits."""
+"""The temporary folder of a studio: stores uploads and exports under safe names and within limits of size."""
 
 from __future__ import annotations
 
@@ -18,35 +18,40 @@ from ..core.errors import InputError
 from ..io.formats import ANIMATED, CACHES, CLIP_READERS, MESH_READERS
 
 MOST_FILES = 20_000
-"""Of one upload, a folder of frames for example."""
-DEEPEST = 8
-"""Folders in folders."""
-LONGEST = 120
-"""Bytes of a file name."""
+"""Largest number of files in one upload, a folder of frames for example."""
+MOST_MESHES = 16
+"""Largest number of meshes to move in one upload; more must be the frames of a clip."""
+MAX_DEPTH = 8
+"""Largest number of nested folders in an upload, the file name included."""
+MAX_NAME = 120
+"""Largest length of a file name in bytes."""
 DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{k}" for port in ("com", "lpt") for k in range(10))}
-"""Names that are no files on some systems, whatever their suffix."""
+"""Names of devices on Windows, whatever their suffix."""
 PREFIX = "mimesh-studio-"
+"""Of the temporary folder's name; the number of the process follows."""
 CHUNK = 2**20
+"""Bytes that are unpacked at a time."""
 LARGEST_TABLE = MOST_FILES * 256
-"""Bytes of the table of contents of an archive."""
+"""Largest size of an archive's table of contents in bytes: 256 per file."""
 
 
 class TooLarge(InputError):
-    """More bytes than a limit allows."""
+    """Raised for files above a limit of size."""
 
 
 @dataclass(eq=False)
 class Upload:
-    """Files that were given together."""
+    """Files that were sent together."""
 
     number: int
     folder: Path
     files: list[Path] = field(default_factory=list)
     size: int = 0
+    """Bytes of all files."""
 
 
 class UploadFolder:
-    """A folder of its own that is gone when the studio ends; `limit` is in bytes a file, `sum_limit` in all."""
+    """A temporary folder, deleted by `close`; `limit` is in bytes for one file, `sum_limit` for all uploads."""
 
     def __init__(self, limit: int, sum_limit: int) -> None:
         self.limit, self.sum_limit = limit, sum_limit
@@ -57,30 +62,34 @@ class UploadFolder:
 
     @property
     def used(self) -> int:
-        """Bytes of all uploads."""
+        """Bytes of all uploads together."""
         return sum(upload.size for upload in self._uploads.values())
 
     def new_upload(self) -> Upload:
-        """Room for files that belong together."""
+        """Create a folder for files that belong together."""
         upload = Upload(self._next(), self.folder / "uploads" / str(self._last))
         upload.folder.mkdir(parents=True)
         self._uploads[upload.number] = upload
         return upload
 
     def upload(self, number: int) -> Upload:
-        """Raises InputError where there is none of that number."""
+        """Return the upload of a number.
+
+        Raises:
+            InputError: there is none.
+        """
         if number not in self._uploads:
             raise InputError(f"upload {number}: expected one that was begun, found none; choose the files again")
         return self._uploads[number]
 
     def new_export(self) -> Path:
-        """An empty folder."""
+        """Create an empty folder for an export."""
         folder = self.folder / "exports" / str(self._next())
         folder.mkdir(parents=True)
         return folder
 
-    def place(self, upload: Upload, name: str) -> Path:
-        """Where a file of an upload goes, by the name it has in the browser; its folders are made.
+    def add_file(self, upload: Upload, name: str) -> Path:
+        """Add a file to an upload by its name in the browser; creates its folders and returns its path.
 
         Raises:
             InputError: too many files, or two of one name.
@@ -95,7 +104,7 @@ class UploadFolder:
         return path
 
     def check(self, path: Path, size: int) -> None:
-        """Refuse a file by the size that is announced, before it is sent; `count` is what holds.
+        """Refuse a file by its announced size, before it is sent; `count` enforces the limits.
 
         Raises:
             TooLarge: see `count`.
@@ -107,10 +116,10 @@ class UploadFolder:
             )
 
     def count(self, upload: Upload, path: Path, size: int, more: int) -> None:
-        """Take `more` bytes of a file that has `size` of them so far.
+        """Count `more` bytes of a file that has `size` bytes so far.
 
         Raises:
-            TooLarge: the file, or all uploads together, would pass their limit.
+            TooLarge: the file, or all uploads together, would exceed their limit.
         """
         if size + more > self.limit:
             raise TooLarge(
@@ -125,26 +134,28 @@ class UploadFolder:
         upload.size += more
 
     def remove_file(self, upload: Upload, path: Path, size: int) -> None:
-        """Take away what came of a file that will not be whole."""
+        """Delete an incomplete file."""
         path.unlink(missing_ok=True)
         upload.files.remove(path)
         upload.size -= size
 
     def remove_upload(self, number: int) -> None:
-        """Take away the files of an upload, if there is one of that number."""
+        """Delete the files of an upload, if there is one of that number."""
         upload = self._uploads.pop(number, None)
         if upload is not None:
             shutil.rmtree(upload.folder, ignore_errors=True)
 
     def unzip(self, upload: Upload, archive: Path) -> None:
-        """Put the files of a .zip in its place; what it holds is counted as it is unpacked, not as it says.
+        """Replace a .zip by its files. Bytes are counted while unpacking, since the sizes it states may be wrong.
 
         Raises:
             InputError: not an archive, an encrypted one, or one with too many files or bytes.
         """
         try:
-            with _Frugal(archive) as file, zipfile.ZipFile(file) as pack:
-                entries = [entry for entry in pack.infolist() if not entry.is_dir() and not _litter(entry.filename)]
+            with _LimitedReads(archive) as file, zipfile.ZipFile(file) as pack:
+                entries = [
+                    entry for entry in pack.infolist() if not entry.is_dir() and not _is_system_file(entry.filename)
+                ]
                 for entry in entries:
                     self._unpack(upload, pack, entry)
         except (zipfile.BadZipFile, RuntimeError, NotImplementedError, EOFError, zlib.error) as error:
@@ -154,11 +165,11 @@ class UploadFolder:
         self.remove_file(upload, archive, archive.stat().st_size)
 
     def close(self) -> None:
-        """Take everything away."""
+        """Delete everything."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _unpack(self, upload: Upload, pack: zipfile.ZipFile, entry: zipfile.ZipInfo) -> None:
-        path, size = self.place(upload, entry.filename), 0
+        path, size = self.add_file(upload, entry.filename), 0
         with pack.open(entry) as packed, path.open("xb") as file:
             while chunk := packed.read(CHUNK):
                 self.count(upload, path, size, len(chunk))
@@ -171,41 +182,51 @@ class UploadFolder:
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Take away workplaces of our own user whose process, whose number is in their name, was killed.
+    """Delete upload folders of this user whose process was killed; its number is in their names.
 
-    Where processes cannot be asked for (Windows), nothing is done.
+    Does nothing on Windows, where there is no way to test for a process.
     """
     if not hasattr(os, "getuid"):
         return
-    for left in folder.glob(f"{PREFIX}*-*"):
-        number = left.name.removeprefix(PREFIX).partition("-")[0]
-        if number.isdigit() and not left.is_symlink() and left.is_dir() and left.stat().st_uid == os.getuid():
+    for leftover in folder.glob(f"{PREFIX}*-*"):
+        number = leftover.name.removeprefix(PREFIX).partition("-")[0]
+        if (
+            number.isdigit()
+            and not leftover.is_symlink()
+            and leftover.is_dir()
+            and leftover.stat().st_uid == os.getuid()
+        ):
             try:
-                os.kill(int(number), 0)
+                os.kill(int(number), 0)  # signal 0 tests for the process
             except ProcessLookupError:
-                shutil.rmtree(left, ignore_errors=True)
+                shutil.rmtree(leftover, ignore_errors=True)
             except (PermissionError, OverflowError):
                 continue
 
 
-class _Frugal(io.FileIO):
-    """A file that is not read whole: the table of contents of an archive is, and each entry takes much memory."""
+class _LimitedReads(io.FileIO):
+    """A file of which at most LARGEST_TABLE bytes are read at once.
+
+    `zipfile` reads the table of contents of an archive whole, and an entry takes many times its size in memory.
+    """
 
     def read(self, size: int | None = -1) -> bytes:
-        whole = os.fstat(self.fileno()).st_size - self.tell()
-        if (whole if size is None or size < 0 else min(size, whole)) > LARGEST_TABLE:
+        remaining = os.fstat(self.fileno()).st_size - self.tell()
+        if (remaining if size is None or size < 0 else min(size, remaining)) > LARGEST_TABLE:
             raise zipfile.BadZipFile(f"a table of contents of far more than {MOST_FILES:,} files")
         return super().read(size)
 
 
 def safe_name(name: str) -> str:
-    """One part of a path that is a file's plain name on every system: no control or invisible characters, no devices.
+    """Make a file name that is safe on every system: no control or invisible characters, no separators, no devices.
 
-    Letters of all scripts stay; the suffix stays where the name has to be cut.
+    Letters of all scripts stay; the suffix stays if the name has to be cut to MAX_NAME bytes.
     """
     text = unicodedata.normalize("NFC", name)
     text = "".join(
-        letter for letter in text if not unicodedata.category(letter).startswith(("C", "Z")) or letter == " "
+        character
+        for character in text
+        if not unicodedata.category(character).startswith(("C", "Z")) or character == " "
     )
     text = re.sub(r'[<>:"|?*/\\]', "_", text).strip(" ").lstrip(".").rstrip(". ")
     stem, dot, suffix = text.rpartition(".")
@@ -213,59 +234,60 @@ def safe_name(name: str) -> str:
         stem, suffix = text, ""
     if text.split(".")[0].strip().lower() in DEVICES:
         stem = f"_{stem}"
-    suffix = dot + suffix if len((dot + suffix).encode()) <= LONGEST // 2 else ""
-    stem = stem.encode()[: LONGEST - len(suffix.encode())].decode(errors="ignore")
+    suffix = dot + suffix if len((dot + suffix).encode()) <= MAX_NAME // 2 else ""
+    stem = stem.encode()[: MAX_NAME - len(suffix.encode())].decode(errors="ignore")
     return (stem or "file") + suffix
 
 
 def safe_path(name: str) -> PurePosixPath:
-    """A relative path without a way out of its folder: of "../a\\b.obj" it is "a/b.obj".
+    """Make a relative path that stays in its folder: "../a\\b.obj" becomes "a/b.obj".
 
     Raises:
-        InputError: no name is left, or folders lie too deep.
+        InputError: nothing of the name is left, or more than MAX_DEPTH folders.
     """
-    plain = "".join("/" if {"/", "\\"} & set(unicodedata.normalize("NFKC", letter)) else letter for letter in name)
-    parts = [part for part in plain.split("/") if part.strip(". ") and not re.fullmatch(r"[A-Za-z]:", part)]
+    # Characters that normalize to a separator, such as a full-width slash, count as one.
+    separated = "".join("/" if {"/", "\\"} & set(unicodedata.normalize("NFKC", c)) else c for c in name)
+    parts = [part for part in separated.split("/") if part.strip(". ") and not re.fullmatch(r"[A-Za-z]:", part)]
     if not parts:
         raise InputError(f"{name[:40]!r}: expected the name of a file, found none in it; rename the file")
-    if len(parts) > DEEPEST:
-        raise InputError(f"{safe_name(parts[-1])}: expected {DEEPEST} folders or fewer, found {len(parts)}; move it up")
+    if len(parts) > MAX_DEPTH:
+        raise InputError(
+            f"{safe_name(parts[-1])}: expected {MAX_DEPTH} folders or fewer, found {len(parts)}; move it up"
+        )
     return PurePosixPath(*map(safe_name, parts))
 
 
-def _litter(name: str) -> bool:
-    """What file managers add to archives."""
+def _is_system_file(name: str) -> bool:
+    """Whether file managers have added an entry to an archive."""
     return name.startswith("__MACOSX/") or PurePosixPath(name).name in (".DS_Store", "Thumbs.db")
 
 
-MOST_MESHES = 16
-"""Identities of one upload."""
-
-
-def meshes(files: list[Path]) -> list[Path]:
-    """The meshes among files: all but those that others of them draw on.
+def find_meshes(files: list[Path]) -> list[Path]:
+    """Find the meshes among files; materials, textures and buffers are no meshes.
 
     Raises:
-        InputError: none, or so many that they must be the frames of a clip.
+        InputError: none, or more than MOST_MESHES.
     """
     found = [path for path in files if path.suffix.lower() in MESH_READERS]
     if not found:
         raise InputError(
-            f"{_names(files)}: expected a mesh ({' '.join(MESH_READERS)}), found none; choose another file"
+            f"{_describe_files(files)}: expected a mesh ({' '.join(MESH_READERS)}), found none; choose another file"
         )
     if len(found) > MOST_MESHES:
         raise InputError(
             f"{found[0].name}: expected {MOST_MESHES} meshes or fewer to move, found {len(found)}; "
-            "frames of a clip belong under what to imitate"
+            "add the frames of a clip under Driving motion"
         )
     return found
 
 
-def clip(files: list[Path]) -> Path:
-    """The one file, or the folder of numbered meshes, that is to be imitated.
+def find_clip(files: list[Path]) -> Path:
+    """Find the driving clip among files: a point cache, the only readable file, or the folder with most of them.
+
+    A point cache (positions without faces) comes with the mesh that it moves, which its reader finds beside it.
 
     Raises:
-        InputError: nothing that can be read, or more than one.
+        InputError: no file that can be read.
     """
     caches = [path for path in files if path.suffix.lower() in CACHES]
     if len(caches) == 1:
@@ -276,17 +298,18 @@ def clip(files: list[Path]) -> Path:
         return found[0]
     if not found:
         raise InputError(
-            f"{_names(files)}: expected a clip or a mesh ({' '.join(sorted(known))}), found none; choose another file"
+            f"{_describe_files(files)}: expected a clip or a mesh ({' '.join(sorted(known))}), found none; "
+            "choose another file"
         )
     return Counter(path.parent for path in found).most_common(1)[0][0]
 
 
-def called(path: Path, upload: Upload) -> str:
-    """What a clip is called: as its file or its folder; as its frames are, without their numbers, if it has none."""
+def clip_name(path: Path, upload: Upload) -> str:
+    """Name a clip after its file or folder; frames without a folder give their name without the number."""
     if path != upload.folder:
         return path.name
     return upload.files[0].stem.rstrip("0123456789").rstrip("-_. ") or "frames"
 
 
-def _names(files: list[Path]) -> str:
+def _describe_files(files: list[Path]) -> str:
     return files[0].name if len(files) == 1 else f"{len(files)} files"
