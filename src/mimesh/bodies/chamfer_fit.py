@@ -289,8 +289,8 @@ def chamfer(
     error, gradient = 0.0, np.zeros_like(others)
     for cloud_index, other_index in ((nearest_cloud, slice(None)), (slice(None), nearest_other)):
         normals, difference = cloud.normals[cloud_index], others[other_index] - cloud.points[cloud_index]
-        across = (difference * normals).sum(-1, keepdims=True) * normals
-        pull = cloud.tangential_weight * difference + (1 - cloud.tangential_weight) * across
+        across = (difference * normals).sum(-1, keepdims=True)
+        pull = cloud.tangential_weight * difference + (1 - cloud.tangential_weight) * across * normals
         error += float((difference * pull).sum()) / len(difference)
         if isinstance(other_index, slice):
             gradient += 2 / len(difference) * pull
