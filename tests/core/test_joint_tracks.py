@@ -36,7 +36,7 @@ def squat(count=12):
         for side in ("Left", "Right"):
             for name, turn in below.items():
                 rotation[t, BODY.joint(side + name)] = Rotation.from_rotvec([turn * bend, 0, 0]).as_matrix()
-    places = np.stack([skinned.places(turned, np.zeros(3)) for turned in rotation])
+    places = np.stack([skinned.joint_positions(turned, np.zeros(3)) for turned in rotation])
     fixed = BODY.joints[FEET[0]] - places[:, FEET[0]]
     return JointTrack(rotation, places + fixed[:, None], 30.0)
 
@@ -55,7 +55,7 @@ def test_feet_of_longer_legs_stand_still_on_the_ground():
     way = root_path(track, 1.0, 1.0, drop=False)
     path = grounded_path(track, way, skinned, feet, 1.3)
     assert foot_skate(track, path, skinned, feet) < 1e-6 < 0.01 < foot_skate(track, way, skinned, feet)
-    ankles = np.stack([skinned.places(*frame)[FEET[0]] for frame in zip(track.rotation, path, strict=True)])
+    ankles = np.stack([skinned.joint_positions(*frame)[FEET[0]] for frame in zip(track.rotation, path, strict=True)])
     assert np.allclose(ankles[:, 1], feet.soles[0], atol=0.02)
     assert np.abs(ankles - ankles[0]).max() < 0.02
 
@@ -90,7 +90,7 @@ def test_a_foot_that_is_held_up_does_not_stand():
         bend = Rotation.from_rotvec([-1.2 + 0.1 * (t // 5), 0, 0]).as_matrix()
         for name in ("UpLeg", "Leg", "Foot", "ToeBase"):
             rotation[t, BODY.joint(f"Right{name}")] = bend
-    places = np.stack([skinned.places(turned, BODY.joints[0]) for turned in rotation])
+    places = np.stack([skinned.joint_positions(turned, BODY.joints[0]) for turned in rotation])
     track, (feet, _) = JointTrack(rotation, places, 30.0), feet_of(1.0)
     assert track.standing(feet)[:, :2].all()
     assert not track.standing(feet)[:, 2:].any()
