@@ -111,7 +111,9 @@ def _select_start(
     The `best` poses of each group are fitted to the coarsest points, and the best two of these to the coarse ones.
     """
     limbs = _free_unknowns(coarsest[0], ("Hips", "Leg", "Arm"), shape=False)
-    starts = [fit for group in groups for fit in sorted((_with_error(*coarsest, fit) for fit in group), key=_error)[:best]]
+    starts = [
+        fit for group in groups for fit in sorted((_with_error(*coarsest, fit) for fit in group), key=_error)[:best]
+    ]
     fits = sorted((_descend(*coarsest, fit, limbs, 4, 5) for fit in starts), key=_error)[:2]
     return min((_descend(*coarse, fit, _free_unknowns(coarse[0]), 4, 15) for fit in fits), key=_error)
 
@@ -262,9 +264,7 @@ class TargetCloud:
         return np.asarray(self.tree.query(others)[1]), np.asarray(KDTree(others).query(self.points)[1])
 
 
-def target_cloud(
-    points: Float[np.ndarray, "N 3"], tangential_weight: float = 1.0, neighbours: int = 16
-) -> TargetCloud:
+def target_cloud(points: Float[np.ndarray, "N 3"], tangential_weight: float = 1.0, neighbours: int = 16) -> TargetCloud:
     """Build a cloud; if `tangential_weight` is below 1, normals are those of planes through each point's neighbours."""
     from scipy.spatial import KDTree
 

@@ -157,7 +157,9 @@ def _joint_factors(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.n
     kind = kinds_of_bones(body)
     result = np.ones(len(kind))
     for name, factor in factors.items():
-        joint = next((j for j, known in enumerate(body.joint_names) if known in (name, f"Left{name}", f"L{name}")), None)
+        joint = next(
+            (j for j, known in enumerate(body.joint_names) if known in (name, f"Left{name}", f"L{name}")), None
+        )
         if joint is None:
             raise InputError(f"{name}: expected a bone of {body.name}, found none of that name; see its joint_names")
         result[kind == kind[joint]] = factor

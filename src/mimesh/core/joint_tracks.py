@@ -96,7 +96,9 @@ def grounded_path(
     if not planted.any():
         return path
     # Foot positions of the identity relative to its root joint.
-    reached = np.stack([skinned.joint_positions(rotation, np.zeros(3))[list(feet.joints)] for rotation in track.rotation])
+    reached = np.stack(
+        [skinned.joint_positions(rotation, np.zeros(3))[list(feet.joints)] for rotation in track.rotation]
+    )
     correction = np.zeros_like(path)
     both = planted[1:] & planted[:-1]
     slide = np.diff(reached + path[:, None], axis=0)
@@ -117,7 +119,9 @@ def foot_skate(
     both = planted[1:] & planted[:-1]
     if not both.any():
         return None
-    reached = np.stack([skinned.joint_positions(*pose)[list(feet.joints)] for pose in zip(track.rotation, path, strict=True)])
+    reached = np.stack(
+        [skinned.joint_positions(*pose)[list(feet.joints)] for pose in zip(track.rotation, path, strict=True)]
+    )
     return float(np.linalg.norm(np.diff(reached, axis=0)[..., [0, 2]], axis=-1)[both].mean() * track.fps)
 
 

@@ -141,7 +141,9 @@ def _detect_orientation(mesh: Mesh, candidates: list[int]) -> tuple[int, float]:
     points, weights = mesh.vertices, np.ones(len(mesh.vertices))
     if len(mesh.faces) > 1:  # the centroid of a single face has no extent
         points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
-    scores = orientation_scores(occupancy(points.astype(np.float64), weights.astype(np.float64)), _detector())[candidates]
+    scores = orientation_scores(occupancy(points.astype(np.float64), weights.astype(np.float64)), _detector())[
+        candidates
+    ]
     # Rounded, so that the rounding of a sum cannot decide between the equal facings of a symmetric shape.
     scores = np.round(scores, 6)
     probability = np.exp(scores - scores.max())

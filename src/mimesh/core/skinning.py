@@ -123,6 +123,8 @@ class SkinnedMesh:
         transforms = np.concatenate([rotation.swapaxes(-1, -2), self.joint_positions(rotation, root)[:, None]], axis=1)
         return (self.packed @ transforms.reshape(-1, 3).astype(np.float32)).astype(np.float64)
 
-    def joint_positions(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "J 3"]:
+    def joint_positions(
+        self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, "J 3"]:
         """Compute the joint positions of that pose; bones keep their lengths."""
         return place_joints(root, self.bones, rotation, self.parents)
