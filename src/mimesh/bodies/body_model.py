@@ -133,7 +133,7 @@ EXTREMES = {
     "left foot": ("LeftToeBase", (0.0, 0.0, 1.0)),
     "right foot": ("RightToeBase", (0.0, 0.0, 1.0)),
 }
-"""Landmarks at the ends of the body: joint and direction. The vertex farthest in that direction near the joint's line."""
+"""Landmarks at the ends of the body: joint and direction; the vertex farthest along the line through the joint."""
 ON_SKIN = {
     "left shoulder": ("LeftArm", (0.0, 1.0, 0.0)),
     "right shoulder": ("RightArm", (0.0, 1.0, 0.0)),

@@ -1,4 +1,4 @@
-"""Characters for demos and figures: people and stylised figures made from the shipped human, with garments and colours."""
+"""Characters for demos and figures: the shipped human with other proportions, garments and colours."""
 
 from __future__ import annotations
 

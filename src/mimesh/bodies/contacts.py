@@ -166,7 +166,7 @@ def _solve_contact(
 
 
 def _intersection_depth(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], moving: tuple[str, ...]) -> float:
-    """Measure how deep (metres) moved limbs are below the surface of other parts: the 99th percentile over all vertices.
+    """Measure how deep (metres) moved limbs are below other surfaces: the 99th percentile over all vertices.
 
     About a twentieth of an arm's vertices are deeper. Contact pressure is not distinguished from intersection.
     """

@@ -33,7 +33,7 @@ class Garment:
 
 
 def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
-    """Combine a body and the named garments to one rigged body: the body's vertices first, then each garment's in order.
+    """Combine a body and the named garments to one rigged body: vertices of the body, then of each garment in order.
 
     Skin under a garment is kept, and garments may intersect it in extreme poses.
 
@@ -80,7 +80,7 @@ def load_garment(name: str) -> Garment:
 
 
 def _check_fits(body: RiggedBody) -> None:
-    """Raise InputError for a body whose joints are over 1 mm from those of the shipped human, or with more components."""
+    """Raise InputError for a body with joints over 1 mm from the shipped human's, or with more components."""
     with _open() as data:
         joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
     same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3

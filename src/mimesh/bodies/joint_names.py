@@ -1,8 +1,8 @@
 """Map the joints of a foreign skeleton to those of the shipped body, by their names and the hierarchy.
 
 The name of a limb joint contains a side and a part, in either order and any spelling: LeftUpLeg, mixamorig:LeftUpLeg,
-L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names: the
-trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
+L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
+the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ PARTS = {
 """Limb joints of the shipped body without their side, and words that others use for them, the least ambiguous first.
 
 A name is used once, and rows are matched from the top. So the meaning of an ambiguous word depends on the other names:
-`leg` is the shin if there is a thigh, and the thigh if there is a knee; `shoulder` is the upper arm if there are a collar
-and an elbow, and the collar if there is an arm.
+`leg` is the shin if there is a thigh, and the thigh if there is a knee; `shoulder` is the upper arm if there are a
+collar and an elbow, and the collar if there is an arm.
 """
 HIPS = ("hips", "hip", "pelvis")
 """Words for the root of trunk and legs."""
@@ -80,7 +80,7 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
 
 
 def plain_names(joint_names: tuple[str, ...]) -> list[str]:
-    """Simplify names: lower case, without separators, namespaces and words that most names of the file begin or end with."""
+    """Simplify names: lower case, without separators, namespaces and first or last words that most names share."""
     words = [[w for w in re.split(r"[._\s-]+", name.split(":")[-1].lower()) if w] for name in joint_names]
     for end in (0, -1):
         while (common := _common(words, end)) is not None:

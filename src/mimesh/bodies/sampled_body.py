@@ -11,8 +11,8 @@ The unknowns, U in one vector, in this order (`SampledBody.unknowns` has their s
   of the joint turn with it.
 
 Point i is x_i = sum_j w_ij (p_j + L_j o_ij) (linear blend skinning), with o_ij its offset from joint j at rest, p_j the
-position of joint j, and L_j = s R_j (l_j A_j + g_j (I - A_j)) for the joint's world rotation R_j, the length l_j and girth
-g_j of its bone, and the projection A_j onto the bone's direction at rest. Forward kinematics gives
+position of joint j, and L_j = s R_j (l_j A_j + g_j (I - A_j)) for the joint's world rotation R_j, the length l_j and
+girth g_j of its bone, and the projection A_j onto the bone's direction at rest. Forward kinematics gives
 p_child = p_parent + L_parent (rest_child - rest_parent).
 """
 
@@ -33,7 +33,7 @@ from .body_model import RiggedBody
 from .sampling import rotvec_to_rotmat
 
 DENSITY_EXPONENT = 0.5
-"""Density of points: proportional to a bone's fraction of the surface to minus this power. Small parts get more points."""
+"""The density of points is a bone's fraction of the surface to minus this power: small parts get more points."""
 MIN_FRACTION = 0.003
 """Smallest fraction of the surface that a bone is assumed to have; bounds the density."""
 
@@ -157,7 +157,7 @@ class PosedBody:
       term; for a girth the same with g_j (I - A_j);
     * by the turn of joint j: t x (sum_k w_ik (p_k + L_k o_ik - p_j)) over the descendants k of j, including j.
 
-    The derivatives dp_j of the joints by shape and bones follow the kinematic chain, as the joints do (`_joint_jacobian`).
+    The derivatives dp_j of the joints by shape and bones follow the kinematic chain (`_joint_jacobian`).
 
     Attributes:
         points: (N, 3), x_i.

@@ -66,7 +66,7 @@ _CENTRE_LIMITS: dict[str, tuple[Range, Range, Range]] = {
 
 
 def _mirror_ranges(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
-    """Compute the limits of the other side: reflection at x = 0 keeps rotations about x and negates those about y and z."""
+    """Compute the limits of the other side: reflection at x = 0 keeps rotations about x and negates the others."""
     x, (y0, y1), (z0, z1) = ranges
     return x, (-y1, -y0), (-z1, -z0)
 
@@ -80,7 +80,7 @@ JOINT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
 
 
 def limits_rotvec(body: RiggedBody, limits: dict[str, tuple[Range, Range, Range]]) -> Float[np.ndarray, "2 J 3"]:
-    """Convert a table of limits to the lowest and highest rotation vector of every joint (radians); zero if not listed."""
+    """Convert a table of limits to the lowest and highest rotation vector of every joint (radians); zero by default."""
     bounds = np.zeros((2, len(body.joint_names), 3))
     for name, ranges in limits.items():
         bounds[:, body.joint(name)] = np.radians(ranges).T

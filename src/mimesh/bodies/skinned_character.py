@@ -67,7 +67,7 @@ class SkinnedCharacter:
     def posed(
         self, local_rotmat: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, "3"] | None = None
     ) -> Float[np.ndarray, "V 3"]:
-        """Compute the vertices under local joint rotations; see the module for their frames. Morph targets are not animated."""
+        """Compute the vertices under local joint rotations (see the module); morph targets are not animated."""
         # Each influence has its own rest point, so transforms cannot be blended first, as `core.skinning` does.
         transforms = self.skinning_transforms(local_rotmat, root)[self.joint_of]
         moved = (transforms[..., :3] @ self.points[..., None])[..., :3, 0] + transforms[..., :3, 3]

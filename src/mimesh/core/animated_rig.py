@@ -1,4 +1,4 @@
-"""Joints, skinning weights and joint rotations of an animated mesh: what is written to skinned files instead of frames."""
+"""Joints, skinning weights and rotations of an animated mesh: what is written to skinned files instead of frames."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ class AnimatedRig:
     """Position of the root joint."""
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
-        """Select the INFLUENCES joints with the largest weights of each vertex; these weights are scaled to sum to 1."""
+        """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""
         joints = np.argsort(-self.rig.weights, axis=1, kind="stable")[:, :INFLUENCES]
         weights = np.take_along_axis(self.rig.weights, joints, axis=1)
         return joints, weights / weights.sum(axis=1, keepdims=True)
 
     def deviation(self, frames: Float[np.ndarray, "T V 3"]) -> float:
-        """Measure the loss by `strongest`: largest distance of a vertex from its place in `frames`, over the mesh's size.
+        """Measure the error of `strongest`: largest distance of a vertex from `frames`, over the mesh's size.
 
         The size is the longest side of the bounding box. Only CHECKED_FRAMES frames are compared.
         """

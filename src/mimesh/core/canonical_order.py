@@ -1,7 +1,8 @@
 """Canonical vertex order and count, for models that pair driving point i with identity vertex i.
 
-Both meshes are welded and their vertices ranked by position; then the driving ranks are shuffled by a seed. So permuting
-the vertices of the identity permutes the result, permuting those of the driving mesh changes nothing, both exactly.
+Both meshes are welded and their vertices ranked by position; then the driving ranks are shuffled by a seed. So
+permuting the vertices of the identity permutes the result, and permuting those of the driving mesh changes nothing,
+both exactly.
 """
 
 from __future__ import annotations

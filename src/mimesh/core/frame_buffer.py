@@ -1,4 +1,4 @@
-"""Buffers for the frames of a clip. Those of long clips are memory maps of a temporary file, so memory stays bounded."""
+"""Buffers for the frames of a clip. Those of long clips are memory maps of a temporary file, to bound the memory."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ def rotate_between(
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
-    """Compute the rotation nearest to each matrix in the Frobenius norm; that nearest to a sum of rotations is their mean."""
+    """Compute the rotation nearest to each matrix (Frobenius norm); for a sum of rotations it is their mean."""
     u, _, vt = np.linalg.svd(matrix)
     # A negative determinant would be a reflection: flip the direction of the smallest singular value.
     u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]

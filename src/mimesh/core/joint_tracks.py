@@ -37,7 +37,7 @@ class JointTrack:
         return replace(self, rotation=nearest_rotation(rotation), positions=line + offset)
 
     def foot_heights(self, feet: FootJoints) -> Float[np.ndarray, "T F"]:
-        """Compute each foot joint's height above that of the planted foot; the lowest foot of the clip counts as planted."""
+        """Compute each foot joint's height above the planted foot; the lowest foot of the clip counts as planted."""
         height = self.positions[:, list(feet.joints), 1] - feet.driving_height
         return height - height.min()
 
@@ -65,7 +65,7 @@ class FootJoints:
 
 
 def sole_depths(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...]) -> Float[np.ndarray, " F"]:
-    """Measure how far (along -y of the joint's frame) the vertices with their largest weight on a joint extend below it.
+    """Measure how far the vertices with their largest weight on a joint extend below it, along -y of its frame.
 
     0 for a joint without such vertices.
     """
@@ -114,7 +114,7 @@ def grounded_path(
 def foot_skate(
     track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints
 ) -> float | None:
-    """Measure the mean horizontal speed (per second) of the identity's joints while planted in the driving; None: never."""
+    """Measure the mean horizontal speed (per second) of the identity's feet while planted in the driving; None: never."""
     planted = track.planted(feet)
     both = planted[1:] & planted[:-1]
     if not both.any():

@@ -25,7 +25,7 @@ class Source(Protocol):
     suffix: str
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the original file to `path` with the positions (and normals) of `mesh`; everything else is unchanged."""
+        """Write the original file to `path` with the positions (and normals) of `mesh`, otherwise unchanged."""
         ...
 
 

@@ -1,7 +1,7 @@
 """Normalization of a mesh: y up, +z front, bounding box centred at the origin, largest distance from it 1; invertible.
 
-The rotation is one of the 24 axis rotations. So a mesh that was translated, scaled or turned by one of them has the same
-normalised points; any other heading stays in the mesh.
+The rotation is one of the 24 axis rotations. So a mesh that was translated, scaled or turned by one of them has the
+same normalised points; any other heading stays in the mesh.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Forward kinematics and linear blend skinning (LBS) in NumPy: x -> sum over joints j of w_j (A_j x + t_j).
 
 There are three forms, because each is the fastest for its use: `skin_points` (one pose, any linear maps A_j),
-`skin_poses` (batches of poses) and `SkinnedMesh` (many poses of one mesh, single precision). Code that needs derivatives
-has its own forms (`bodies.body_parameters`, `bodies.sampled_body`, torch in `learn`); tests/core/test_skinning.py holds
-that all of them agree.
+`skin_poses` (batches of poses) and `SkinnedMesh` (many poses of one mesh, single precision). Code that needs
+derivatives has its own forms (`bodies.body_parameters`, `bodies.sampled_body`, torch in `learn`), and so do influences
+with rest points of their own (`bodies.skinned_character`). tests/core/test_skinning.py checks that all of them agree.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Arrays: `poses` (T, 66 or more), or `root_orient` (T, 3) with `pose_body` (T, 63); `trans` (T, 3); the frame rate as
 `mocap_framerate`, `mocap_frame_rate` or `fps`. The first 22 joints are read, in the order of `JOINTS`; hands, face and
-`betas` are not. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs and
-arms along the axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the
+`betas` are not. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs
+and arms along the axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the
 recorded body.
 """
 

@@ -121,8 +121,8 @@ def read_deepmimic(path: str | Path) -> Bvh:
     """Read a DeepMimic file as a skeleton with the shipped body's joint names, in the file's axes (metres).
 
     Raises:
-        InputError: the file does not exist or is not a DeepMimic file, its frames are not a human's, are not finite, have
-            no duration or contain quaternions that are no rotations.
+        InputError: the file does not exist or is not a DeepMimic file, or its frames are not a human's, are not finite,
+            have no duration or contain quaternions that are no rotations.
     """
     path = Path(path)
     rows = _read_rows(path)

@@ -1,7 +1,7 @@
 """Motion: joint rotations over time, operations on them, and clips of a body in motion.
 
-Rotations are local (in the parent's frame) and about the world's axes at rest, as in `RiggedBody`. `root` (metres) is the
-displacement of the root joint from rest for the mean shape; y is up, so y = 0 is the hip height of the T-pose.
+Rotations are local (in the parent's frame) and about the world's axes at rest, as in `RiggedBody`. `root` (metres) is
+the displacement of the root joint from rest for the mean shape; y is up, so y = 0 is the hip height of the T-pose.
 """
 
 from __future__ import annotations

@@ -35,9 +35,9 @@ def spline_motion(
 ) -> Motion:
     """Generate a smooth motion through random poses within `JOINT_LIMITS`, with a random heading.
 
-    Keyframes are `beat` seconds apart. Each is interpolated, by `reach` (0..1), between standing with lowered arms and a
-    uniform sample of the limits. Rotation vectors between keyframes are monotone cubics (PCHIP), which stay within the
-    values of the keyframes and so within the limits. Limbs may intersect the body.
+    Keyframes are `beat` seconds apart. Each is interpolated, by `reach` (0..1), between standing with lowered arms and
+    a uniform sample of the limits. Rotation vectors between keyframes are monotone cubics (PCHIP), which stay within
+    the values of the keyframes and so within the limits. Limbs may intersect the body.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -54,7 +54,7 @@ def spline_motion(
 
 
 def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0, fps: float = 30.0) -> Motion:
-    """Generate a walk with random pace, stride, bounce, arm swing, stoop and turn, on the path given by the planted foot.
+    """Generate a walk with random pace, stride, bounce, arm swing, stoop and turn; the planted foot gives the path.
 
     The pace is in cycles per second, all angles are in degrees.
     """

@@ -1,12 +1,12 @@
 """Calibrate the joints of a skeleton whose rest pose is not a standing pose, from the joint positions in its motion.
 
-`retarget` needs the constant rotation M_j between a body joint and the source joint: D_j(t) = G_j(t) M_j, with the source's
-world rotation G_j and the body's D_j. In every frame, joint positions give an estimate of D_j(t); M_j is the rotation
-nearest to the weighted sum of G_j(t)^T D_j(t) over the frames (`geometry.nearest_rotation`).
+`retarget` needs the constant rotation M_j between a body joint and the source joint: D_j(t) = G_j(t) M_j, with the
+source's world rotation G_j and the body's D_j. In every frame, joint positions give an estimate of D_j(t); M_j is the
+rotation nearest to the weighted sum of G_j(t)^T D_j(t) over the frames (`geometry.nearest_rotation`).
 
-Estimates: knees and elbows are hinges, so their bending defines the roll of thigh and shin, of upper arm and forearm, with
-little weight while they are straight. The trunk faces as hips and shoulders say. Hands have the rotation of the forearm,
-and a head is level and faces forward on average.
+Estimates: knees and elbows are hinges, so their bending defines the roll of thigh and shin, of upper arm and forearm,
+with little weight while they are straight. Hips and shoulders define where the trunk faces. Hands have the rotation of
+the forearm, and a head is level and faces forward on average.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ..core.geometry import nearest_rotation, rotate_between, unit_vectors
 FRAMES = 400
 """Frames, evenly spread, that are used at most (up to twice as many)."""
 STRAIGHT_WEIGHT = 0.01
-"""Weight of the roll of a straight limb (smallest rotation from the T-pose); a hinge bent by 90 degrees has weight 1."""
+"""Weight of the roll of a straight limb (smallest rotation from the T-pose); that of a hinge bent by 90 degrees is 1."""
 HINGES = (("UpLeg", "Leg", "Foot", (0.0, 0.0, -1.0)), ("Arm", "ForeArm", "Hand", (0.0, 0.5, 0.866)))
 """Joints of a hinge's two bones, the end of the second bone, and its direction of bending from the T-pose.
 
@@ -54,7 +54,7 @@ def calibrated_joints(
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
     """Measure M_j of each body joint in `index` from world rotations and positions with y up.
 
-    `rest` are the source's joint positions at rest, in the frames of its joints; limb bones are matched to them exactly.
+    `rest` are the source's joint positions at rest, in the frames of its joints; limb bones get exactly their directions.
     """
     step = slice(None, None, max(len(position) // FRAMES, 1))
     rotation, position = rotation[step], position[step]
@@ -106,7 +106,7 @@ def _rotations(body_vectors, source_vectors):
 
 
 def _trunk_rotations(position, index, body_rest, body_index):
-    """Estimate rotation and weight of hips, chest and head in each frame; other trunk joints take those of the chest."""
+    """Estimate rotation and weight of hips, chest and head in each frame; other joints get those of the chest."""
 
     def left_to_right(points, joints, part):
         return np.subtract(*(points[:, joints[f"{side}{part}"]] for side in ("Left", "Right")))
@@ -158,7 +158,7 @@ def _hinge_rotations(position, index, body_rest, body_index, chain, direction, t
 
 
 def _foot_rotations(position, index, body_rest, body_index, side, shin):
-    """Estimate rotation and weight of foot and toes from the foot's bone and the shin; without toes that of the shin."""
+    """Estimate rotation and weight of foot and toes from the foot's bone and the shin; without toes as the shin."""
     foot, toes, knee = f"{side}Foot", f"{side}ToeBase", f"{side}Leg"
     if toes not in index:
         return {foot: shin}

@@ -28,7 +28,7 @@ NEEDED = ("Hips", *BONES, *BONES.values())
 STANDING = 0.7
 """Cosine of the largest angle (45 degrees) between legs and trunk of a rest pose that stands."""
 FLOOR_QUANTILE = 0.2
-"""The floor is this quantile over the frames of the lowest vertex's height: in most takes a foot is on it for longer."""
+"""The floor is this quantile, over frames, of the lowest vertex's height: most takes are on it for longer."""
 FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
 
