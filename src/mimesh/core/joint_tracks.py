@@ -114,7 +114,10 @@ def grounded_path(
 def foot_skate(
     track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints
 ) -> float | None:
-    """Measure the mean horizontal speed (per second) of the identity's feet while planted in the driving; None: never."""
+    """Measure the mean horizontal speed (per second) of the identity's feet while the driving's are planted.
+
+    None if they never are.
+    """
     planted = track.planted(feet)
     both = planted[1:] & planted[:-1]
     if not both.any():

@@ -20,7 +20,7 @@ from ..core.geometry import nearest_rotation, rotate_between, unit_vectors
 FRAMES = 400
 """Frames, evenly spread, that are used at most (up to twice as many)."""
 STRAIGHT_WEIGHT = 0.01
-"""Weight of the roll of a straight limb (smallest rotation from the T-pose); that of a hinge bent by 90 degrees is 1."""
+"""Weight of the roll of a straight limb (smallest rotation from the T-pose); a hinge bent by 90 degrees weighs 1."""
 HINGES = (("UpLeg", "Leg", "Foot", (0.0, 0.0, -1.0)), ("Arm", "ForeArm", "Hand", (0.0, 0.5, 0.866)))
 """Joints of a hinge's two bones, the end of the second bone, and its direction of bending from the T-pose.
 
@@ -54,7 +54,7 @@ def calibrated_joints(
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
     """Measure M_j of each body joint in `index` from world rotations and positions with y up.
 
-    `rest` are the source's joint positions at rest, in the frames of its joints; limb bones get exactly their directions.
+    `rest` are the source's joint positions at rest, in the frames of its joints; limb bones match them exactly.
     """
     step = slice(None, None, max(len(position) // FRAMES, 1))
     rotation, position = rotation[step], position[step]
