@@ -74,7 +74,9 @@ def test_the_displacement_of_a_leap_is_kept():
     still = np.zeros((10, 3))
     leap = np.stack([0 * up, up, 0.3 * np.arange(1, 7)], axis=1)
     moved = np.concatenate([still, leap, still + [0, 0, 2.1]])
-    track = translated(JointTrack(*(a[:1].repeat(26, axis=0) for a in (squat().rotation, squat().positions)), 30.0), moved)
+    track = translated(
+        JointTrack(*(a[:1].repeat(26, axis=0) for a in (squat().rotation, squat().positions)), 30.0), moved
+    )
     feet, skinned = feet_of(1.2)
     planted = track.planted(feet).any(axis=1)
     assert planted[:9].all()
