@@ -20,7 +20,7 @@ from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
 from mimesh.tools.inspect import inspect_file
 
-STANDING = ("t", "a", "hanging")
+STANDING = ("t", "a", "lowered")
 """Kinds of `rest_pose` that stand."""
 
 

@@ -22,12 +22,12 @@ ARM, LEG = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")
 def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:
     """Compute world rotations (J, 3, 3) from the T-pose to another rest pose.
 
-    t, a (arms 45 degrees down, legs 8 degrees out) and hanging (arms 85 degrees down) are standing poses. In up and
+    t, a (arms 45 degrees down, legs 8 degrees out) and lowered (arms 85 degrees down) are standing poses. In up and
     along-x all bones point up or along x, with one random roll for each limb.
     """
     turns = np.tile(np.eye(3), (len(body.parents), 1, 1))
-    if kind in ("a", "hanging"):
-        lowered, out = {"a": (45, 8), "hanging": (85, 0)}[kind]
+    if kind in ("a", "lowered"):
+        lowered, out = {"a": (45, 8), "lowered": (85, 0)}[kind]
         for side, sign in (("Left", 1), ("Right", -1)):
             for parts, degrees in ((ARM, -lowered * sign), (LEG, out * sign)):
                 for part in parts:

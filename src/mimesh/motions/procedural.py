@@ -92,7 +92,7 @@ def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0
 def gait(phase: Float[np.ndarray, " T"], stride: float, lift: float) -> dict[str, Float[np.ndarray, " T"]]:
     """Compute the joint angles of one leg (degrees about the x axis); `phase` counts its steps from heel strike.
 
-    Sums of smooth bumps approximate charts of human gait: the knee flexes once in stance and up to `lift` in swing, and
+    Sums of smooth bumps approximate charts of human gait: the knee flexes once under load and up to `lift` in swing, and
     the heel rises before the toes leave the ground at phase 0.6.
     """
     hip = -stride * np.cos(2 * np.pi * phase) - 0.15 * stride
