@@ -94,6 +94,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
     if not path.exists():
         raise InputError(f"{name_or_path}: expected a shipped body (human) or a .npz file, found neither")
     with np.load(path) as data:
+        # Weights are stored as the largest few of each vertex, in half precision.
         weights = np.zeros((len(data["vertices"]), len(data["parents"])))
         np.put_along_axis(weights, data["weight_joints"].astype(int), data["weights"].astype(np.float64), axis=1)
         return RiggedBody(

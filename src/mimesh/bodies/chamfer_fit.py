@@ -62,6 +62,7 @@ def fit_points(
     coarse = [(_first_points(body, count), target_cloud(points[:count])) for count in (300, 800)]
     if start is None:
         return _fit_from_start_poses(body, points, cloud, coarse, seed)
+    # Coarse points first: they follow large motions at little cost.
     pose_only = _free_unknowns(body, size=False, shape=False)
     tracked = _descend(body, cloud, _descend(*coarse[1], start, pose_only, 4, 15), pose_only, 8, 15)
     tracked = replace(tracked, restart_error=start.restart_error)
@@ -110,6 +111,7 @@ def _select_start(
 
     The `best` poses of each group are fitted to the coarsest points, and the best two of these to the coarse ones.
     """
+    # Few unknowns suffice to rank the starts: root, legs and arms, with the shape fixed.
     limbs = _free_unknowns(coarsest[0], ("Hips", "Leg", "Arm"), shape=False)
     starts = [
         fit for group in groups for fit in sorted((_with_error(*coarsest, fit) for fit in group), key=_error)[:best]
@@ -129,6 +131,7 @@ def _random_poses(
     low, high = limits_rotvec(body, JOINT_LIMITS)
     low[0, 1], high[0, 1] = -1.0, 1.0  # headings (radians), which the table leaves out
     joints, fits = [body.joint(name) for name in names], []
+    # All joints are drawn, so that the draws do not depend on which joints are used.
     for drawn in rng.uniform(low, high, (RESTARTS, *low.shape)):
         rotvec = fit.rotvec.copy()
         rotvec[joints] = drawn[joints]
@@ -230,6 +233,7 @@ def _limits(body: RiggedBody) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray
     """Compute the bounds of all unknowns; joints without range are fixed, scale, translation and root are free."""
     tables = np.stack([limits_rotvec(body, table) for table in (TABLE_6, JOINT_LIMITS)])
     low, high = tables[:, 0].min(axis=0), tables[:, 1].max(axis=0)
+    # Joints without any range in the tables stay fixed: they get no slack.
     slack = SLACK * (high > low).any(axis=1, keepdims=True)
     low, high = low - slack, high + slack
     low[0], high[0] = -np.inf, np.inf
@@ -242,6 +246,7 @@ def _prior_weight(
 ) -> Float[np.ndarray, " P"]:
     """Compute the cost of the square of each unknown; zero for scale, translation and the root's rotation."""
     k = len(body.components)
+    # Fixed joints have no range and the root an infinite one: both cost nothing.
     half = (high[4 + k :] - low[4 + k :]) / 2
     return np.concatenate([np.zeros(4), np.full(k, SHAPE_PRIOR), POSE_PRIOR / np.where(half > 0, half, np.inf) ** 2])
 

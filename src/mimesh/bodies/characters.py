@@ -129,6 +129,7 @@ def proportioned(
         InputError: the body has no bone of a given name.
     """
     direction, branching = bone_directions(body)
+    # Projection onto each bone's direction; zero where bones branch.
     along = np.where(branching[:, None, None], 0.0, direction[:, :, None] * direction[:, None])
     length, girth = (_joint_factors(body, factors)[:, None, None] for factors in (lengths, girths))
     linear = size * (length * along + girth * (np.eye(3) - along))
@@ -137,6 +138,7 @@ def proportioned(
         """Scale vertices and joints."""
         bones = joints[1:] - joints[list(body.parents[1:])]
         positions = place_joints(size * joints[0], bones, linear, body.parents)
+        # Each joint's map takes its old position to the new one.
         offset = positions - np.einsum("jab,jb->ja", linear, joints)
         return skin_points(points, body.weights, linear, offset), positions
 
@@ -168,6 +170,7 @@ def _joint_factors(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.n
 
 def _parts(role: Role, mesh: Mesh) -> tuple[Part, ...]:
     """Make the parts of a mesh: one run of faces for the skin and one for each garment."""
+    # Faces of a dressed body: its own first, then each garment's in order (`dressed_body`).
     counts = [len(load_garment(name).faces) for name in role.garments]
     ends = np.cumsum([len(mesh.faces) - sum(counts), *counts])
     colours = (("skin", role.skin), *((name, role.colours[name]) for name in role.garments))

@@ -183,6 +183,7 @@ def _intersection_depth(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], mo
         excluded = [*limb_joints, *above, *(body.parents[j] for j in above)]
         rest = np.flatnonzero(~np.isin(strongest, excluded))
         if len(limb):
+            # Depth along the normal of the nearest other vertex; positive is below the surface.
             nearest = rest[KDTree(vertices[rest]).query(vertices[limb])[1]]
             depth[limb] = ((vertices[nearest] - vertices[limb]) * normals[nearest]).sum(axis=1)
     deepest = np.sort(depth)[::-1]

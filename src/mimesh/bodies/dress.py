@@ -46,6 +46,7 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
         raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
     _check_fits(body)
     count = len(body.components)
+    # Faces of each garment are shifted by the number of vertices before it.
     first = np.cumsum([len(part.vertices) for part in (body, *worn)])
     return dataclasses.replace(
         body,

@@ -82,6 +82,7 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
 def plain_names(joint_names: tuple[str, ...]) -> list[str]:
     """Simplify names: lower case, without separators, namespaces and first or last words that most names share."""
     words = [[w for w in re.split(r"[._\s-]+", name.split(":")[-1].lower()) if w] for name in joint_names]
+    # Remove prefixes, then suffixes, until no word is common to most names.
     for end in (0, -1):
         while (common := _common(words, end)) is not None:
             for parts in words:
@@ -110,6 +111,7 @@ def _limbs(plain: list[str]) -> dict[str, int]:
             word = next((word for word in words.split() if (side, word) in by_word), None)
             if word is not None:
                 joint = f"{side[0]}HipJoint" if part == "HipJoint" else f"{side}{part}"
+                # A name is used once: later rows may have the same word.
                 found[joint] = by_word.pop((side, word))
     return found
 

@@ -57,6 +57,7 @@ def canonical_order(vertices: Float[np.ndarray, "V 3"]) -> CanonicalOrder:
     """Weld vertices at exactly equal positions and rank the welded ones (`rank_order`)."""
     merged, index = weld(vertices)
     rank = np.empty(len(merged), np.int64)
+    # Invert the permutation: from the sorted position to its rank.
     rank[rank_order(merged)] = np.arange(len(merged))
     group = rank[index]
     order = np.argsort(group, kind="stable")
@@ -68,6 +69,7 @@ def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]
 
     Ties are broken by the later arrays of `ranks`.
     """
+    # Rotation keeps the winding, so normals do not flip.
     first = ranks[0][faces].argmin(axis=1)[:, None]
     rotated = np.take_along_axis(faces, (first + np.arange(3)) % 3, axis=1)
     keys = np.concatenate([rank[rotated] for rank in ranks], axis=1)

@@ -116,6 +116,7 @@ def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], 
 
     Positions must be exactly equal: a tolerance would join surfaces that only touch. `merged[index]` are the vertices.
     """
+    # Equal positions are adjacent once sorted; a new group begins where a position differs from the one before.
     order = np.lexsort(vertices.T[::-1])
     ordered = vertices[order]
     new = np.ones(len(vertices), bool)
@@ -166,6 +167,7 @@ def normal_turner(
 
     def turn(after: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 3 3"]:
         new = fan_frames(after)
+        # Rounding would change the normals of unmoved fans, so these are copied.
         moved = (new != old).any(axis=(1, 2))[fans]
         turned = np.einsum("ckd,ck->cd", new[fans], coordinates)
         return np.where(moved[:, None], turned, rest).reshape(corner_normals.shape)
@@ -178,6 +180,7 @@ def corner_fans(
 ) -> Int[np.ndarray, " 3*F"]:
     """Number the smooth fans: corners are in one fan if they have one position and one normal (to 1e-4)."""
     _, position = weld(vertices)
+    # A key of welded position and rounded normal for each corner.
     key = np.concatenate([position[faces.ravel()][:, None], np.round(corner_normals.reshape(-1, 3) * 1e4)], axis=1)
     _, fans = np.unique(key, axis=0, return_inverse=True)
     return fans.reshape(-1)
@@ -238,6 +241,7 @@ def closest_on_mesh(
     """
     from scipy.spatial import KDTree
 
+    # Candidate columns are tested one after the other, for all points at once.
     centroids = vertices[faces].mean(axis=1)
     _, near = KDTree(centroids).query(points, k=min(candidates, len(faces)))
     near = near.reshape(len(points), -1)
@@ -282,6 +286,7 @@ def _plane_barycentric(points, triangles):
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.maximum((normal * normal).sum(-1), np.finfo(float).tiny)
+    # Signed areas of the sub-triangles over that of the triangle.
     u = (np.cross(c - b, points - b) * normal).sum(-1) / square
     v = (np.cross(a - c, points - c) * normal).sum(-1) / square
     return np.stack([u, v, 1 - u - v], axis=1)

@@ -100,10 +100,12 @@ def grounded_path(
         [skinned.joint_positions(rotation, np.zeros(3))[list(feet.joints)] for rotation in track.rotation]
     )
     correction = np.zeros_like(path)
+    # Horizontal: accumulate the slide of joints that are planted in two frames in a row.
     both = planted[1:] & planted[:-1]
     slide = np.diff(reached + path[:, None], axis=0)
     correction[1:, [0, 2]] = -np.cumsum(_masked_mean(slide, both)[:, [0, 2]], axis=0)
     height = feet.identity_height + up * track.foot_heights(feet) - reached[..., 1]
+    # Vertical: where joints are planted, their mean height error; interpolated in between.
     known = planted.any(axis=1)
     lift = _masked_mean(height[..., None], planted)[known, 0] - path[known, 1]
     correction[:, 1] = np.interp(np.arange(len(path)), np.flatnonzero(known), lift)

@@ -188,6 +188,7 @@ def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     """
     if sorted(order.tolist()) != list(range(len(mesh.vertices))):
         raise ValueError(f"order must be a permutation of 0..{len(mesh.vertices) - 1}, got {len(order)} entries")
+    # Invert the permutation for the face indices.
     rank = np.empty(len(order), mesh.faces.dtype)
     rank[order] = np.arange(len(order), dtype=mesh.faces.dtype)
     colors = None if mesh.vertex_colors is None else mesh.vertex_colors[order]

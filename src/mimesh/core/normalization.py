@@ -117,12 +117,14 @@ def occupancy(points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, " N"]
     rotated features (`TURNED_CELLS`).
     """
     weights = weights / weights.sum()
+    # Centroid and root-mean-square distance do not depend on the orientation.
     centred = points - weights @ points
     scale = np.sqrt(weights @ (centred * centred).sum(axis=1))
     cell = (np.clip(centred / (REACH * scale), -1, 1) + 1) / 2 * (GRID - 1)
     low = np.minimum(cell.astype(np.int64), GRID - 2)
     fraction = cell - low
     total = np.zeros(GRID**3)
+    # Each point contributes to the 8 cells around it.
     for corner in np.ndindex(2, 2, 2):
         part = np.where(np.array(corner, bool), fraction, 1 - fraction).prod(axis=1) * weights
         total += np.bincount((low + corner) @ (GRID * GRID, GRID, 1), part, minlength=GRID**3)

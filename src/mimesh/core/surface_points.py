@@ -25,6 +25,7 @@ def sample_surface(
     `at_barycentric` gives their positions in any frame of a clip.
     """
     areas = face_areas(vertices, faces)
+    # Inverse transform sampling: a uniform number in the accumulated areas selects the face.
     chosen = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(max=len(faces) - 1)
     u, v = rng.random((2, count))
     flip = u + v > 1  # outside the triangle: reflect to the other half of the parallelogram
@@ -132,6 +133,7 @@ def surface_sampler(
     if len(mesh.faces) == 0:
         chosen = rng.permutation(len(ranked))[:count]
         return lambda vertices: rounded(ranked.merge(vertices)[chosen])
+    # Sorted faces over ranks: the same for any order of the vertices and faces.
     faces = np.unique(np.sort(ranked.group[mesh.faces], axis=1), axis=0)
     chosen, barycentric = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
     return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, chosen, barycentric))

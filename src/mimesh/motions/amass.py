@@ -91,6 +91,7 @@ def load_amass(path: str | Path) -> Bvh:
     if len(trans) != len(rotvec):
         raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
     rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), len(JOINTS), 3))
+    # Only the root is rotated to y up; the other rotations are relative to it.
     axes = _upright(rotmat[:, 0])
     rotmat[:, 0] = axes @ rotmat[:, 0]
     names = tuple(JOINTS)

@@ -92,11 +92,13 @@ def _read_hierarchy(tokens: list[str], path: Path):
     """Parse the tokens of the HIERARCHY section: names, parents, offsets, end sites and channels in file order."""
     names, parents, offsets, channels, ends = [], [], [], [], {}
     stack: list[int] = []  # open joints; -1 marks an open End Site
+    # A stack machine over the tokens; errors name the token index i.
     i = 0
     try:
         while i < len(tokens):
             word, i = tokens[i].upper(), i + 1
             if word in ("ROOT", "JOINT"):
+                # Names may contain spaces, so they extend to the brace.
                 brace = tokens.index("{", i)
                 if (word == "ROOT") != (not stack) or (word == "ROOT" and names):
                     raise InputError(
@@ -167,6 +169,7 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
         raise InputError(
             f"{path}: expected frames and a positive frame time, found {frames} and {frame_time:g}; export it again"
         )
+    # A missing number would shift all later values, so a wrong count is an error.
     if values.size != frames * channels:
         raise InputError(
             f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
@@ -197,6 +200,7 @@ def _apply_channels(channels, values, offsets):
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
+            # Positions of other joints that never change are ignored, see `load_bvh`.
             elif j == 0 or np.ptp(values[:, column]) > 0:
                 moved.setdefault(j, np.tile(offsets[j], (frames, 1)))[:, axis] = values[:, column]
             column += 1

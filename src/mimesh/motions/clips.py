@@ -74,6 +74,7 @@ def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32
     """
     motions = [m for clip in split_windows(split) for m in (clip, mirror(clip))]
     rotmat = np.concatenate([m.rotmat[::every] for m in motions])
+    # The third column of the root's rotation is where its front (+z at rest) points.
     front = rotmat[:, 0, :, 2]
     heading = np.arctan2(front[:, 0], front[:, 2])
     turn = np.zeros((len(heading), 3))

@@ -111,6 +111,7 @@ def load_deepmimic(path: str | Path, body: RiggedBody, name: str | None = None) 
     source = read_deepmimic(path)
     motion = retarget(source, body, name)
     scale = leg_length(body.joints, body.joint_names) / leg_length(source.rest(), source.joint_names)
+    # Height of the hips above the soles of a straight leg.
     legs = -source.rest()[source.joint_names.index("LeftFoot"), 1] + SOLE
     root = motion.root.copy()
     root[:, 1] = (source.root[:, 1] - legs) * scale
@@ -192,6 +193,7 @@ def _at_constant_rate(
     duration = float(np.median(seconds))
     if np.abs(seconds - duration).max() < 0.01 * duration:
         return rotmat, root, 1.0 / duration
+    # Start time of every frame, and the frame before each output time.
     times = np.concatenate([[0.0], np.cumsum(seconds)])
     at = np.arange(int(np.floor(times[-1] / duration + 1e-3)) + 1) * duration
     before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(seconds) - 1)

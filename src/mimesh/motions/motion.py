@@ -89,6 +89,7 @@ def resample(motion: Motion, fps: float) -> Motion:
     # The tolerance keeps the last frame when 1/fps came from a rounded "Frame Time: .0083333".
     count = int(np.floor(last / motion.fps * fps + 1e-3)) + 1
     at = np.minimum(np.arange(count) * (motion.fps / fps), last)
+    # Frame indices before and after each output time; a motion of one frame has only index 0.
     before = np.minimum(np.floor(at).astype(int), max(last - 1, 0))
     after, fraction = np.minimum(before + 1, last), at - before
     rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])

@@ -49,6 +49,7 @@ def spline_motion(
     poses = standing + reach * (rng.uniform(low, high, (len(keys), *low.shape)) - standing)
     rotmat = rotvec_to_rotmat(PchipInterpolator(keys, poses)(at))
     heading = PchipInterpolator(keys, rng.uniform(-np.pi, np.pi) + rng.normal(0, 0.5, len(keys)).cumsum())(at)
+    # The heading turns the root about the vertical axis, after its rotation within the limits.
     rotmat[:, 0] = _about(1, heading) @ rotmat[:, 0]
     return Motion(f"spline-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
 
@@ -92,8 +93,8 @@ def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0
 def gait(phase: Float[np.ndarray, " T"], stride: float, lift: float) -> dict[str, Float[np.ndarray, " T"]]:
     """Compute the joint angles of one leg (degrees about the x axis); `phase` counts its steps from heel strike.
 
-    Sums of smooth bumps approximate charts of human gait: the knee flexes once under load and up to `lift` in swing, and
-    the heel rises before the toes leave the ground at phase 0.6.
+    Sums of smooth bumps approximate charts of human gait: the knee flexes once under load and up to `lift` in swing,
+    and the heel rises before the toes leave the ground at phase 0.6.
     """
     hip = -stride * np.cos(2 * np.pi * phase) - 0.15 * stride
     knee = 4.0 + 12.0 * _bump(phase, 0.14, 0.08) + (lift - 4.0) * _bump(phase, 0.74, 0.10)
@@ -108,13 +109,16 @@ def planted(body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"]) -> Float[np.
     vertices. Then the lowest vertex of the mean shape is placed at height 0 in every frame, so jumps are impossible.
     """
     sole = np.flatnonzero(body.vertices[:, 1] < SOLE)
+    # Only the vertices of the soles are posed, with the root at the origin.
     soles = dataclasses.replace(
         body, vertices=body.vertices[sole], components=body.components[:, sole], weights=body.weights[sole]
     ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
     height = soles[:-1, :, 1] + soles[1:, :, 1]
+    # A soft minimum over two frames: the sole that is lowest in both carries the body.
     weight = np.exp(-(height - height.min(axis=1, keepdims=True)) / (2 * SOFTNESS))
     moved = np.einsum("tv,tvc->tc", weight / weight.sum(axis=1, keepdims=True), np.diff(soles, axis=0))
     root = np.zeros((len(rotmat), 3))
+    # The root cancels the horizontal motion of the sole that carries the body.
     root[1:, [0, 2]] = -np.cumsum(moved, axis=0)[:, [0, 2]]
     root[:, 1] = -lowest(body, rotmat, np.zeros_like(root))
     return root

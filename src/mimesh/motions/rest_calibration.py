@@ -84,6 +84,7 @@ def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"])
 def rotations_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
     """Compute the matrices of the smallest rotations from direction `old` to each of the directions `new`."""
     olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
+    # The rotated unit vectors are the columns of the matrices.
     columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
     return np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
 
@@ -172,6 +173,7 @@ def _foot_rotations(position, index, body_rest, body_index, side, shin):
 
 def _with_exact_bone(joint, measured, rest, index, body_rest, body_index):
     """Correct M_j by the smallest rotation that makes the body's limb bone parallel to the source's at rest."""
+    # Joint at the other end of each limb bone.
     tails = {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for h in HINGES for a, b in (h[:2], h[1:3])}
     if joint not in tails:
         return measured

@@ -63,6 +63,7 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         known = joint in index
         target[:, j] = axes @ rotation[:, index[joint]] @ rest_rotation[joint] if known else target[:, parent]
+    # The path is in units of the leg, so steps fit the body's legs.
     source_leg = [rest[index[joint]] for joint in LEG]
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
     path = position[:, index["Hips"]] @ axes.T * scale
@@ -80,6 +81,7 @@ def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> boo
     hips, feet, arms = (_pair(rest, index, part).mean(axis=0) for part in ("UpLeg", "Foot", "Arm"))
     up = unit_vectors(hips - feet)
     upright = up @ unit_vectors(arms - hips) > STANDING
+    # Hips and shoulders must be roughly perpendicular to up, and on the same sides.
     across = [np.subtract(*_pair(rest, index, part)) for part in ("UpLeg", "Arm")]
     return bool(
         upright and all(abs(up @ unit_vectors(side)) < STANDING for side in across) and across[0] @ across[1] > 0
@@ -89,6 +91,7 @@ def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> boo
 def axes_from_rest(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
     """Compute the axis rotation C from the source's axes to x left, y up, z front, from its rest pose."""
     hips = rest[[index["LeftUpLeg"], index["RightUpLeg"]]]
+    # Up is the axis from the feet to the hips; left is the axis from right to left hip, perpendicular to up.
     up = _axis(hips.mean(axis=0) - (rest[index["LeftFoot"]] + rest[index["RightFoot"]]) / 2)
     left = _axis((hips[0] - hips[1]) * (up == 0))
     return np.stack([left, up, np.cross(left, up)])
