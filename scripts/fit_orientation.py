@@ -1,7 +1,8 @@
-"""Fit the shipped detector of up and front: python scripts/fit_orientation.py [--check MESH...]
+"""Train the shipped detector of up and front axes: python scripts/fit_orientation.py [--check MESH...]
 
-A two-layer network scores the coarse occupancy of a person as each of the 24 axis rotations would show it; the right
-one must win (24-way softmax). People, poses and headings are drawn from the shipped body; ten minutes on one core.
+A two-layer network scores the occupancy grid of a person in each of the 24 axis rotations; the loss is the 24-way
+cross-entropy of the correct one. People, poses and headings are random variants of the shipped body. Takes ten minutes
+on one core.
 """
 
 from __future__ import annotations
@@ -14,23 +15,28 @@ import numpy as np
 
 from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat, sample_pose
-from mimesh.core import normalization as frame
+from mimesh.core import normalization
 from mimesh.core.surface_points import sample_surface
 
 HIDDEN = 64
+"""Units of the hidden layer."""
 POINTS = 1200
-UPRIGHT = next(r for r, names in enumerate(frame.ORIENTATIONS) if names == ("+y", "+z"))
-TURNS = [r for r, (up, _) in enumerate(frame.ORIENTATIONS) if up == "+y"]
-"""The upright rotations: front is harder to tell than up, so training sees these for every person."""
+"""Points of a training person."""
+UPRIGHT = next(r for r, names in enumerate(normalization.ORIENTATIONS) if names == ("+y", "+z"))
+"""Index of the correct rotation: training people stand upright and face +z."""
+TURNS = [r for r, (up, _) in enumerate(normalization.ORIENTATIONS) if up == "+y"]
+"""The upright rotations. Front is harder to detect than up, so every training step uses all of these."""
 OTHERS = [r for r in range(24) if r not in TURNS]
+"""The other rotations, of which every step uses a random sample."""
 KINDS = ("rest", "arms down", "table 6", "wide")
+"""Kinds of poses."""
 
 
 def surface_body(body: RiggedBody, rng: np.random.Generator, by_area: bool) -> RiggedBody:
-    """The body as points: uniform by area (what a mesh shows) or a share of its vertices (what a point cloud shows)."""
+    """Reduce the body to points: uniform by area (as the features of a mesh) or random vertices (of a point cloud)."""
     if not by_area:
-        keep = rng.choice(len(body.vertices), POINTS, replace=False)
-        parts = body.vertices[keep], body.components[:, keep], body.weights[keep]
+        chosen = rng.choice(len(body.vertices), POINTS, replace=False)
+        parts = body.vertices[chosen], body.components[:, chosen], body.weights[chosen]
     else:
         face, weight = sample_surface(body.vertices, body.faces, POINTS, rng)
         corner = body.faces[face]
@@ -43,7 +49,7 @@ def surface_body(body: RiggedBody, rng: np.random.Generator, by_area: bool) -> R
 
 
 def draw_pose(body: RiggedBody, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Rotation vectors (J, 3) of one pose of the given kind."""
+    """Draw the rotation vectors (J, 3) of a pose of the given kind."""
     low, high = limits_rotvec(body, JOINT_LIMITS)
     noise = rng.uniform(low, high)
     if kind == "rest":
@@ -58,10 +64,10 @@ def draw_pose(body: RiggedBody, kind: str, rng: np.random.Generator) -> np.ndarr
     return pose
 
 
-def grow(
+def scale_parts(
     body: RiggedBody, vertices: np.ndarray, joints: np.ndarray, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cartoon proportions: large heads, hands and feet, short legs and arms; half of the people keep theirs."""
+    """Apply cartoon proportions to half of the people: large heads, hands and feet, short legs and arms."""
     if rng.random() < 0.5:
         return vertices, joints
     legs, arms = rng.uniform(0.4, 1.1), rng.uniform(0.6, 1.1)
@@ -76,14 +82,14 @@ def grow(
 
 
 def shorten(points: np.ndarray, hip: float, legs: float, shoulder: float, arms: float) -> np.ndarray:
-    """Scale what lies below the hips and beyond the shoulders of a T-pose."""
+    """Scale the parts below the hips and beyond the shoulders of a T-pose."""
     x, y, z = points.T
     beyond = np.maximum(np.abs(x) - shoulder, 0)
     return np.stack([x - np.sign(x) * beyond * (1 - arms), np.where(y < hip, hip + legs * (y - hip), y), z], axis=1)
 
 
 def dress(body: RiggedBody, vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Cloth, hair and modelling style: a smooth random warp, and for some people hair over and behind the head."""
+    """Imitate cloth, hair and modelling styles: a smooth random warp, and for some people hair around the head."""
     size = 0.5 * np.ptp(vertices[:, 1])
     warp = np.zeros_like(vertices)
     for _ in range(4):
@@ -103,26 +109,26 @@ def dress(body: RiggedBody, vertices: np.ndarray, rng: np.random.Generator) -> n
 
 
 def draw_person(body: RiggedBody, kind: str, rng: np.random.Generator) -> np.ndarray:
-    """Occupancy features of one random person, standing upright within 40 degrees of facing +z."""
+    """Draw the occupancy features of a random person, upright and within 40 degrees of facing +z."""
     vertices, joints = body.shaped(np.clip(rng.normal(size=len(body.components)), -2.5, 2.5) * rng.uniform(0, 1.4))
-    vertices, joints = grow(body, vertices, joints, rng)
+    vertices, joints = scale_parts(body, vertices, joints, rng)
     vertices = dress(body, vertices, rng)
     rotation, translation = body.skinning_transforms(joints, rotvec_to_rotmat(draw_pose(body, kind, rng)))
     points = np.einsum("vj,jkl,vl->vk", body.weights, rotation, vertices, optimize=True) + body.weights @ translation
     points = points * np.exp(rng.uniform(-0.15, 0.15, 3))
-    if rng.random() < 0.3:  # something carried or worn
+    if rng.random() < 0.3:  # an object carried or worn
         blob = rng.normal(size=(int(rng.integers(20, 200)), 3)) * rng.uniform(0.03, 0.15, 3)
         points[rng.choice(len(points), len(blob), replace=False)] = points[rng.integers(len(points))] + blob
     points = points + rng.normal(size=points.shape) * rng.uniform(0, 0.015)
     heading = rng.uniform(-40, 40) if rng.random() < 0.6 else 0.0
     lean = np.radians([rng.uniform(-12, 12), heading, rng.uniform(-12, 12)])
-    # Layers of cloth and hidden faces weigh some limbs more than others.
+    # Layers of cloth and hidden faces give some limbs more surface than others.
     weights = body.weights @ np.exp(rng.normal(size=len(joints)) * rng.uniform(0, 0.5))
-    return frame.occupancy(points @ rotvec_to_rotmat(lean).T, weights)
+    return normalization.occupancy(points @ rotvec_to_rotmat(lean).T, weights)
 
 
 def draw_people(count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> np.ndarray:
-    """Features (count, C); a new set of body points every 50 people, one in four of them of vertices."""
+    """Draw features (count, C), with new points of the body every 50 people; one in four sets are vertices."""
     body, features = load_body(), []
     for i in range(count):
         rng = np.random.default_rng([seed, i])
@@ -133,26 +139,29 @@ def draw_people(count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> np.nda
 
 
 def mirrored(features: np.ndarray) -> np.ndarray:
-    """Left and right exchanged: the same facing, twice the people."""
-    cells = features.reshape(-1, frame.GRID, frame.GRID, frame.GRID)
+    """Exchange left and right, which keeps the facing and doubles the data."""
+    cells = features.reshape(-1, normalization.GRID, normalization.GRID, normalization.GRID)
     return cells[:, ::-1].reshape(features.shape)
 
 
 def loss_and_gradient(
     model: dict[str, np.ndarray], features: np.ndarray, rng: np.random.Generator, sampled: int = 4
 ) -> tuple[float, dict[str, np.ndarray]]:
-    """Mean cross-entropy of the 24 rotations and its gradient; `sampled` of the 20 overturned ones stand for all."""
+    """Compute the mean cross-entropy of the 24 rotations and its gradient.
+
+    Of the 20 rotations that are not upright, `sampled` random ones are used, with their scores corrected for it.
+    """
     rotations = np.concatenate([TURNS, rng.choice(OTHERS, sampled, replace=False)])
-    turned = features[:, frame.TURNED_CELLS[rotations]]
+    turned = features[:, normalization.TURNED_CELLS[rotations]]
     hidden = np.maximum(turned @ model["hidden"] + model["bias"], 0)
     scores = hidden @ model["out"]
     scores[:, len(TURNS) :] += np.log(np.float32(len(OTHERS) / sampled))
-    chance = np.exp(scores - scores.max(axis=1, keepdims=True))
-    chance /= chance.sum(axis=1, keepdims=True)
-    right = TURNS.index(UPRIGHT)
-    loss = float(-np.log(chance[:, right] + 1e-30).mean())
-    chance[:, right] -= 1
-    error = chance / len(features)
+    probability = np.exp(scores - scores.max(axis=1, keepdims=True))
+    probability /= probability.sum(axis=1, keepdims=True)
+    correct = TURNS.index(UPRIGHT)
+    loss = float(-np.log(probability[:, correct] + 1e-30).mean())
+    probability[:, correct] -= 1
+    error = probability / len(features)
     inner = error[..., None] * model["out"] * (hidden > 0)
     return loss, {
         "hidden": turned.reshape(-1, turned.shape[-1]).T @ inner.reshape(-1, inner.shape[-1]),
@@ -162,7 +171,7 @@ def loss_and_gradient(
 
 
 def fit(features: np.ndarray, steps: int, seed: int, batch: int = 128) -> dict[str, np.ndarray]:
-    """Adam with a linear decay, single precision, weight decay on the first layer."""
+    """Train with Adam: linear decay, single precision, L2 regularisation of the first layer."""
     rng = np.random.default_rng(seed)
     model = {
         "hidden": rng.normal(size=(features.shape[1], HIDDEN)) / 3,
@@ -187,19 +196,22 @@ def fit(features: np.ndarray, steps: int, seed: int, batch: int = 128) -> dict[s
 
 
 def report(model: dict[str, np.ndarray], count: int, seed: int) -> None:
-    """Accuracy and calibration on people that were not trained on, one line per kind of pose."""
+    """Print accuracy and calibration on held-out people, one line per kind of pose."""
     for kind in KINDS:
-        scores = frame.orientation_scores(draw_people(count, seed, (kind,)), model)
+        scores = normalization.orientation_scores(draw_people(count, seed, (kind,)), model)
         right = scores.argmax(axis=1) == UPRIGHT
         chance = np.exp(scores - scores.max(axis=1, keepdims=True))
         chance = np.sort(chance / chance.sum(axis=1, keepdims=True), axis=1)
-        sure = chance[:, -1] - chance[:, -2] >= frame.UNSURE
+        sure = chance[:, -1] - chance[:, -2] >= normalization.UNSURE
         print(f"{kind}: right {right.mean():.4f}, sure {sure.mean():.4f}, right when sure {right[sure].mean():.4f}")
 
 
 def main() -> None:
+    """Train and save the detector, or print what it detects in files."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("-o", "--output", type=Path, default=Path(frame.__file__).with_name("frame_orientation.npz"))
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path(normalization.__file__).with_name("frame_orientation.npz")
+    )
     parser.add_argument("--people", type=int, default=60000)
     parser.add_argument("--steps", type=int, default=16000)
     parser.add_argument("--seed", type=int, default=0)
@@ -209,7 +221,7 @@ def main() -> None:
         from mimesh.io import load_mesh
 
         for path in arguments.check:
-            found = frame.Normalization.fit(load_mesh(path))
+            found = normalization.Normalization.fit(load_mesh(path))
             print(f"{path.name:40s} up {found.up} front {found.front} margin {found.margin:.3f}")
         return
     model = fit(draw_people(arguments.people, arguments.seed), arguments.steps, arguments.seed)

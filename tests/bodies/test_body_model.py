@@ -1,4 +1,4 @@
-"""The shipped body and its sampling."""
+"""The shipped body model, its skinning, and random shapes and poses."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def body():
     return load_body()
 
 
-def test_counts_and_closed_manifold(body):
+def test_the_body_is_a_closed_manifold_with_the_documented_counts(body):
     assert (body.vertices.shape, body.faces.shape) == ((6890, 3), (13776, 3))
     assert len(body.components) >= 10
     assert 24 <= len(body.joint_names) <= 31
@@ -23,7 +23,7 @@ def test_counts_and_closed_manifold(body):
     assert len(np.unique(directed, axis=0)) == len(directed)  # every edge once in each direction
 
 
-def test_rest_is_a_t_pose_in_our_frame(body):
+def test_rest_is_a_t_pose_with_y_up_facing_z(body):
     left, right = body.joints[body.joint("LeftHand")], body.joints[body.joint("RightHand")]
     shoulder, toes = body.joints[body.joint("LeftArm")], body.joints[body.joint("LeftToeBase")]
     assert left[0] > 0.5 > -0.5 > right[0]
@@ -43,7 +43,7 @@ def test_identity_rotations_give_the_rest_shape(body):
     np.testing.assert_allclose(rest, body.shaped(shape)[0], atol=1e-12)
 
 
-def test_turning_the_root_turns_the_body(body):
+def test_rotating_the_root_rotates_the_body(body):
     shape, pose = sample_shape(body, 0, 1), rotvec_to_rotmat(sample_pose(body, 0, 1))
     turn = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2]))
     turned = pose.copy()
@@ -70,11 +70,11 @@ def test_posing_agrees_with_a_vertex_by_vertex_loop(body):
         np.testing.assert_allclose(posed[v], point, atol=1e-12)
 
 
-def test_batches_are_the_single_bodies(body):
+def test_a_batch_of_bodies_equals_the_single_bodies(body):
     shapes = np.stack([sample_shape(body, 0, i) for i in range(3)])
     poses = rotvec_to_rotmat(np.stack([sample_pose(body, 0, i) for i in range(3)]))
-    for i, one in enumerate(body.posed(shapes, poses)):
-        np.testing.assert_allclose(one, body.posed(shapes[i], poses[i]), atol=1e-12)
+    for i, posed in enumerate(body.posed(shapes, poses)):
+        np.testing.assert_allclose(posed, body.posed(shapes[i], poses[i]), atol=1e-12)
 
 
 def test_samples_depend_on_seed_and_index_only(body):
@@ -84,7 +84,7 @@ def test_samples_depend_on_seed_and_index_only(body):
     assert not np.array_equal(sample_shape(body, 7, 0), sample_shape(body, 7, 1))
 
 
-def test_table_6_is_the_papers(body):
+def test_ranges_of_table_6_are_those_of_the_paper(body):
     assert len(TABLE_6) == 24
     poses = np.degrees(np.stack([sample_pose(body, 0, i) for i in range(200)]))
     knee, elbow = poses[:, body.joint("LeftLeg")], poses[:, body.joint("RightForeArm")]
@@ -94,14 +94,14 @@ def test_table_6_is_the_papers(body):
     assert (poses[:, body.joint("LHipJoint")] == 0).all()
 
 
-def test_limits_are_mirror_images(body):
+def test_joint_limits_of_left_and_right_are_mirror_images(body):
     for name, (x, y, z) in JOINT_LIMITS.items():
         if name.startswith("Left"):
             other = JOINT_LIMITS["Right" + name[4:]]
             assert other == (x, (-y[1], -y[0]), (-z[1], -z[0]))
 
 
-def test_save_and_load(body, tmp_path):
+def test_a_saved_body_loads_unchanged(body, tmp_path):
     save_body(body, tmp_path / "again.npz")
     again = load_body(tmp_path / "again.npz")
     np.testing.assert_array_equal(again.vertices, body.vertices)
@@ -109,7 +109,7 @@ def test_save_and_load(body, tmp_path):
     assert again.joint_names == body.joint_names
 
 
-def test_unknown_names_say_what_there_is(body):
+def test_errors_of_unknown_names_list_the_known_ones(body):
     with pytest.raises(InputError, match="expected a shipped body"):
         load_body("octopus")
     with pytest.raises(KeyError, match="LeftArm"):

@@ -1,4 +1,4 @@
-"""Fitting a body to points: exact gradients, then people found again from shuffled points."""
+"""Fits of a body to points: gradients agree with finite differences, and people are recovered from shuffled points."""
 
 import dataclasses
 import itertools
@@ -12,17 +12,17 @@ from mimesh.bodies import load_body
 from mimesh.bodies.body_parameters import (
     BodyParameters,
     _levels,
-    descendants,
-    fit_of,
+    from_vector,
     posed_and_pullback,
     rotvec_pullback,
     thin_body,
-    unknowns_of,
+    to_vector,
 )
-from mimesh.bodies.chamfer_fit import GOOD, chamfer, cloud_of, fit_points
+from mimesh.bodies.chamfer_fit import GOOD_ERROR, chamfer, fit_points, target_cloud
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.mesh import permute_vertices
 from mimesh.core.normalization import Normalization
+from mimesh.core.rig import descendant_matrix
 from mimesh.core.surface_points import at_barycentric, sample_surface
 
 COMPONENTS = 4
@@ -33,31 +33,31 @@ def thin(count=600):
     return thin_body(load_body(), count, COMPONENTS)
 
 
-def some_fit(seed=0, angle=0.5) -> BodyParameters:
+def random_fit(seed=0, angle=0.5) -> BodyParameters:
     rng = np.random.default_rng(seed)
     rotvec = angle * rng.normal(size=(len(thin().parents), 3))
     return BodyParameters(0.7, rng.normal(size=3), rng.normal(size=COMPONENTS), rotvec)
 
 
-def slopes(function, at, step=1e-6):
-    return np.stack([(function(at + e) - function(at - e)) / (2 * step) for e in step * np.eye(len(at))])
+def finite_differences(function, x, step=1e-6):
+    return np.stack([(function(x + e) - function(x - e)) / (2 * step) for e in step * np.eye(len(x))])
 
 
-def test_the_points_of_a_fit_are_those_of_the_body():
-    body, fit = thin(), some_fit()
+def test_points_of_parameters_are_those_of_the_posed_body():
+    body, fit = thin(), random_fit()
     posed = body.posed(fit.shape, rotvec_to_rotmat(fit.rotvec))
-    points = posed_and_pullback(body, unknowns_of(fit))[0]
+    points = posed_and_pullback(body, to_vector(fit))[0]
     assert np.allclose(points, fit.scale * posed + fit.translation, rtol=0, atol=1e-12)
     assert np.allclose(points, fit.points(body), rtol=0, atol=1e-12)
 
 
-def test_unknowns_round_trip():
-    fit, again = some_fit(), fit_of(thin(), unknowns_of(some_fit()))
+def test_parameters_round_trip_through_the_vector():
+    fit, again = random_fit(), from_vector(thin(), to_vector(random_fit()))
     for field in ("scale", "translation", "shape", "rotvec"):
         assert np.allclose(getattr(fit, field), getattr(again, field), rtol=1e-14)
 
 
-def test_the_joints_of_a_rest_fit_are_the_bodys():
+def test_joints_of_rest_parameters_are_the_scaled_and_translated_joints():
     body = thin()
     fit = BodyParameters(2.0, np.array([1.0, 2, 3]), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)))
     assert np.allclose(fit.joints(body), 2 * body.joints + [1, 2, 3])
@@ -65,60 +65,62 @@ def test_the_joints_of_a_rest_fit_are_the_bodys():
 
 
 @pytest.mark.parametrize("angle", [0.5, 1e-5, 0.0, 2.0])
-def test_the_gradient_of_the_points_is_that_of_finite_differences(angle):
+def test_gradient_of_points_agrees_with_finite_differences(angle):
     body = thin_body(load_body(), 40, COMPONENTS)
-    unknowns = unknowns_of(some_fit(1, angle))
-    push = np.random.default_rng(2).normal(size=(40, 3))
-    expected = slopes(lambda u: (posed_and_pullback(body, u)[0] * push).sum(), unknowns)
-    assert np.allclose(posed_and_pullback(body, unknowns)[1](push), expected, rtol=0, atol=1e-6)
+    vector = to_vector(random_fit(1, angle))
+    gradient = np.random.default_rng(2).normal(size=(40, 3))
+    expected = finite_differences(lambda u: (posed_and_pullback(body, u)[0] * gradient).sum(), vector)
+    assert np.allclose(posed_and_pullback(body, vector)[1](gradient), expected, rtol=0, atol=1e-6)
 
 
-def test_the_gradient_of_a_rotation_vector_is_that_of_finite_differences():
+def test_gradient_of_rotation_vectors_agrees_with_finite_differences():
     rng = np.random.default_rng(0)
     rotvec = np.concatenate([rng.normal(size=(5, 3)), [[0, 0, 0], [1e-6, 0, 0], [0, 3.1, 0], [0, 0, 1e-3]]])
     torque = rng.normal(size=rotvec.shape)
 
-    def turn_after(moved, r):
-        return (Rotation.from_rotvec(moved) * Rotation.from_rotvec(r).inv()).as_rotvec()
+    def rotation_after(x, r):
+        return (Rotation.from_rotvec(x) * Rotation.from_rotvec(r).inv()).as_rotvec()
 
-    expected = [slopes(lambda x, r=r, t=t: turn_after(x, r) @ t, r) for r, t in zip(rotvec, torque, strict=True)]
+    expected = [
+        finite_differences(lambda x, r=r, t=t: rotation_after(x, r) @ t, r) for r, t in zip(rotvec, torque, strict=True)
+    ]
     assert np.allclose(rotvec_pullback(rotvec, torque), np.array(expected), rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("slide", [1.0, 0.1])
-def test_chamfer_is_that_of_a_naive_twin_and_its_gradient_that_of_finite_differences(slide):
+@pytest.mark.parametrize("tangential_weight", [1.0, 0.1])
+def test_chamfer_agrees_with_a_naive_sum_and_its_gradient_with_finite_differences(tangential_weight):
     rng = np.random.default_rng(0)
-    cloud, others = cloud_of(rng.normal(size=(30, 3)), slide), rng.normal(size=(20, 3))
+    cloud, others = target_cloud(rng.normal(size=(30, 3)), tangential_weight), rng.normal(size=(20, 3))
     squared = np.square(others[:, None] - cloud.points).sum(-1)
     matches = cloud.matches(others)
     assert np.array_equal(matches[0], squared.argmin(axis=1))
     assert np.array_equal(matches[1], squared.argmin(axis=0))
     error, gradient = chamfer(cloud, others, matches)
-    if slide == 1:
+    if tangential_weight == 1:
         assert np.isclose(error, squared.min(axis=1).mean() + squared.min(axis=0).mean())
-    expected = slopes(lambda x: chamfer(cloud, x.reshape(-1, 3), matches)[0], others.ravel())
+    expected = finite_differences(lambda x: chamfer(cloud, x.reshape(-1, 3), matches)[0], others.ravel())
     assert np.allclose(gradient.ravel(), expected, rtol=0, atol=1e-8)
 
 
-def test_across_a_plane_a_distance_counts_in_full_and_along_it_little():
+def test_distances_along_a_plane_have_the_tangential_weight():
     grid = np.stack([*np.meshgrid(np.arange(5.0), np.arange(5.0)), np.zeros((5, 5))], -1).reshape(-1, 3)
-    cloud = cloud_of(grid, slide=0.1)
+    cloud = target_cloud(grid, tangential_weight=0.1)
     matches = np.arange(25), np.arange(25)
     assert np.isclose(chamfer(cloud, grid + [0, 0, 0.2], matches)[0], 2 * 0.2**2)
     assert np.isclose(chamfer(cloud, grid + [0.2, 0, 0], matches)[0], 2 * 0.1 * 0.2**2)
 
 
 @pytest.mark.parametrize("pose", [0, 1])
-def test_a_person_is_found_again_from_shuffled_vertices(pose):
-    """Made of the free components only; other points of the surface than those that the body is thinned to."""
+def test_a_person_is_recovered_from_shuffled_vertices(pose):
+    """The shape has the free components only; the points differ from those of the thinned body."""
     body, rotvec = load_body(), sample_pose(load_body(), 11, pose)
     truth = BodyParameters(1.0, np.zeros(3), np.array([0.5, -1.0, 0.8, 0.4]), rotvec)
     mesh = permute_vertices(body.mesh(truth.points(body)), np.random.default_rng(5).permutation(len(body.vertices)))
     mesh = dataclasses.replace(mesh, faces=np.random.default_rng(6).permutation(mesh.faces))
-    frame = Normalization.fit(mesh, "+y", "+z")
+    normalization = Normalization.fit(mesh, "+y", "+z")
     chosen = sample_surface(mesh.vertices, mesh.faces, 2000, np.random.default_rng(7))
-    fit = fit_points(thin(2000), frame.apply(at_barycentric(mesh.vertices, mesh.faces, *chosen)))
-    found = frame.undo(fit.joints(thin()))
+    fit = fit_points(thin(2000), normalization.apply(at_barycentric(mesh.vertices, mesh.faces, *chosen)))
+    found = normalization.undo(fit.joints(thin()))
     names = [
         f"{side}{bone}" for side in ("Left", "Right") for bone in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm", "Hand")
     ]
@@ -127,19 +129,19 @@ def test_a_person_is_found_again_from_shuffled_vertices(pose):
     assert millimetres.mean() < 8
 
 
-def test_somebody_who_sits_is_found():
+def test_a_sitting_person_is_recovered():
     body, rotvec = thin(4000), np.zeros((len(thin().parents), 3))
     for side in ("Left", "Right"):
         rotvec[body.joint(f"{side}UpLeg"), 0] = -1.4
         rotvec[body.joint(f"{side}Leg"), 0] = 0.7
     points = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), rotvec).points(body)
     fit = fit_points(body, points[::-1])
-    assert fit.error < GOOD
-    assert fit.lost == max(3 * fit.error, GOOD)
+    assert fit.error < GOOD_ERROR
+    assert fit.restart_error == max(3 * fit.error, GOOD_ERROR)
     assert np.abs(fit.rotvec - rotvec)[[body.joint("LeftUpLeg"), body.joint("RightUpLeg")]].max() < 0.15
 
 
-def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
+def test_a_fit_from_the_previous_frame_keeps_scale_and_shape():
     body = thin()
     first = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-3)
     bent = first.rotvec.copy()
@@ -151,10 +153,10 @@ def test_a_followed_frame_keeps_size_and_shape_and_finds_the_pose():
     assert np.abs(fit.rotvec - bent)[body.joint("LeftForeArm")].max() < 0.1
 
 
-def test_a_frame_that_was_lost_is_fitted_anew():
+def test_a_frame_with_a_large_error_is_fitted_from_the_start_poses():
     body = thin()
     first = BodyParameters(
-        1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9, lost=GOOD
+        1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), error=1e-9, restart_error=GOOD_ERROR
     )
     turned = first.rotvec.copy()
     turned[0, 1] = np.radians(40)
@@ -163,11 +165,11 @@ def test_a_frame_that_was_lost_is_fitted_anew():
     assert np.isclose(fit.scale, 0.5, rtol=0.1)
 
 
-def test_points_that_worsen_little_by_little_are_fitted_anew_and_the_better_fit_counts(monkeypatch):
+def test_errors_that_grow_slowly_restart_the_fit_and_the_better_fit_is_returned(monkeypatch):
     body = thin(100)
-    anew = dataclasses.replace(some_fit(), error=np.inf, lost=7.0)
-    monkeypatch.setattr("mimesh.bodies.chamfer_fit._fitted_anew", lambda *_: anew)
-    rest = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), lost=5e-3)
+    restarted = dataclasses.replace(random_fit(), error=np.inf, restart_error=7.0)
+    monkeypatch.setattr("mimesh.bodies.chamfer_fit._fit_from_start_poses", lambda *_: restarted)
+    rest = BodyParameters(1.0, np.zeros(3), np.zeros(COMPONENTS), np.zeros((len(body.parents), 3)), restart_error=5e-3)
     noise = np.random.default_rng(0).normal(size=body.vertices.shape)
     clip = [rest.points(body) + 0.04 * np.sqrt(2) ** t * noise for t in range(4)]
     fits = [rest]
@@ -175,25 +177,27 @@ def test_points_that_worsen_little_by_little_are_fitted_anew_and_the_better_fit_
         fits.append(fit_points(body, points, fits[-1]))
     errors = [fit.error for fit in fits[1:]]
     assert all(1 < after / before < 3 for before, after in itertools.pairwise(errors))
-    assert errors[0] < rest.lost < errors[-1]
-    assert all(fit.lost == rest.lost for fit in fits)  # no fresh fit is better than the followed one
-    anew = dataclasses.replace(anew, error=0.0)  # now any is
+    assert errors[0] < rest.restart_error < errors[-1]
+    assert all(
+        fit.restart_error == rest.restart_error for fit in fits
+    )  # no restarted fit is better than the tracked one
+    restarted = dataclasses.replace(restarted, error=0.0)  # now every restarted fit is better
     assert fit_points(body, clip[0], rest).error == errors[0]
-    assert fit_points(body, clip[-1], fits[-2]) is anew
+    assert fit_points(body, clip[-1], fits[-2]) is restarted
 
 
-def test_what_is_kept_between_fits_of_a_body_cannot_be_changed():
+def test_cached_arrays_of_the_tree_are_read_only():
     parents = load_body().parents
-    for kept in (descendants(parents), *itertools.chain(*_levels(parents))):
+    for cached in (descendant_matrix(parents), *itertools.chain(*_levels(parents))):
         with pytest.raises(ValueError, match="read-only"):
-            kept[...] = 0
+            cached[...] = 0
 
 
-def test_a_single_point_gives_some_finite_fit():
-    assert np.isfinite(unknowns_of(fit_points(thin(), np.array([[0.1, 0.2, 0.3]])))).all()
+def test_a_fit_to_a_single_point_is_finite():
+    assert np.isfinite(to_vector(fit_points(thin(), np.array([[0.1, 0.2, 0.3]])))).all()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_few_points_have_some_normals(count):
-    normals = cloud_of(np.random.default_rng(0).normal(size=(count, 3)), slide=0.1).normals
+def test_clouds_of_few_points_have_unit_normals(count):
+    normals = target_cloud(np.random.default_rng(0).normal(size=(count, 3)), tangential_weight=0.1).normals
     assert np.allclose(np.linalg.norm(normals, axis=1), 1)

@@ -1,4 +1,4 @@
-"""The cast: characters that stand, are coloured whole, and grow as asked."""
+"""Characters stand on the floor, have materials on all faces, and bones scaled by the given factors."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ BODY = load_body()
 
 
 @pytest.mark.parametrize("name", CHARACTERS)
-def test_every_member_stands_on_the_floor_and_is_coloured_whole(name):
+def test_every_character_stands_on_the_floor_with_materials_on_all_faces(name):
     mesh = check_mesh(character(name), name)
     assert mesh.vertices[:, 1].min() == 0.0
     assert [part.start for part in mesh.parts[1:]] == [part.stop for part in mesh.parts[:-1]]
@@ -21,12 +21,12 @@ def test_every_member_stands_on_the_floor_and_is_coloured_whole(name):
     assert all(part.material for part in mesh.parts)
 
 
-def test_arms_are_held_out_or_hang():
+def test_arms_are_out_or_lowered():
     wide, narrow = (np.ptp(character("slim", arms).vertices[:, 0]) for arms in (0.0, 1.0))
     assert wide > 1.5 * narrow
 
 
-def test_strangers_are_named():
+def test_errors_of_unknown_characters_list_the_known_ones():
     with pytest.raises(InputError, match="slim"):
         character("nobody")
 
@@ -37,23 +37,22 @@ def test_factors_of_one_change_nothing():
     assert np.abs(same.components - BODY.components).max() < 1e-12
 
 
-def test_bones_grow_by_their_factors_on_both_sides_and_in_every_shape():
-    grown, shape = proportioned(BODY, {"UpLeg": 1.5}, {"Spine1": 0.7}, size=2.0), np.linspace(-1, 1, 16)
-    for joints, others in ((BODY.joints, grown.joints), (BODY.shaped(shape)[1], grown.shaped(shape)[1])):
+def test_bones_are_scaled_by_their_factors_on_both_sides_and_for_every_shape():
+    scaled, shape = proportioned(BODY, {"UpLeg": 1.5}, {"Spine1": 0.7}, size=2.0), np.linspace(-1, 1, 16)
+    for joints, others in ((BODY.joints, scaled.joints), (BODY.shaped(shape)[1], scaled.shaped(shape)[1])):
         for side in ("Left", "Right"):
             hip, knee, foot = (BODY.joint(side + name) for name in ("UpLeg", "Leg", "Foot"))
-            before, after = (np.linalg.norm(places[knee] - places[hip]) for places in (joints, others))
+            before, after = (np.linalg.norm(positions[knee] - positions[hip]) for positions in (joints, others))
             assert after / before == pytest.approx(3.0, rel=0.01)  # shapes turn bones a little
-            before, after = (np.linalg.norm(places[foot] - places[knee]) for places in (joints, others))
+            before, after = (np.linalg.norm(positions[foot] - positions[knee]) for positions in (joints, others))
             assert after / before == pytest.approx(2.0)
 
 
-def test_a_grown_body_bends_as_the_body_does():
-    """Growing and then posing a body of one factor is posing and then growing it."""
-    grown = proportioned(BODY, {}, {}, size=1.7)
+def test_uniform_scaling_commutes_with_posing():
+    scaled = proportioned(BODY, {}, {}, size=1.7)
     pose, shape = rotvec_to_rotmat(sample_pose(BODY, 1, 0)), np.linspace(1, -1, 16)
-    ours, theirs = grown.posed(shape, pose), BODY.posed(shape, pose)
-    assert np.abs((ours - ours.mean(axis=0)) - 1.7 * (theirs - theirs.mean(axis=0))).max() < 1e-9
+    large, small = scaled.posed(shape, pose), BODY.posed(shape, pose)
+    assert np.abs((large - large.mean(axis=0)) - 1.7 * (small - small.mean(axis=0))).max() < 1e-9
 
 
 def test_unknown_bones_are_refused():

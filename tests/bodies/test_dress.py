@@ -1,4 +1,4 @@
-"""The garments of the shipped human: skinned with it, shaped with it, outside it."""
+"""Garments of the shipped human follow its pose and shape, and lie outside its skin."""
 
 import dataclasses
 from importlib import resources
@@ -35,35 +35,35 @@ def components(faces: np.ndarray, count: int) -> np.ndarray:
 
 
 def heights(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Signed distance over the skin: the naive way, on the plane of the closest point's interpolated normal."""
+    """Signed distance above the skin: along the interpolated normal of the closest point."""
     face, barycentric, _ = closest_on_mesh(points, vertices, faces)
     normal = at_barycentric(vertex_normals(vertices, faces), faces, face, barycentric)
-    away = points - at_barycentric(vertices, faces, face, barycentric)
-    return (away * normal).sum(axis=1) / np.linalg.norm(normal, axis=1)
+    difference = points - at_barycentric(vertices, faces, face, barycentric)
+    return (difference * normal).sum(axis=1) / np.linalg.norm(normal, axis=1)
 
 
 @pytest.mark.parametrize("garments", [(), ("skirt",), ("hair", "tights"), GARMENTS], ids="+".join)
-def test_the_person_underneath_is_the_same(body, garments):
-    whole = dressed_body(body, garments)
+def test_garments_do_not_change_the_body(body, garments):
+    dressed = dressed_body(body, garments)
     shape, pose = sample_shape(body, 0, 1), rotvec_to_rotmat(sample_pose(body, 0, 1))
     count = len(body.vertices)
-    np.testing.assert_array_equal(whole.posed(shape, pose)[:count], body.posed(shape, pose))
-    np.testing.assert_array_equal(whole.faces[: len(body.faces)], body.faces)
-    np.testing.assert_array_equal(whole.joints, body.joints)
-    assert whole.name == "+".join(("human", *garments))
+    np.testing.assert_array_equal(dressed.posed(shape, pose)[:count], body.posed(shape, pose))
+    np.testing.assert_array_equal(dressed.faces[: len(body.faces)], body.faces)
+    np.testing.assert_array_equal(dressed.joints, body.joints)
+    assert dressed.name == "+".join(("human", *garments))
 
 
-def test_garments_follow_in_the_order_given(body):
-    whole = dressed_body(body, ("hair", "skirt"))
+def test_vertices_of_garments_are_in_the_given_order(body):
+    dressed = dressed_body(body, ("hair", "skirt"))
     hair, skirt = load_garment("hair"), load_garment("skirt")
     first = np.cumsum([len(body.vertices), len(hair.vertices), len(skirt.vertices)])
-    assert len(whole.vertices) == first[2]
-    np.testing.assert_array_equal(whole.vertices[first[0] : first[1]], hair.vertices)
-    np.testing.assert_array_equal(whole.faces[-len(skirt.faces) :] - first[1], skirt.faces)
-    np.testing.assert_array_equal(whole.components[:, first[1] :], skirt.components)
+    assert len(dressed.vertices) == first[2]
+    np.testing.assert_array_equal(dressed.vertices[first[0] : first[1]], hair.vertices)
+    np.testing.assert_array_equal(dressed.faces[-len(skirt.faces) :] - first[1], skirt.faces)
+    np.testing.assert_array_equal(dressed.components[:, first[1] :], skirt.components)
 
 
-def test_turning_and_moving_the_root_takes_the_clothes_along(dressed):
+def test_moving_the_root_moves_body_and_garments(dressed):
     shape, pose = sample_shape(dressed, 0, 2), rotvec_to_rotmat(sample_pose(dressed, 0, 2))
     turn, root = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2])), np.array([0.5, 0.1, -2.0])
     turned = pose.copy()
@@ -73,7 +73,7 @@ def test_turning_and_moving_the_root_takes_the_clothes_along(dressed):
     np.testing.assert_allclose(dressed.posed(shape, turned, root), expected, atol=1e-12)
 
 
-def test_posing_agrees_with_a_vertex_by_vertex_loop(dressed):
+def test_skinning_of_garments_agrees_with_a_naive_loop(dressed):
     shape, pose = sample_shape(dressed, 3, 0), rotvec_to_rotmat(sample_pose(dressed, 3, 0))
     rotation, translation = dressed.skinning_transforms(dressed.shaped(shape)[1], pose)
     posed = dressed.posed(shape, pose)
@@ -99,7 +99,7 @@ def test_weights_are_a_partition_of_unity(name):
 
 
 @pytest.mark.parametrize("name", GARMENTS)
-def test_a_garment_is_one_sound_surface(name):
+def test_a_garment_is_one_consistently_wound_manifold(name):
     garment = load_garment(name)
     assert not components(garment.faces, len(garment.vertices)).any()  # all in component 0, none left over
     directed = garment.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -107,14 +107,14 @@ def test_a_garment_is_one_sound_surface(name):
     assert np.isfinite(garment.components).all()
 
 
-def test_a_dressed_person_is_a_valid_mesh_of_four_parts(dressed):
+def test_a_dressed_body_is_a_valid_mesh_of_four_components(dressed):
     mesh = dressed.mesh(dressed.posed(sample_shape(dressed, 5, 0), rotvec_to_rotmat(sample_pose(dressed, 5, 0))))
     check_mesh(mesh, "dressed")
     assert components(dressed.faces, len(dressed.vertices)).max() + 1 == 1 + len(GARMENTS)
 
 
 @pytest.mark.parametrize("name", GARMENTS)
-def test_faces_look_away_from_the_skin(body, name):
+def test_faces_of_garments_face_outward(body, name):
     garment = load_garment(name)
     middle = garment.vertices[garment.faces].mean(axis=1)
     face, barycentric, _ = closest_on_mesh(middle, body.vertices, body.faces)
@@ -123,7 +123,7 @@ def test_faces_look_away_from_the_skin(body, name):
 
 
 @pytest.mark.parametrize(("name", "most"), [("skirt", 0.30), ("tights", 0.03), ("hair", 0.12)])
-def test_at_rest_clothes_lie_outside_the_skin_and_near_it(body, name, most):
+def test_garments_at_rest_are_outside_the_skin_and_near_it(body, name, most):
     garment = load_garment(name)
     for i in range(WEARERS):  # other people than the garments were lifted for
         shape = sample_shape(body, 1000, i)
@@ -135,7 +135,7 @@ def test_at_rest_clothes_lie_outside_the_skin_and_near_it(body, name, most):
 
 
 @pytest.mark.parametrize(("name", "share"), [("skirt", 0.98), ("tights", 0.99), ("hair", 0.99)])
-def test_posed_clothes_stay_outside_the_skin(body, name, share):
+def test_posed_garments_stay_outside_the_skin(body, name, share):
     garment = load_garment(name)
     wearer = dressed_body(body, (name,))
     outside = []

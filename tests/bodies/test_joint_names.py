@@ -1,4 +1,4 @@
-"""Joints are found by side and part however they are written, and trunks by what holds what."""
+"""Limb joints are found by side and part in any spelling, trunk joints by the hierarchy."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ OURS = load_body()
 
 
 def skeleton(scheme: str, without: bool = True) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Our skeleton as a scheme has it; joints that it lacks are left out, or kept under names without meaning."""
+    """Our skeleton with the names of a scheme; joints that it lacks are left out, or get names without meaning."""
     names, parents, index = [], [], {-1: -1}
     for j, (joint, parent) in enumerate(zip(OURS.joint_names, OURS.parents, strict=True)):
         if without and joint not in spelt(scheme):
@@ -26,44 +26,44 @@ def skeleton(scheme: str, without: bool = True) -> tuple[tuple[str, ...], tuple[
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_names_as_they_stand_in_files(scheme):
+def test_names_of_common_rigs_are_recognised(scheme):
     names, parents = skeleton(scheme)
     found = {joint: names[j] for joint, j in named_joints(names, parents).items()}
     assert found == spelt(scheme)
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_order_case_and_a_holder_above_do_not_matter(scheme):
+def test_case_and_an_additional_root_do_not_matter(scheme):
     names, parents = skeleton(scheme, without=False)
     found = named_joints(names, parents)
-    held = named_joints(("Armature", *(name.upper() for name in names)), (-1, *(p + 1 for p in parents)))
-    assert held == {joint: j + 1 for joint, j in found.items()}
+    with_root = named_joints(("Armature", *(name.upper() for name in names)), (-1, *(p + 1 for p in parents)))
+    assert with_root == {joint: j + 1 for joint, j in found.items()}
     assert set(NEEDED) <= set(found)
     assert len(set(found.values())) == len(found)
 
 
-def test_our_own_names_mean_themselves():
+def test_names_of_the_shipped_body_map_to_themselves():
     found = named_joints(OURS.joint_names, OURS.parents)
     assert found == {joint: j for j, joint in enumerate(OURS.joint_names) if "Thumb" not in joint and
                      "Finger" not in joint}  # fmt: skip
 
 
-def test_mixed_spellings_in_one_file():
-    """Exporters drop the colon, and count a second character."""
+def test_mixed_spellings_in_one_file_are_recognised():
+    """Some exporters drop the colon, or number a second character."""
     names, parents = skeleton("mixamo")
     spellings = ("mixamorig{}", "mixamorig_{}", "mixamorig1:{}", "mixamorig1{}", "{}")
     mixed = tuple(spellings[j % 5].format(name.split(":")[1]) for j, name in enumerate(names))
     assert named_joints(mixed, parents) == named_joints(names, parents)
 
 
-def test_a_word_shared_by_most_names_says_nothing():
+def test_words_shared_by_most_names_are_ignored():
     names, parents = skeleton("unreal")
     marked = tuple(f"Character1_{name}_jnt" for name in names)
     assert named_joints(marked, parents) == named_joints(names, parents)
 
 
 @pytest.mark.parametrize(("joints", "taken"), [(1, [0]), (2, [0, 1]), (3, [0, 1, 2]), (4, [0, 2, 3]), (5, [0, 2, 4])])
-def test_trunks_of_other_lengths(joints, taken):
+def test_trunks_of_other_lengths_are_mapped(joints, taken):
     trunk = tuple(f"bone{k}" for k in range(joints))
     names = ("Hips", *trunk, "LeftArm", "RightArm", "Neck", "Head")
     top = len(trunk)
@@ -72,7 +72,7 @@ def test_trunks_of_other_lengths(joints, taken):
     assert (names[found["Neck"]], names[found["Head"]]) == ("Neck", "Head")
 
 
-def test_what_is_missing_is_said_in_one_line():
+def test_errors_of_missing_joints_are_one_line():
     names = ("root", "tail", *(f"leg{k}" for k in range(20)))
     parents = tuple(np.arange(-1, len(names) - 1).tolist())
     with pytest.raises(InputError, match=r"^fox: expected hips .* found none for .*LeftLeg") as error:

@@ -1,4 +1,4 @@
-"""Landmarks lie where their names say, on the side they say."""
+"""Landmarks are at the ends and sides of the body that their names say."""
 
 import numpy as np
 import pytest
@@ -10,24 +10,24 @@ BODY = load_body()
 FOUND = landmarks(BODY)
 
 
-def test_there_are_13_and_all_differ():
+def test_there_are_13_distinct_landmarks():
     assert tuple(FOUND) == LANDMARKS
     assert len(set(FOUND.values())) == 13
 
 
 @pytest.mark.parametrize("name", LANDMARKS)
-def test_sides_mirror(name):
-    place = BODY.vertices[FOUND[name]]
+def test_landmarks_of_both_sides_are_mirror_images(name):
+    position = BODY.vertices[FOUND[name]]
     if name == "head":
-        assert abs(place[0]) < 0.03
+        assert abs(position[0]) < 0.03
         return
-    side, what = name.split()
-    assert place[0] > 0 if side == "left" else place[0] < 0
-    other = BODY.vertices[FOUND[f"{'right' if side == 'left' else 'left'} {what}"]]
-    assert np.linalg.norm(place - other * [-1, 1, 1]) < 0.05
+    side, part = name.split()
+    assert position[0] > 0 if side == "left" else position[0] < 0
+    other = BODY.vertices[FOUND[f"{'right' if side == 'left' else 'left'} {part}"]]
+    assert np.linalg.norm(position - other * [-1, 1, 1]) < 0.05
 
 
-def test_ends_are_ends():
+def test_landmarks_of_ends_are_extreme_vertices():
     x, y, z = BODY.vertices.T
     assert BODY.vertices[FOUND["head"], 1] > y.max() - 0.02
     assert BODY.vertices[FOUND["left hand"], 0] > x.max() - 0.02

@@ -1,4 +1,4 @@
-"""Figures: points of the body as it is posed, and derivatives that finite differences give too."""
+"""Sampled bodies: points lie on the posed body, and the Jacobian agrees with finite differences."""
 
 import dataclasses
 
@@ -12,20 +12,20 @@ from mimesh.core.geometry import closest_on_mesh
 from mimesh.core.surface_points import sample_surface
 
 BODY = load_body()
-FIGURE = SampledBody.of(BODY, 400)
+SAMPLED = SampledBody.of(BODY, 400)
 
 
-def stance(seed=0, turn=0.5, bones=0.2, size=1.3):
+def random_state(seed=0, turn=0.5, bones=0.2, size=1.3):
     rng = np.random.default_rng(seed)
-    figure = FIGURE.mean_person(
+    state = SAMPLED.mean_person(
         size, rng.normal(size=3), Rotation.from_rotvec(turn * rng.normal(size=(31, 3))).as_matrix()
     )
-    shape, grown = rng.normal(size=len(figure.shape)), bones * rng.normal(size=len(figure.bones))
-    return dataclasses.replace(figure, shape=shape, bones=grown)
+    shape, logarithms = rng.normal(size=len(state.shape)), bones * rng.normal(size=len(state.bones))
+    return dataclasses.replace(state, shape=shape, bones=logarithms)
 
 
-def world(local):
-    """World rotations of local ones."""
+def to_world(local):
+    """Convert local to world rotations."""
     rotation = [local[0]]
     for j, parent in enumerate(BODY.parents[1:], 1):
         rotation.append(rotation[parent] @ local[j])
@@ -38,34 +38,34 @@ def test_points_lie_on_the_posed_body():
     shape = rng.normal(size=len(BODY.components))
     vertices = BODY.posed(shape, local)
     root = BODY.shaped(shape)[1][0]
-    posed = PosedBody(FIGURE, BodyState(1.0, root, shape, np.zeros_like(stance().bones), world(local)))
-    face, _, apart = closest_on_mesh(posed.points, vertices, BODY.faces)
-    assert np.median(apart) < 2e-3
+    posed = PosedBody(SAMPLED, BodyState(1.0, root, shape, np.zeros_like(random_state().bones), to_world(local)))
+    face, _, distance = closest_on_mesh(posed.points, vertices, BODY.faces)
+    assert np.median(distance) < 2e-3
     corners = vertices[BODY.faces[face]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    alike = (normals / np.linalg.norm(normals, axis=1, keepdims=True) * posed.normals).sum(axis=1)
-    assert np.median(alike) > 0.98
+    cosine = (normals / np.linalg.norm(normals, axis=1, keepdims=True) * posed.normals).sum(axis=1)
+    assert np.median(cosine) > 0.98
     rotation, offset = BODY.skinning_transforms(BODY.shaped(shape)[1], local)
     joints = offset + (rotation @ BODY.shaped(shape)[1][..., None])[..., 0]
     assert np.allclose(posed.joints, joints)
 
 
-def test_small_parts_have_more_points_than_their_area_is_worth():
-    face, shares = sample_surface(BODY.vertices, BODY.faces, 20_000, np.random.default_rng(0))
-    even = (BODY.weights[BODY.faces[face]] * shares[..., None]).sum(axis=(0, 1)) / 20_000
-    share = FIGURE.weights.mean(axis=0)
+def test_small_parts_are_sampled_more_densely():
+    face, barycentric = sample_surface(BODY.vertices, BODY.faces, 20_000, np.random.default_rng(0))
+    uniform = (BODY.weights[BODY.faces[face]] * barycentric[..., None]).sum(axis=(0, 1)) / 20_000
+    fraction = SAMPLED.weights.mean(axis=0)
     for name in ("LeftHand", "RightHand", "LThumb", "Neck"):
-        assert share[BODY.joint(name)] > 1.5 * even[BODY.joint(name)]
-    assert share[BODY.joint("LeftUpLeg")] < even[BODY.joint("LeftUpLeg")]
-    assert 380 <= len(FIGURE.vertices) <= 400
+        assert fraction[BODY.joint(name)] > 1.5 * uniform[BODY.joint(name)]
+    assert fraction[BODY.joint("LeftUpLeg")] < uniform[BODY.joint("LeftUpLeg")]
+    assert 380 <= len(SAMPLED.vertices) <= 400
 
 
 @pytest.mark.parametrize("group", ["size", "root", "shape", "bones", "turns"])
-def test_derivatives_are_those_of_finite_differences(group):
-    rng, here, small = np.random.default_rng(2), stance(), 1e-6
-    step = np.zeros(FIGURE.unknowns["turns"].stop)
-    step[FIGURE.unknowns[group]] = rng.normal(size=len(step[FIGURE.unknowns[group]]))
-    posed, after = PosedBody(FIGURE, here), PosedBody(FIGURE, FIGURE.stepped(here, small * step))
+def test_jacobians_agree_with_finite_differences(group):
+    rng, state, small = np.random.default_rng(2), random_state(), 1e-6
+    step = np.zeros(SAMPLED.unknowns["turns"].stop)
+    step[SAMPLED.unknowns[group]] = rng.normal(size=len(step[SAMPLED.unknowns[group]]))
+    posed, after = PosedBody(SAMPLED, state), PosedBody(SAMPLED, SAMPLED.stepped(state, small * step))
     index = rng.integers(len(posed.points), size=700)
     direction = rng.normal(size=(700, 3))
     moved = ((after.points - posed.points)[index] / small * direction).sum(axis=1)
@@ -74,30 +74,32 @@ def test_derivatives_are_those_of_finite_differences(group):
     assert np.allclose(posed.of_joints() @ step, (after.joints - posed.joints).reshape(-1) / small, atol=1e-4)
 
 
-def test_bones_grow_along_and_across():
+def test_bones_scale_in_length_on_both_sides():
     arm, below, kinds = BODY.joint("LeftArm"), BODY.joint("LeftForeArm"), kinds_of_bones(BODY)
-    still = BodyState(1.0, np.zeros(3), np.zeros(16), np.zeros_like(stance().bones), np.tile(np.eye(3), (31, 1, 1)))
-    longer = still.bones.copy()
+    rest = BodyState(
+        1.0, np.zeros(3), np.zeros(16), np.zeros_like(random_state().bones), np.tile(np.eye(3), (31, 1, 1))
+    )
+    longer = rest.bones.copy()
     longer[kinds[arm]] = np.log(1.5)
-    old, new = (PosedBody(FIGURE, dataclasses.replace(still, bones=b)) for b in (still.bones, longer))
+    old, new = (PosedBody(SAMPLED, dataclasses.replace(rest, bones=b)) for b in (rest.bones, longer))
     assert np.allclose(new.joints[below] - new.joints[arm], 1.5 * (old.joints[below] - old.joints[arm]))
     other = BODY.joint("RightForeArm")
     assert not np.allclose(new.joints[other], old.joints[other])
     assert np.allclose(new.joints[BODY.joint("Head")], old.joints[BODY.joint("Head")])
 
 
-def test_they_are_the_people_that_networks_learn_from():
+def test_joints_agree_with_those_of_training_people():
     torch = pytest.importorskip("torch")
     from mimesh.learn.tasks.mime_people import SurfaceBody, plain_people
 
-    here = stance(size=1.0)
-    posed, surface = PosedBody(FIGURE, here), SurfaceBody(BODY, 100)
-    length, girth = (torch.from_numpy(np.exp(b)[FIGURE.kind]).float()[None] for b in np.split(here.bones, 2))
+    state = random_state(size=1.0)
+    posed, surface = PosedBody(SAMPLED, state), SurfaceBody(BODY, 100)
+    length, girth = (torch.from_numpy(np.exp(b)[SAMPLED.kind]).float()[None] for b in np.split(state.bones, 2))
     parents = [0, *BODY.parents[1:]]
-    local = here.rotation[parents].transpose(0, 2, 1) @ here.rotation
-    local[0] = here.rotation[0]
-    who = plain_people(torch.from_numpy(here.shape).float()[None], surface)
-    who = dataclasses.replace(who, length=length, girth=girth)
-    found = surface.posed(who, torch.from_numpy(local).float()[None], torch.arange(10)[None])
+    local = state.rotation[parents].transpose(0, 2, 1) @ state.rotation
+    local[0] = state.rotation[0]
+    people = plain_people(torch.from_numpy(state.shape).float()[None], surface)
+    people = dataclasses.replace(people, length=length, girth=girth)
+    found = surface.posed(people, torch.from_numpy(local).float()[None], torch.arange(10)[None])
     joints = found.joints[0].numpy()
     assert np.allclose(joints - joints[0], posed.joints - posed.joints[0], atol=1e-4)

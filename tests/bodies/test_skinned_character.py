@@ -1,4 +1,4 @@
-"""Other people's rigs pose as ours do, and as a viewer shows their file with its nodes moved."""
+"""Characters of glTF files are posed as the shipped body is, and as a viewer shows the file with moved nodes."""
 
 from __future__ import annotations
 
@@ -18,27 +18,23 @@ def body():
     return load_body()
 
 
-def rig_of(path) -> SkinnedCharacter:
-    return read_skin(path)
-
-
 def pose(body, i: int = 0) -> np.ndarray:
     return rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
 
 
-def still(rig: SkinnedCharacter) -> np.ndarray:
+def rest_pose(rig: SkinnedCharacter) -> np.ndarray:
     return np.tile(np.eye(3), (len(rig.parents), 1, 1))
 
 
 @pytest.mark.parametrize("frames", [0, 1])
-def test_at_rest_it_is_the_mesh_of_the_file(frames, tmp_path):
+def test_a_character_at_rest_is_the_mesh_of_the_file(frames, tmp_path):
     path = rigs.character(tmp_path / "a.glb", frames=frames)
-    rig, mesh = rig_of(path), load_mesh(path)
-    np.testing.assert_allclose(rig.posed(still(rig)), mesh.vertices, atol=1e-12)
+    rig, mesh = read_skin(path), load_mesh(path)
+    np.testing.assert_allclose(rig.posed(rest_pose(rig)), mesh.vertices, atol=1e-12)
     np.testing.assert_array_equal(rig.mesh.faces, mesh.faces)
 
 
-def test_our_body_as_a_rig_is_our_body(body):
+def test_a_character_of_the_body_is_posed_as_the_body(body):
     count = len(body.vertices)
     joints = np.tile(np.eye(4), (len(body.parents), 1, 1))
     joints[:, :3, 3] = body.joints
@@ -50,20 +46,20 @@ def test_our_body_as_a_rig_is_our_body(body):
 
 
 @pytest.mark.parametrize("frames", [0, 1])
-def test_a_file_of_our_body_poses_as_our_body(body, frames, tmp_path):
-    """Whatever the axes of its joints, its scale and its up; two sets of influences are read."""
-    rig = rig_of(rigs.character(tmp_path / "a.glb", shape=2, frames=frames))
+def test_a_file_of_the_body_is_posed_as_the_body(body, frames, tmp_path):
+    """For any joint axes, scale and up axis; two sets of influences are read."""
+    rig = read_skin(rigs.character(tmp_path / "a.glb", shape=2, frames=frames))
     by_name = pose(body)[[body.joint(name) for name in rig.joint_names]]
     expected = body.posed(sample_shape(body, 7, 2), pose(body))[rigs.kept()]
     np.testing.assert_allclose(rig.posed(by_name), expected, atol=2e-6)
 
 
-def test_it_is_what_a_viewer_shows_when_the_nodes_move(body, tmp_path):
-    """Also where the file was bound in another pose than that in which it rests."""
-    rest = rig_of(rigs.character(tmp_path / "a.glb"))
+def test_posing_equals_moving_the_nodes_of_the_file(body, tmp_path):
+    """Also if the bind pose of the file differs from its rest pose."""
+    rest = read_skin(rigs.character(tmp_path / "a.glb"))
     order = [rest.joint_names.index(name) for name in body.joint_names]
     once = rest.skinning_transforms(pose(body, 1)[[body.joint(name) for name in rest.joint_names]])
-    bent = rig_of(rigs.character(tmp_path / "b.glb", moved=once[:-1][order]))
+    bent = read_skin(rigs.character(tmp_path / "b.glb", moved=once[:-1][order]))
     assert np.ptp(bent.points, axis=1).max() > 0.01
     local = pose(body, 2)[[body.joint(name) for name in bent.joint_names]]
     root = np.array([0.5, 0.0, -0.25])
@@ -72,8 +68,8 @@ def test_it_is_what_a_viewer_shows_when_the_nodes_move(body, tmp_path):
     np.testing.assert_allclose(bent.posed(local, root), shown.vertices, atol=5e-6)
 
 
-def test_turning_the_root_turns_the_character(body, tmp_path):
-    rig = rig_of(rigs.character(tmp_path / "a.glb"))
+def test_rotating_the_root_rotates_the_character(body, tmp_path):
+    rig = read_skin(rigs.character(tmp_path / "a.glb"))
     local = pose(body)[[body.joint(name) for name in rig.joint_names]]
     turn, turned = rotvec_to_rotmat(np.array([0.3, -1.0, 0.2])), local.copy()
     turned[0] = turn @ local[0]
@@ -81,16 +77,19 @@ def test_turning_the_root_turns_the_character(body, tmp_path):
     np.testing.assert_allclose(rig.posed(turned), expected, atol=1e-12)
 
 
-def test_what_hangs_on_the_world_stays(tmp_path):
-    rig = rig_of(rigs.character(tmp_path / "a.glb"))
+def test_vertices_weighted_to_the_world_do_not_move(tmp_path):
+    rig = read_skin(rigs.character(tmp_path / "a.glb"))
     free = SkinnedCharacter(**{**vars(rig), "joint_of": np.full_like(rig.joint_of, len(rig.parents))})
     turned = np.tile(rotvec_to_rotmat(np.array([0.0, 1.0, 0.0])), (len(rig.parents), 1, 1))
     np.testing.assert_allclose(free.posed(turned, np.ones(3)), rig.mesh.vertices, atol=1e-12)
 
 
-def test_bones_say_who_shares_a_skeleton(tmp_path):
-    one, other = rig_of(rigs.character(tmp_path / "a.glb")), rig_of(rigs.character(tmp_path / "b.glb", shape=3))
-    hung = rig_of(rigs.character(tmp_path / "c.glb", hold={"Head": "Spine1"}))
-    named = rig_of(rigs.character(tmp_path / "d.glb", name=str.upper))
-    assert one.bones() == other.bones()
-    assert len({one.bones(), hung.bones(), named.bones()}) == 3
+def test_bones_identify_equal_skeletons(tmp_path):
+    first, second = (
+        read_skin(rigs.character(tmp_path / "a.glb")),
+        read_skin(rigs.character(tmp_path / "b.glb", shape=3)),
+    )
+    other_parent = read_skin(rigs.character(tmp_path / "c.glb", hold={"Head": "Spine1"}))
+    renamed = read_skin(rigs.character(tmp_path / "d.glb", name=str.upper))
+    assert first.bones() == second.bones()
+    assert len({first.bones(), other_parent.bones(), renamed.bones()}) == 3

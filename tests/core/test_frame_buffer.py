@@ -1,11 +1,11 @@
-"""Long clips lie on disk: values stay, memory is given back, short clips are plain arrays."""
+"""Buffers of long clips are files that keep their values and release their memory; short clips are plain arrays."""
 
 import sys
 
 import numpy as np
 import pytest
 
-from mimesh.core import frame_buffer as paging
+from mimesh.core import frame_buffer
 from mimesh.core.frame_buffer import LARGE, allocate_frames, release_pages
 from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, save_mesh
@@ -13,14 +13,14 @@ from mimesh.io import load_clip, save_mesh
 TRIANGLE = np.array([[0, 1, 2]])
 
 
-def test_short_clips_are_in_memory():
+def test_buffers_of_short_clips_are_in_memory():
     frames = allocate_frames(3, 5, np.float32)
     assert (frames.shape, frames.dtype, type(frames)) == ((3, 5, 3), np.float32, np.ndarray)
     release_pages(frames)
 
 
-def test_long_clips_keep_their_values(monkeypatch):
-    monkeypatch.setattr(paging, "LARGE", 100)
+def test_buffers_of_long_clips_keep_their_values(monkeypatch):
+    monkeypatch.setattr(frame_buffer, "LARGE", 100)
     frames = allocate_frames(7, 50, np.float64)
     assert isinstance(frames, np.memmap)
     values = np.random.default_rng(0).normal(size=frames.shape)
@@ -33,7 +33,7 @@ def test_long_clips_keep_their_values(monkeypatch):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_memory_is_given_back():
+def test_pages_of_a_long_clip_are_released():
     def resident() -> int:
         with open("/proc/self/statm") as file:
             return int(file.read().split()[1]) * 4096
@@ -47,13 +47,13 @@ def test_memory_is_given_back():
     assert frames[:, -1, -1].tolist() == [0, 1, 2, 3]
 
 
-def test_a_folder_is_read_the_same_from_disk(tmp_path, monkeypatch):
+def test_a_folder_read_into_a_file_has_the_same_frames(tmp_path, monkeypatch):
     rng = np.random.default_rng(1)
     for t in range(5):
         save_mesh(Mesh(rng.normal(size=(3, 3)), TRIANGLE), tmp_path / f"{t}.obj")
     expected = load_clip(tmp_path).vertices
-    monkeypatch.setattr(paging, "LARGE", 10)
-    monkeypatch.setattr(paging, "PAGED", 1)
+    monkeypatch.setattr(frame_buffer, "LARGE", 10)
+    monkeypatch.setattr(frame_buffer, "PAGED", 1)
     found = load_clip(tmp_path).vertices
     assert isinstance(found, np.memmap)
     assert np.array_equal(found, expected)

@@ -1,4 +1,4 @@
-"""Geometry by its properties: areas, welding, sampling, closest points, and normals that follow the surface."""
+"""Properties of geometric functions: areas, welding, sampling, closest points, normals that follow the surface."""
 
 import numpy as np
 import pytest
@@ -12,11 +12,11 @@ from mimesh.core.surface_points import at_barycentric, sample_surface
 FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 
 
-def turned(rng):
+def random_rotation(rng):
     return Rotation.random(random_state=rng).as_matrix()
 
 
-def test_cube_by_hand():
+def test_areas_edges_and_normals_of_a_cube():
     cube = zoo.cube()
     assert geometry.face_areas(cube.vertices, cube.faces).sum() == pytest.approx(6)
     assert len(geometry.edges(cube.faces)) == 18
@@ -30,14 +30,14 @@ def test_normals_of_a_point_cloud_point_up():
 
 
 @pytest.mark.parametrize("make", zoo.ZOO)
-def test_weld_gives_the_vertices_back(make):
+def test_welded_positions_index_to_the_vertices(make):
     vertices = np.concatenate([make().vertices, make().vertices[::-1]])
     merged, index = geometry.weld(vertices)
     np.testing.assert_array_equal(merged[index], vertices)
     assert len(merged) == len(np.unique(vertices, axis=0)) <= len(vertices) // 2
 
 
-def test_neighbours_are_those_of_the_edges():
+def test_neighbours_are_the_ends_of_edges():
     faces = zoo.two_parts().faces
     first, index = geometry.neighbours(faces)
     pairs = {(int(a), int(b)) for a, b in geometry.edges(faces)}
@@ -54,13 +54,13 @@ def test_spatial_order_keeps_near_points_near():
 
 
 @pytest.mark.parametrize("make", FACED)
-def test_samples_lie_on_the_surface_and_come_back(make):
+def test_samples_lie_on_the_surface(make):
     mesh = make()
     chosen, weights = sample_surface(mesh.vertices, mesh.faces, 200, np.random.default_rng(0))
     points = at_barycentric(mesh.vertices, mesh.faces, chosen, weights)
-    _, again, distance = geometry.closest_on_mesh(points, mesh.vertices, mesh.faces)
+    _, found, distance = geometry.closest_on_mesh(points, mesh.vertices, mesh.faces)
     assert distance.max() < 1e-12
-    np.testing.assert_allclose(again.sum(axis=1), 1)
+    np.testing.assert_allclose(found.sum(axis=1), 1)
 
 
 def test_samples_are_uniform_by_area():
@@ -81,7 +81,7 @@ def test_closest_point_against_a_dense_search():
     np.testing.assert_allclose(found, dense, atol=0.02)
 
 
-def test_rotate_between_turns_one_to_the_other():
+def test_rotate_between_rotates_old_to_new():
     rng = np.random.default_rng(2)
     old, new = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in rng.normal(size=(2, 30, 3)))
     np.testing.assert_allclose(geometry.rotate_between(old, new, old), new, atol=1e-12)
@@ -89,7 +89,7 @@ def test_rotate_between_turns_one_to_the_other():
 
 
 def custom_normals(mesh, rng):
-    """Hard where faces differ by a coin toss, and never quite the geometric normal."""
+    """Random mix of flat and smooth normals, each with an offset from the geometric normal."""
     smooth = geometry.vertex_normals(mesh.vertices, mesh.faces)[mesh.faces]
     flat = geometry.face_vectors(mesh.vertices, mesh.faces)[:, None]
     flat = np.repeat(flat / np.linalg.norm(flat, axis=-1, keepdims=True), 3, axis=1)
@@ -98,16 +98,16 @@ def custom_normals(mesh, rng):
 
 
 @pytest.mark.parametrize("make", FACED)
-def test_a_rigid_motion_turns_custom_normals_exactly(make):
+def test_a_rigid_motion_rotates_custom_normals(make):
     rng = np.random.default_rng(3)
-    mesh, rotation = make(), turned(rng)
+    mesh, rotation = make(), random_rotation(rng)
     normals = custom_normals(mesh, rng)
     moved = geometry.turn_normals(normals, mesh.faces, mesh.vertices, mesh.vertices @ rotation.T + [1, 2, 3])
     np.testing.assert_allclose(moved, normals @ rotation.T, atol=1e-9)
 
 
 @pytest.mark.parametrize("make", FACED)
-def test_unmoved_normals_stay_to_the_last_bit(make):
+def test_normals_of_an_unmoved_surface_are_unchanged_to_the_last_bit(make):
     mesh = make()
     normals = custom_normals(mesh, np.random.default_rng(4))
     np.testing.assert_array_equal(
@@ -115,7 +115,7 @@ def test_unmoved_normals_stay_to_the_last_bit(make):
     )
 
 
-def test_smooth_normals_follow_a_bend():
+def test_smooth_normals_follow_a_bent_surface():
     body = load_body()
     smooth = geometry.vertex_normals(body.vertices, body.faces)[body.faces]
     bent = body.vertices * [1, 1, 1] + 0.2 * np.sin(2 * body.vertices[:, [1, 2, 0]])
@@ -138,15 +138,15 @@ def test_normals_of_a_face_without_area_point_up():
     np.testing.assert_allclose(normals, [np.full(3, 3**-0.5), [0, 1, 0]])
 
 
-def test_closest_points_of_faces_that_look_away_do_not_count():
+def test_faces_with_opposite_normals_are_ignored_by_the_closest_point():
     sheet = zoo.grid(3)
     up = np.tile([0.0, 0, 1], (9, 1))
     assert (geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=up)[2] == 0).all()
     assert np.isinf(geometry.closest_on_mesh(sheet.vertices, sheet.vertices, sheet.faces, normals=-up)[2]).all()
 
 
-def test_near_pairs_are_near_along_edges_and_not_through_space():
-    """A hairpin: its ends touch almost, and are far apart on the surface."""
+def test_near_pairs_are_near_along_edges():
+    """A hairpin: its ends almost touch, and are far apart along edges."""
     across = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0.05, 0], [1, 0.1, 0], [0, 0.1, 0]])
     vertices = np.concatenate([across, across + [0, 0, 1]])
     faces = np.array([t for k in range(4) for t in ((k, k + 1, k + 6), (k, k + 6, k + 5))])

@@ -1,3 +1,5 @@
+"""Normalization is invertible, exact for axis rotations, and detects the facing of people."""
+
 import dataclasses
 
 import numpy as np
@@ -21,11 +23,11 @@ from mimesh.core.normalization import (
 MESHES = [make() for make in ZOO]
 
 
-def moved(mesh: Mesh, vertices: np.ndarray) -> Mesh:
+def with_vertices(mesh: Mesh, vertices: np.ndarray) -> Mesh:
     return dataclasses.replace(mesh, vertices=vertices)
 
 
-def test_the_24_rotations_are_all_different_proper_and_map_their_axes():
+def test_the_24_rotations_are_distinct_and_map_their_axes():
     assert len({rotation.tobytes() for rotation in ROTATIONS}) == 24
     assert np.allclose(np.linalg.det(ROTATIONS), 1)
     for (up, front), rotation in zip(ORIENTATIONS, ROTATIONS, strict=True):
@@ -36,61 +38,65 @@ def test_the_24_rotations_are_all_different_proper_and_map_their_axes():
 
 @pytest.mark.parametrize("mesh", MESHES, ids=lambda mesh: mesh.name)
 def test_apply_normalises_and_undo_inverts(mesh):
-    frame = Normalization.fit(mesh)
-    inside = frame.apply(mesh.vertices)
+    normalization = Normalization.fit(mesh)
+    inside = normalization.apply(mesh.vertices)
     assert np.allclose(bbox_centre(inside), 0, atol=1e-12)
     assert np.isclose(np.linalg.norm(inside, axis=1).max(), 1)
-    assert np.allclose(frame.undo(inside), mesh.vertices, atol=1e-12)
+    assert np.allclose(normalization.undo(inside), mesh.vertices, atol=1e-12)
     clip = np.stack([mesh.vertices, mesh.vertices + 1])
-    assert np.allclose(frame.undo(frame.apply(clip)), clip, atol=1e-12)
+    assert np.allclose(normalization.undo(normalization.apply(clip)), clip, atol=1e-12)
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS, ids=[f"{up}{front}" for up, front in ORIENTATIONS])
-def test_a_turned_person_arrives_at_the_same_points(rotation):
+def test_a_transformed_person_has_the_same_normalised_points(rotation):
     mesh = person(0, pose=2)
     expected = Normalization.fit(mesh).apply(mesh.vertices)
-    turned = moved(mesh, mesh.vertices @ rotation.T * 0.3 + [5, -2, 1])
+    turned = with_vertices(mesh, mesh.vertices @ rotation.T * 0.3 + [5, -2, 1])
     assert np.allclose(Normalization.fit(turned).apply(turned.vertices), expected, atol=1e-12)
 
 
-def test_a_turn_alone_is_undone_to_the_last_bit():
+def test_an_axis_rotation_is_normalised_to_the_last_bit():
     mesh = person(0)
     expected = Normalization.fit(mesh).apply(mesh.vertices)
     for rotation in ROTATIONS:
-        turned = moved(mesh, mesh.vertices @ rotation.T)
+        turned = with_vertices(mesh, mesh.vertices @ rotation.T)
         assert np.array_equal(Normalization.fit(turned).apply(turned.vertices), expected)
 
 
 @pytest.mark.parametrize("mesh", [person(0), *MESHES], ids=lambda mesh: mesh.name)
-def test_the_order_of_vertices_changes_no_bit(mesh):
+def test_the_order_of_vertices_has_no_influence(mesh):
     order = np.random.default_rng(0).permutation(len(mesh.vertices))
-    frame, shuffled = Normalization.fit(mesh), Normalization.fit(permute_vertices(mesh, order))
-    assert (frame.up, frame.front, frame.radius) == (shuffled.up, shuffled.front, shuffled.radius)
-    assert np.array_equal(frame.centre, shuffled.centre)
+    normalization, shuffled = Normalization.fit(mesh), Normalization.fit(permute_vertices(mesh, order))
+    assert (normalization.up, normalization.front, normalization.radius) == (
+        shuffled.up,
+        shuffled.front,
+        shuffled.radius,
+    )
+    assert np.array_equal(normalization.centre, shuffled.centre)
 
 
 @pytest.mark.parametrize("pose", [None, 0, 1, 2, 3, 4, 5])
-def test_people_are_found_upright_and_facing_front(pose):
+def test_the_facing_of_people_is_detected(pose):
     mesh = person(3, pose)
     points = Mesh(mesh.vertices, np.zeros((0, 3), int))
     for shape in (mesh, points):
-        frame = Normalization.fit(shape)
-        assert (frame.up, frame.front, frame.detected) == ("+y", "+z", True)
+        normalization = Normalization.fit(shape)
+        assert (normalization.up, normalization.front, normalization.detected) == ("+y", "+z", True)
 
 
-def test_a_heading_within_tolerance_stays_in_the_mesh():
+def test_a_heading_between_the_axes_is_kept():
     mesh = person(0)
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
-    assert Normalization.fit(moved(mesh, mesh.vertices @ turn.T)).front == "+z"
+    assert Normalization.fit(with_vertices(mesh, mesh.vertices @ turn.T)).front == "+z"
 
 
-def test_given_axes_are_taken():
+def test_given_axes_are_used():
     mesh = person(0)
-    frame = Normalization.fit(mesh, up="z", front="-Y")
-    assert (frame.up, frame.front, frame.detected, frame.margin) == ("+z", "-y", False, 1.0)
-    half = Normalization.fit(mesh, up="+y")
-    assert (half.up, half.front, half.detected) == ("+y", "+z", True)
+    given = Normalization.fit(mesh, up="z", front="-Y")
+    assert (given.up, given.front, given.detected, given.margin) == ("+z", "-y", False, 1.0)
+    partial = Normalization.fit(mesh, up="+y")
+    assert (partial.up, partial.front, partial.detected) == ("+y", "+z", True)
 
 
 def test_a_shape_without_facing_is_unsure():
@@ -103,16 +109,16 @@ def test_a_shape_without_facing_is_unsure():
 @pytest.mark.parametrize(
     ("up", "front", "message"), [("w", None, "--up"), (None, "", "--front"), ("y", "-y", "two different")]
 )
-def test_wrong_axes_are_told(up, front, message):
+def test_wrong_axes_are_refused(up, front, message):
     with pytest.raises(InputError, match=message):
         Normalization.fit(person(0), up, front)
 
 
-def test_axis_names():
+def test_axis_names_are_parsed():
     assert [parse_axis(name, "--up") for name in ("y", " +Y", "-z", None)] == ["+y", "+y", "-z", None]
 
 
-def test_occupancy_turns_with_the_points():
+def test_occupancy_rotates_with_the_points():
     rng = np.random.default_rng(1)
     points, weights = rng.normal(size=(200, 3)) * [1, 2, 0.5], rng.random(200)
     features = occupancy(points, weights)

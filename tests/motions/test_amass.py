@@ -1,4 +1,4 @@
-"""AMASS-style archives: directions of limbs, both layouts, either world axis, and every kind of damage."""
+"""AMASS-style archives: directions of limbs, both layouts, both up axes, and errors of damaged files."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from mimesh.motions.on_body import motion_of_file
 from mimesh.motions.retarget import BONES
 
 STRAIGHT = {"UpLeg": (0, -1, 0), "Leg": (0, -1, 0), "Arm": (1, 0, 0), "ForeArm": (1, 0, 0)}
-"""Where bones of the left point in a plain T-pose."""
+"""Directions of left bones in the assumed T-pose."""
 
 
 @pytest.fixture(scope="module")
@@ -29,55 +29,56 @@ def motion():
 
 def directions(body, motion):
     """Unit vectors along the limb bones in every frame."""
-    _, place = joint_tracks(body, motion)
-    bones = {joint: place[:, body.joint(tail)] - place[:, body.joint(joint)] for joint, tail in BONES.items()}
+    _, position = joint_tracks(body, motion)
+    bones = {joint: position[:, body.joint(tail)] - position[:, body.joint(joint)] for joint, tail in BONES.items()}
     return {joint: bone / np.linalg.norm(bone, axis=-1, keepdims=True) for joint, bone in bones.items()}
 
 
-def test_the_layout_is_the_public_one():
+def test_joints_and_parents_are_those_of_the_format():
     assert tuple(JOINTS) == tuple(PARENTS)
     assert {joint: parent for joint, (parent, _) in JOINTS.items()} == PARENTS
 
 
 @pytest.mark.parametrize("axes", [Z_UP, np.eye(3)], ids=["z-up", "y-up"])
 @pytest.mark.parametrize("joints", [22, 24, 52, 55])
-def test_limbs_point_where_turned_bones_of_a_t_pose_point(axes, joints, body, motion, tmp_path):
+def test_limbs_have_the_directions_of_the_rotated_bones_of_a_t_pose(axes, joints, body, motion, tmp_path):
     path = write_amass(tmp_path / "a.npz", body, motion, axes, joints, mocap_framerate=120.0, betas=np.ones(16))
-    got, world = motion_of_file(path), joint_tracks(body, motion)[0]
-    assert (got.name, got.fps, len(got)) == ("a", 120.0, len(motion))
+    loaded, world = motion_of_file(path), joint_tracks(body, motion)[0]
+    assert (loaded.name, loaded.fps, len(loaded)) == ("a", 120.0, len(motion))
     before = directions(body, motion)
-    for joint, way in directions(body, got).items():
+    for joint, direction in directions(body, loaded).items():
         side = 1.0 if joint.startswith("Left") else -1.0
         bone = np.array(STRAIGHT[joint.removeprefix("Left").removeprefix("Right")]) * [side, 1.0, 1.0]
-        np.testing.assert_allclose(way, world[:, body.joint(joint)] @ bone, atol=1e-9)
-        assert np.degrees(np.arccos((way * before[joint]).sum(-1).min())) < 7  # our legs are not quite straight
+        np.testing.assert_allclose(direction, world[:, body.joint(joint)] @ bone, atol=1e-9)
+        assert np.degrees(np.arccos((direction * before[joint]).sum(-1).min())) < 7  # the body's legs are not straight
 
 
-def test_the_trunk_turns_as_it_did_and_the_way_is_kept(body, motion, tmp_path):
-    got = motion_of_file(write_amass(tmp_path / "a.npz", body, motion, Z_UP))
-    (ours, place), (theirs, before) = joint_tracks(body, got), joint_tracks(body, motion)
+def test_rotations_of_the_trunk_and_the_scaled_path_are_kept(body, motion, tmp_path):
+    loaded = motion_of_file(write_amass(tmp_path / "a.npz", body, motion, Z_UP))
+    (rotation, position), (true_rotation, true_position) = joint_tracks(body, loaded), joint_tracks(body, motion)
     for joint in OURS.values():
         if not any(part in joint for part in ("Arm", "Hand", "Leg", "Foot", "Toe")):
-            np.testing.assert_allclose(ours[:, body.joint(joint)], theirs[:, body.joint(joint)], atol=1e-9)
-    step, stride = (p[-1, 0, [0, 2]] - p[0, 0, [0, 2]] for p in (place, before))
+            j = body.joint(joint)
+            np.testing.assert_allclose(rotation[:, j], true_rotation[:, j], atol=1e-9)
+    step, stride = (p[-1, 0, [0, 2]] - p[0, 0, [0, 2]] for p in (position, true_position))
     assert np.linalg.norm(stride) > 0.4
     np.testing.assert_allclose(step / stride, (step / stride)[0], rtol=1e-9)  # one scale: that of the legs
     assert 0.9 < (step / stride)[0] < 1.1
 
 
-def test_parts_in_arrays_of_their_own_are_the_same(body, motion, tmp_path):
+def test_separate_arrays_of_root_and_body_give_the_same_motion(body, motion, tmp_path):
     path = write_amass(tmp_path / "a.npz", body, motion, Z_UP, mocap_frame_rate=60)
     with np.load(path) as data:
         poses, trans = data["poses"], data["trans"]
     split = {"root_orient": poses[:, :3], "pose_body": poses[:, 3:66], "pose_hand": poses[:, 66:]}
     np.savez(tmp_path / "b.npz", trans=trans, mocap_frame_rate=60, gender="neutral", **split)
-    one, two = (motion_of_file(tmp_path / name) for name in ("a.npz", "b.npz"))
-    np.testing.assert_array_equal(one.rotmat, two.rotmat)
-    np.testing.assert_array_equal(one.root, two.root)
-    assert one.fps == two.fps == 60
+    first, second = (motion_of_file(tmp_path / name) for name in ("a.npz", "b.npz"))
+    np.testing.assert_array_equal(first.rotmat, second.rotmat)
+    np.testing.assert_array_equal(first.root, second.root)
+    assert first.fps == second.fps == 60
 
 
-def test_an_archive_is_a_clip_and_its_first_frame_a_mesh(body, motion, tmp_path):
+def test_an_archive_loads_as_a_clip_and_its_first_frame_as_a_mesh(body, motion, tmp_path):
     path = write_amass(tmp_path / "dance.npz", body, motion, Z_UP)
     clip, mesh = load_clip(path), load_mesh(path)
     assert (clip.mesh.name, clip.fps, clip.vertices.shape) == ("dance", 30.0, (len(motion), 6890, 3))
@@ -85,7 +86,7 @@ def test_an_archive_is_a_clip_and_its_first_frame_a_mesh(body, motion, tmp_path)
     assert len(load_clip(path, fps=15.0)) == (len(motion) + 1) // 2
 
 
-def test_which_archives_are_motions():
+def test_archives_with_poses_and_without_points_are_motions():
     assert is_amass({"poses", "trans"})
     assert is_amass(("root_orient", "pose_body", "trans"))
     assert not is_amass(("vertices", "faces", "poses"))
@@ -106,7 +107,7 @@ def test_which_archives_are_motions():
         ({"mocap_framerate": 0.0}, "expected a positive frame rate, found array"),
     ],
 )
-def test_damage_is_one_line(changes, message, tmp_path):
+def test_errors_of_damaged_archives_are_one_line(changes, message, tmp_path):
     arrays = {"poses": np.zeros((2, 66)), "trans": np.zeros((2, 3))} | changes
     np.savez(tmp_path / "a.npz", **{name: value for name, value in arrays.items() if value is not None})
     with pytest.raises(InputError, match=message) as error:

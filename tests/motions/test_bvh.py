@@ -1,4 +1,4 @@
-"""BVH: a hand-made file against hand-made matrices, retargeting by bone directions, and every kind of damage."""
+"""BVH files: channels against rotation matrices, bone directions after retargeting, and errors of damaged files."""
 
 import dataclasses
 
@@ -35,7 +35,7 @@ Frame Time: 0.0333333
 """
 
 
-HELD = """HIERARCHY
+MOVING_HIPS = """HIERARCHY
 ROOT Reference
 {
   OFFSET 0 0 0
@@ -65,7 +65,7 @@ def write(tmp_path, text, name="a.bvh"):
     return path
 
 
-def test_channels_apply_in_their_order(tmp_path):
+def test_channels_are_applied_in_their_order(tmp_path):
     bvh = load_bvh(write(tmp_path, SMALL))
     assert (bvh.joint_names, bvh.parents) == (("Hips", "Knee"), (-1, 0))
     assert bvh.fps == pytest.approx(30, rel=1e-4)
@@ -77,18 +77,18 @@ def test_channels_apply_in_their_order(tmp_path):
         bvh.rotmat[1, 1], Rotation.from_euler("XZY", [40, 50, 60], degrees=True).as_matrix(), atol=1e-12
     )
     np.testing.assert_array_equal(bvh.ends["Knee"], [0, -4, 0])
-    rotation, place = bvh.world()
-    np.testing.assert_allclose(place[1, 1], [7, 8, 9] + bvh.rotmat[1, 0] @ [0, -5, 0])
+    rotation, position = bvh.world()
+    np.testing.assert_allclose(position[1, 1], [7, 8, 9] + bvh.rotmat[1, 0] @ [0, -5, 0])
     np.testing.assert_allclose(rotation[1, 1], bvh.rotmat[1, 0] @ bvh.rotmat[1, 1])
 
 
-def test_hips_may_travel_below_a_root_that_stays(tmp_path):
+def test_hips_may_move_below_a_resting_root(tmp_path):
     """A quarter turn of the root about y takes x to -z; positions that never change are those of the offsets."""
-    bvh = load_bvh(write(tmp_path, HELD))
-    _, place = bvh.world()
-    np.testing.assert_allclose(place[:, 0], 0)
-    np.testing.assert_allclose(place[:, 1], [[1, 9, -4], [1, 9, -6]], atol=1e-12)
-    np.testing.assert_allclose(place[:, 2], [[1, 4, -4], [-4, 9, -6]], atol=1e-12)
+    bvh = load_bvh(write(tmp_path, MOVING_HIPS))
+    _, position = bvh.world()
+    np.testing.assert_allclose(position[:, 0], 0)
+    np.testing.assert_allclose(position[:, 1], [[1, 9, -4], [1, 9, -6]], atol=1e-12)
+    np.testing.assert_allclose(position[:, 2], [[1, 4, -4], [-4, 9, -6]], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -105,19 +105,19 @@ def test_hips_may_travel_below_a_root_that_stays(tmp_path):
         ("JOINT Knee", "BONE Knee", "found 'BONE'"),
     ],
 )
-def test_damage_is_one_line(tmp_path, old, new, message):
+def test_errors_of_damaged_files_are_one_line(tmp_path, old, new, message):
     with pytest.raises(InputError, match=message) as error:
         load_bvh(write(tmp_path, SMALL.replace(old, new, 1)))
     assert "\n" not in str(error.value)
 
 
-def test_missing_file(tmp_path):
+def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="found none"):
         load_bvh(tmp_path / "no.bvh")
 
 
 def as_bvh(body, rng, frames=4, scale=17.0):
-    """Our own skeleton as a BVH file, z up and facing -y, in another unit, in random poses."""
+    """Text of a BVH file of the shipped body in random poses, z up and facing -y, in another unit."""
     children = {j: [k for k, p in enumerate(body.parents) if p == j] for j in range(len(body.parents))}
     turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     lines: list[str] = ["HIERARCHY"]
@@ -144,37 +144,38 @@ def as_bvh(body, rng, frames=4, scale=17.0):
 
 
 def check_limbs(body, source):
-    """Limb bones of the retargeted motion point where the source's do."""
-    _, ours = joint_tracks(body, retarget(source, body))
-    theirs = source.world()[1] @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
+    """Check that limb bones of the retargeted motion have the directions of the source's."""
+    _, positions = joint_tracks(body, retarget(source, body))
+    source_positions = source.world()[1] @ np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]).T
     for joint, tail in BONES.items():
-        a = ours[:, body.joint(tail)] - ours[:, body.joint(joint)]
-        b = theirs[:, source.joint_names.index(tail)] - theirs[:, source.joint_names.index(joint)]
-        unit = [v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (a, b)]
+        bone = positions[:, body.joint(tail)] - positions[:, body.joint(joint)]
+        tail_index, joint_index = source.joint_names.index(tail), source.joint_names.index(joint)
+        source_bone = source_positions[:, tail_index] - source_positions[:, joint_index]
+        unit = [v / np.linalg.norm(v, axis=-1, keepdims=True) for v in (bone, source_bone)]
         np.testing.assert_allclose(*unit, atol=1e-9)
 
 
-def test_limbs_point_where_the_sources_point(tmp_path):
+def test_limbs_have_the_directions_of_the_source(tmp_path):
     body = load_body()
     check_limbs(body, load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0)))))
 
 
-def test_our_own_skeleton_comes_back(tmp_path):
-    """Same rest pose, other axes, unit and joint order: the rotations themselves return (hands at rest)."""
+def test_a_file_of_the_body_gives_its_rotations(tmp_path):
+    """Same rest pose, other axes, unit and joint order; fingers stay at rest."""
     body = load_body()
     source = load_bvh(write(tmp_path, as_bvh(body, np.random.default_rng(0))))
     axes = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
     motion = retarget(source, body)
     for j, name in enumerate(body.joint_names):
-        theirs = axes @ source.rotmat[:, source.joint_names.index(name)] @ axes.T
-        still = any(word in name for word in ("Thumb", "Finger"))
+        expected = axes @ source.rotmat[:, source.joint_names.index(name)] @ axes.T
+        finger = any(word in name for word in ("Thumb", "Finger"))
         np.testing.assert_allclose(
-            motion.rotmat[:, j], np.broadcast_to(np.eye(3), theirs.shape) if still else theirs, atol=1e-9
+            motion.rotmat[:, j], np.broadcast_to(np.eye(3), expected.shape) if finger else expected, atol=1e-9
         )
 
 
-def test_rest_poses_may_differ(tmp_path):
-    """A source whose rest legs are splayed and arms hang (an A-pose) gives the same limb directions all the same."""
+def test_limb_directions_do_not_depend_on_the_rest_pose(tmp_path):
+    """The source rests in an A-pose: legs apart and arms lowered."""
     body = load_body()
     text = as_bvh(body, np.random.default_rng(1), frames=2)
     source = load_bvh(write(tmp_path, text))
@@ -187,6 +188,6 @@ def test_rest_poses_may_differ(tmp_path):
     check_limbs(body, source)
 
 
-def test_a_foreign_skeleton_is_refused(tmp_path):
+def test_a_skeleton_without_limbs_is_refused(tmp_path):
     with pytest.raises(InputError, match="LeftUpLeg"):
         retarget(load_bvh(write(tmp_path, SMALL)), load_body())

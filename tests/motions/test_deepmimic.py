@@ -1,4 +1,4 @@
-"""DeepMimic files: known poses and motions arrive where they should on our body; damage is told in one line."""
+"""DeepMimic files: known poses and motions give the expected limb directions; errors of damaged files are one line."""
 
 import json
 
@@ -13,7 +13,7 @@ from mimesh.motions.motion import joint_tracks, leg_length, lowest
 from mimesh.motions.retarget import BONES
 
 AXES = np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
-"""Their x front, y up, z right to our x left, y up, z front."""
+"""Rotation from x front, y up, z right (the files) to x left, y up, z front."""
 ROOT, CHEST, LEFT_SHOULDER, LEFT_KNEE, LEFT_ELBOW = 4, 8, 39, 34, 43
 
 
@@ -23,19 +23,19 @@ def body():
 
 
 def turn(axis: int, degrees: float) -> np.ndarray:
-    """Quaternion w x y z about a coordinate axis of theirs."""
+    """Quaternion w x y z about a coordinate axis of the file."""
     half = np.radians(degrees) / 2
     return np.array([np.cos(half), *(np.sin(half) * np.eye(3)[axis])])
 
 
 def bone(body, motion, joint: str, tail: str) -> np.ndarray:
     """Direction from a joint to another in every frame."""
-    place = joint_tracks(body, motion)[1]
-    way = place[:, body.joint(tail)] - place[:, body.joint(joint)]
-    return way / np.linalg.norm(way, axis=1, keepdims=True)
+    position = joint_tracks(body, motion)[1]
+    direction = position[:, body.joint(tail)] - position[:, body.joint(joint)]
+    return direction / np.linalg.norm(direction, axis=1, keepdims=True)
 
 
-def test_at_rest_all_limbs_hang_and_soles_are_on_the_floor(body, tmp_path):
+def test_limbs_at_rest_point_down_and_soles_are_on_the_floor(body, tmp_path):
     motion = load_deepmimic(write_rows(tmp_path / "a.txt", still_rows()), body)
     for joint, tail in BONES.items():
         np.testing.assert_allclose(bone(body, motion, joint, tail), [[0, -1, 0]] * 3, atol=1e-9)
@@ -44,7 +44,7 @@ def test_at_rest_all_limbs_hang_and_soles_are_on_the_floor(body, tmp_path):
     assert (motion.name, motion.fps) == ("a", pytest.approx(30))
 
 
-def test_known_turns_arrive_on_the_right_limb_and_way(body, tmp_path):
+def test_known_rotations_move_the_right_limb_in_the_right_direction(body, tmp_path):
     rows = still_rows()
     rows[:, LEFT_SHOULDER : LEFT_SHOULDER + 4] = turn(0, 90)  # out to the left
     rows[:, LEFT_ELBOW] = np.pi / 2  # then forward
@@ -54,11 +54,11 @@ def test_known_turns_arrive_on_the_right_limb_and_way(body, tmp_path):
     np.testing.assert_allclose(bone(body, motion, "LeftForeArm", "LeftHand")[0], [0, 0, 1], atol=1e-9)
     np.testing.assert_allclose(bone(body, motion, "LeftLeg", "LeftFoot")[0], [0, 0, -1], atol=1e-9)
     np.testing.assert_allclose(bone(body, motion, "RightArm", "RightForeArm")[0], [0, -1, 0], atol=1e-9)
-    # An arm held out in the T-pose's way is the T-pose's arm.
+    # An arm with the direction of the T-pose has the rotation of the T-pose.
     np.testing.assert_allclose(motion.rotmat[0, body.joint("LeftArm")], np.eye(3), atol=1e-9)
 
 
-def test_path_and_heading(body, tmp_path):
+def test_path_and_heading_are_those_of_the_file(body, tmp_path):
     rows = still_rows(4)
     rows[:, 1] = np.arange(4) * 0.1
     rows[:, 2] += [0, 0.3, 0, 0]
@@ -69,23 +69,24 @@ def test_path_and_heading(body, tmp_path):
     np.testing.assert_allclose(motion.rotmat[-1, 0][:, 2], [1, 0, 0], atol=1e-9)  # to the left
 
 
-def test_any_motion_keeps_limb_directions_trunk_and_feet(body, tmp_path):
+def test_limb_directions_and_trunk_rotations_are_kept(body, tmp_path):
     path = write_rows(tmp_path / "a.txt", swaying_rows(0))
     source, motion = read_deepmimic(path), load_deepmimic(path, body)
-    rotation, place = source.world()
+    rotation, position = source.world()
     for joint, tail in BONES.items():
-        way = (place[:, source.joint_names.index(tail)] - place[:, source.joint_names.index(joint)]) @ AXES.T
+        expected = position[:, source.joint_names.index(tail)] - position[:, source.joint_names.index(joint)]
+        expected = expected @ AXES.T
         np.testing.assert_allclose(
-            bone(body, motion, joint, tail), way / np.linalg.norm(way, axis=1, keepdims=True), atol=1e-9
+            bone(body, motion, joint, tail), expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-9
         )
-    ours = joint_tracks(body, motion)[0]
+    world = joint_tracks(body, motion)[0]
     for joint in ("Hips", "Spine1", "Head"):
-        theirs = AXES @ rotation[:, source.joint_names.index(joint)] @ AXES.T
-        np.testing.assert_allclose(ours[:, body.joint(joint)], theirs, atol=1e-9)
+        expected = AXES @ rotation[:, source.joint_names.index(joint)] @ AXES.T
+        np.testing.assert_allclose(world[:, body.joint(joint)], expected, atol=1e-9)
 
 
-def test_a_naive_twin_of_the_rotations(tmp_path):
-    """The chest's whole rotation is at the upper spine, and the arm's follows on it."""
+def test_world_rotations_agree_with_products_of_the_quaternions(tmp_path):
+    """The upper spine has the whole rotation of the chest, and the arm's rotation follows it."""
     from scipy.spatial.transform import Rotation
 
     rows = swaying_rows(3, frames=5)
@@ -99,7 +100,7 @@ def test_a_naive_twin_of_the_rotations(tmp_path):
     np.testing.assert_allclose(world[:, source.joint_names.index("LeftForeArm")], expected, atol=1e-9)
 
 
-def test_frames_of_unequal_duration_are_played_at_one_rate(tmp_path):
+def test_frames_of_unequal_duration_are_resampled_at_one_rate(tmp_path):
     rows = swaying_rows(1, frames=20)
     gap = np.delete(rows, 7, axis=0)
     gap[6, 0] *= 2
@@ -111,13 +112,13 @@ def test_frames_of_unequal_duration_are_played_at_one_rate(tmp_path):
     np.testing.assert_allclose(filled.rotmat[7], whole.rotmat[7], atol=0.02)
 
 
-def test_the_last_frame_may_last_nothing(tmp_path):
+def test_the_last_frame_may_have_no_duration(tmp_path):
     rows = still_rows()
     rows[-1, 0] = 0.0
     assert read_deepmimic(write_rows(tmp_path / "a.txt", rows)).fps == pytest.approx(30)
 
 
-def spoilt(column: int | slice, value: float):
+def damaged_rows(column: int | slice, value: float):
     rows = still_rows()
     rows[1, column] = value
     return rows
@@ -130,20 +131,20 @@ def spoilt(column: int | slice, value: float):
         (still_rows(1), "two frames or more"),
         ([], "found 0 frames of no"),
         ([still_rows()[0].tolist(), [1.0]], "frames of 1 or 44"),
-        (spoilt(2, np.nan), "NaN or infinity in frame 1"),
-        (spoilt(0, 0.0), "found 0 s for frame 1"),
-        (spoilt(slice(8, 12), 0.0), r"found 0 in frame 1 \(LowerBack\)"),
+        (damaged_rows(2, np.nan), "NaN or infinity in frame 1"),
+        (damaged_rows(0, 0.0), "found 0 s for frame 1"),
+        (damaged_rows(slice(8, 12), 0.0), r"found 0 in frame 1 \(LowerBack\)"),
         ("text", "something else"),
         ([["a"] * 44] * 2, "something else"),
     ],
 )
-def test_damage_is_told_in_one_line(rows, message, tmp_path):
-    with pytest.raises(InputError, match=message) as told:
+def test_errors_of_damaged_files_are_one_line(rows, message, tmp_path):
+    with pytest.raises(InputError, match=message) as error:
         read_deepmimic(write_rows(tmp_path / "a.txt", rows))
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
-def test_files_that_are_none(tmp_path):
+def test_missing_and_other_files_are_refused(tmp_path):
     with pytest.raises(InputError, match="expected a DeepMimic motion file, found none"):
         read_deepmimic(tmp_path / "gone.txt")
     for text in ("not JSON", json.dumps([1, 2]), json.dumps({"Loop": "wrap"})):

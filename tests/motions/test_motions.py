@@ -1,4 +1,4 @@
-"""Shipped and procedural motions, and what can be done to a motion."""
+"""Shipped and procedural motions, and operations on motions."""
 
 import itertools
 
@@ -45,23 +45,23 @@ def test_splits_are_disjoint_in_time_and_leave_the_t_pose_out():
         assert all(a[1] <= b[0] for a, b in itertools.pairwise(spans))
 
 
-def test_feet_stand_on_the_floor(body):
+def test_feet_of_a_shipped_motion_are_on_the_floor(body):
     motion = load_motion("jump")
     heights = lowest(body, motion.rotmat, motion.root)
     assert abs(np.median(heights)) < 0.05
     assert heights.min() > -0.1
-    assert heights.max() > 0.15  # it does jump
+    assert heights.max() > 0.15  # the jump
 
 
-def test_clip_is_the_posed_body(body):
+def test_a_frame_of_a_clip_does_not_depend_on_the_others(body):
     motion, shape = load_motion(DEMO), sample_shape(body, 0, 0)
     clip = motion_clip(body, shape, motion)
-    still = motion_clip(body, shape, window(motion, 1.0, 1.0 + 1 / 30))
-    np.testing.assert_allclose(clip.vertices[30], still.vertices[0])
+    frame = motion_clip(body, shape, window(motion, 1.0, 1.0 + 1 / 30))
+    np.testing.assert_allclose(clip.vertices[30], frame.vertices[0])
     assert (len(clip), clip.fps) == (len(motion), 30)
 
 
-def test_pose_bank_faces_front():
+def test_poses_of_the_bank_face_front():
     for split in ("train", "val", "test"):
         bank = pose_bank(split)
         assert bank.shape[1:] == (31, 3)
@@ -70,7 +70,7 @@ def test_pose_bank_faces_front():
         assert front[:, 2].min() > 0
 
 
-def test_mirroring_twice_is_nothing(body):
+def test_mirroring_twice_is_the_identity(body):
     motion = load_motion("walk")
     twice = mirror(mirror(motion))
     np.testing.assert_allclose(twice.rotmat, motion.rotmat, atol=1e-12)
@@ -80,7 +80,7 @@ def test_mirroring_twice_is_nothing(body):
     np.testing.assert_allclose(mirror(motion).rotmat[:, left], flip @ motion.rotmat[:, right] @ flip, atol=1e-12)
 
 
-def test_resampling_keeps_the_frames_it_shares():
+def test_resampling_keeps_common_frames():
     motion = load_motion("walk")
     fast = resample(motion, 60.0)
     np.testing.assert_allclose(fast.rotmat[::2], motion.rotmat[: len(fast.rotmat[::2])], atol=1e-9)
@@ -98,38 +98,38 @@ def test_procedural_motion_is_reproducible_smooth_and_on_the_floor(make, body):
     assert len(motion) == 30
     np.testing.assert_allclose(lowest(body, motion.rotmat, motion.root), 0, atol=1e-9)
     vertices = motion_clip(body, None, motion).vertices
-    assert np.linalg.norm(np.diff(vertices, axis=0), axis=-1).max() < 0.35  # metres a frame: nothing jumps
+    assert np.linalg.norm(np.diff(vertices, axis=0), axis=-1).max() < 0.35  # metres per frame
 
 
 def test_a_spline_stays_within_the_joint_limits(body):
     motion = spline_motion(body, 1, 0, seconds=1.0, reach=1.0)
     low, high = limits_rotvec(body, JOINT_LIMITS)
     rotvec = rotmat_to_rotvec(motion.rotmat)[:, 1:]  # the root carries the heading as well
-    # Beyond half a turn a rotation vector has a shorter twin, which the limits do not list.
+    # Rotation vectors longer than half a turn are not unique.
     assert (np.linalg.norm(np.maximum(-low, high), axis=1)[1:] > np.pi).sum() == 0
     assert (rotvec >= low[1:] - 1e-9).all()
     assert (rotvec <= high[1:] + 1e-9).all()
 
 
-def test_a_walk_goes_where_it_faces_and_its_standing_foot_stays(body):
+def test_a_walk_moves_forward_and_its_planted_foot_does_not_slide(body):
     motion = walk_motion(body, 0, 1)
     step = np.diff(motion.root[:, [0, 2]], axis=0)
     front = motion.rotmat[:-1, 0][:, [0, 2], 2]
     assert (step * front).sum() / np.linalg.norm(step, axis=1).sum() > 0.9
     vertices = motion_clip(body, None, motion).vertices
     rows = np.arange(len(vertices) - 1)
-    standing = (vertices[1:] + vertices[:-1])[..., 1].argmin(axis=1)
-    slip = np.linalg.norm((vertices[rows + 1, standing] - vertices[rows, standing])[:, [0, 2]], axis=1)
-    assert np.median(slip) < 0.003  # metres a frame; the root moves ten times as far
+    lowest_vertex = (vertices[1:] + vertices[:-1])[..., 1].argmin(axis=1)
+    slip = np.linalg.norm((vertices[rows + 1, lowest_vertex] - vertices[rows, lowest_vertex])[:, [0, 2]], axis=1)
+    assert np.median(slip) < 0.003  # metres per frame; the root moves ten times as far
     assert np.median(np.linalg.norm(step, axis=1)) > 0.02
 
 
-def test_a_longer_legged_person_goes_further(body):
+def test_the_path_is_scaled_by_leg_length(body):
     motion = load_motion("jump")
     shape = sample_shape(body, 0, 3)
     scale = leg_length(body.shaped(shape)[1], body.joint_names) / leg_length(body.joints, body.joint_names)
-    _, place = joint_tracks(body, motion, shape)
-    np.testing.assert_allclose(place[-1, 0] - place[0, 0], scale * (motion.root[-1] - motion.root[0]), atol=1e-12)
+    _, position = joint_tracks(body, motion, shape)
+    np.testing.assert_allclose(position[-1, 0] - position[0, 0], scale * (motion.root[-1] - motion.root[0]), atol=1e-12)
 
 
 def test_windows_and_names_are_checked():

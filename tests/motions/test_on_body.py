@@ -1,4 +1,4 @@
-"""Motion files are clips of the shipped body: whatever the names, rest pose, axes and units, the motion comes back."""
+"""Motion files as clips: the motion does not depend on the names, rest pose, axes and unit of the file."""
 
 import dataclasses
 
@@ -9,7 +9,7 @@ from motion_files import X_FRONT, Z_UP, rest_pose, write_bvh
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
-from mimesh.core import frame_buffer as paging
+from mimesh.core import frame_buffer
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import cut_clip
 from mimesh.io import load_clip, load_mesh
@@ -20,7 +20,8 @@ from mimesh.motions.retarget import BONES, rests_standing
 from mimesh.pipeline import driving_axes
 from mimesh.tools.inspect import inspect_file
 
-STANDS = ("t", "a", "hanging")
+STANDING = ("t", "a", "lowered")
+"""Kinds of `rest_pose` that stand."""
 
 
 @pytest.fixture(scope="module")
@@ -33,63 +34,69 @@ def motion():
     return window(load_motion("jump"), 0.0, 1.0)
 
 
-def moved(body, motion):
-    """Joint positions seen from where the hips begin, (T, J, 3)."""
-    _, place = joint_tracks(body, motion)
-    return place - place[0, 0]
+def relative_positions(body, motion):
+    """Joint positions relative to the hips of the first frame, (T, J, 3)."""
+    _, position = joint_tracks(body, motion)
+    return position - position[0, 0]
 
 
-def turned_apart(body, one, two, joint):
-    """Degrees between the world rotations of a joint in two motions, in every frame."""
-    first, second = (joint_tracks(body, motion)[0][:, body.joint(joint)] for motion in (one, two))
+def rotation_error(body, found, expected, joint):
+    """Angle (degrees) between the world rotations of a joint in two motions, in every frame."""
+    first, second = (joint_tracks(body, motion)[0][:, body.joint(joint)] for motion in (found, expected))
     cosine = (np.trace(np.swapaxes(first, -1, -2) @ second, axis1=-2, axis2=-1) - 1) / 2
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-@pytest.mark.parametrize("rest", STANDS)
+@pytest.mark.parametrize("rest", STANDING)
 @pytest.mark.parametrize("axes", [None, Z_UP, X_FRONT], ids=["ours", "z-up", "x-front"])
 @pytest.mark.parametrize("scheme", ["cmu", "lafan1"])
-def test_joints_come_back_from_rest_poses_that_stand(rest, axes, scheme, body, motion, tmp_path):
+def test_joint_positions_do_not_depend_on_a_standing_rest_pose(rest, axes, scheme, body, motion, tmp_path):
     path = write_bvh(tmp_path / "a.bvh", body, motion, rest=rest, axes=axes, scale=39.37, name=renamed(scheme))
-    got = motion_of_file(path)
+    loaded = motion_of_file(path)
     fingers = [body.joint(n) for n in body.joint_names if "Finger" in n or "Thumb" in n]
     known = [j for j in range(len(body.parents)) if j not in fingers and (scheme == "cmu" or "Neck1" not in
              body.joint_names[j])]  # fmt: skip
-    np.testing.assert_allclose(moved(body, got)[:, known], moved(body, motion)[:, known], atol=1e-6)
-    assert turned_apart(body, got, motion, "LeftForeArm").max() < 1e-3
-    assert turned_apart(body, got, motion, "LeftUpLeg").max() < 1.5  # our thigh lies 5 degrees off the frontal plane
+    np.testing.assert_allclose(
+        relative_positions(body, loaded)[:, known], relative_positions(body, motion)[:, known], atol=1e-6
+    )
+    assert rotation_error(body, loaded, motion, "LeftForeArm").max() < 1e-3
+    assert (
+        rotation_error(body, loaded, motion, "LeftUpLeg").max() < 1.5
+    )  # the body's thigh is 5 degrees off the frontal plane
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)
-def test_joints_come_back_under_other_names(scheme, body, motion, tmp_path):
-    got = motion_of_file(write_bvh(tmp_path / "a.bvh", body, motion, rest="a", name=renamed(scheme), order="YXZ"))
+def test_joint_positions_do_not_depend_on_the_names(scheme, body, motion, tmp_path):
+    loaded = motion_of_file(write_bvh(tmp_path / "a.bvh", body, motion, rest="a", name=renamed(scheme), order="YXZ"))
     ends = [body.joint(joint) for joint in (*BONES, *BONES.values())]
-    if scheme != "kaykit":  # without shoulders the arms hang elsewhere
-        np.testing.assert_allclose(moved(body, got)[:, ends], moved(body, motion)[:, ends], atol=1e-6)
-    assert turned_apart(body, got, motion, "Head").max() < 1e-3
+    if scheme != "kaykit":  # without shoulders the arms are children of another joint
+        np.testing.assert_allclose(
+            relative_positions(body, loaded)[:, ends], relative_positions(body, motion)[:, ends], atol=1e-6
+        )
+    assert rotation_error(body, loaded, motion, "Head").max() < 1e-3
 
 
 @pytest.mark.parametrize("rest", ["up", "along-x"])
 @pytest.mark.parametrize("axes", [None, Z_UP], ids=["ours", "z-up"])
-def test_rest_poses_that_are_none_are_measured(rest, axes, body, tmp_path):
-    """Limb directions exactly, rolls of limbs and the tilt of the hips to some degrees; the head looks ahead."""
+def test_joints_of_other_rest_poses_are_calibrated(rest, axes, body, tmp_path):
+    """Limb directions are exact, rolls of limbs and the tilt of the hips correct to some degrees."""
     motion = load_motion("walk")
     path = write_bvh(tmp_path / "a.bvh", body, motion, rest=rest, axes=axes, scale=100.0, name=renamed("lafan1"))
-    got = motion_of_file(path)
-    ours, theirs = moved(body, got), moved(body, motion)
+    loaded = motion_of_file(path)
+    found, expected = relative_positions(body, loaded), relative_positions(body, motion)
     for joint, tail in BONES.items():
-        a, b = (place[:, body.joint(tail)] - place[:, body.joint(joint)] for place in (ours, theirs))
-        np.testing.assert_allclose(a, b, atol=1e-5)
-    np.testing.assert_allclose(ours[:, 0], theirs[:, 0], atol=1e-5)
+        bones = [position[:, body.joint(tail)] - position[:, body.joint(joint)] for position in (found, expected)]
+        np.testing.assert_allclose(*bones, atol=1e-5)
+    np.testing.assert_allclose(found[:, 0], expected[:, 0], atol=1e-5)
     for joint, degrees in (("Arm", 3), ("ForeArm", 3), ("UpLeg", 3), ("Leg", 3), ("Foot", 3)):
         for side in ("Left", "Right"):
-            assert turned_apart(body, got, motion, side + joint).max() < degrees
-    assert turned_apart(body, got, motion, "Hips").max() < 4
-    assert turned_apart(body, got, motion, "Spine1").max() < 4
+            assert rotation_error(body, loaded, motion, side + joint).max() < degrees
+    assert rotation_error(body, loaded, motion, "Hips").max() < 4
+    assert rotation_error(body, loaded, motion, "Spine1").max() < 4
 
 
-@pytest.mark.parametrize("rest", [*STANDS, "up", "along-x"])
-def test_which_rest_poses_stand(rest, body):
+@pytest.mark.parametrize("rest", [*STANDING, "up", "along-x"])
+def test_standing_rest_poses_are_recognised(rest, body):
     turns = rest_pose(body, rest)
     joints = np.zeros_like(body.joints)
     for j, parent in enumerate(body.parents):
@@ -97,30 +104,30 @@ def test_which_rest_poses_stand(rest, body):
             joints[j] = joints[parent] + turns[parent] @ (body.joints[j] - body.joints[parent])
     index = {joint: j for j, joint in enumerate(body.joint_names)}
     for axes in (np.eye(3), Z_UP, X_FRONT):
-        assert rests_standing(17.0 * joints @ axes.T, index) == (rest in STANDS)
+        assert rests_standing(17.0 * joints @ axes.T, index) == (rest in STANDING)
 
 
-def test_a_file_is_the_clip_of_its_motion(body, motion, tmp_path):
+def test_a_file_loads_as_the_clip_of_its_motion(body, motion, tmp_path):
     path = write_bvh(tmp_path / "leap.bvh", body, motion, axes=Z_UP)
-    told: list[tuple[int, int]] = []
-    clip = load_clip(path, progress=lambda done, count: told.append((done, count)))
+    calls: list[tuple[int, int]] = []
+    clip = load_clip(path, progress=lambda done, count: calls.append((done, count)))
     assert (clip.mesh.name, clip.fps, len(clip)) == ("leap", 30.0, len(motion))
-    assert told == [(k + 1, len(motion)) for k in range(len(motion))]
+    assert calls == [(k + 1, len(motion)) for k in range(len(motion))]
     expected = motion_clip(body, None, motion).vertices
     shift = clip.vertices[0].mean(axis=0) - expected[0].mean(axis=0)
     np.testing.assert_allclose(clip.vertices - shift, expected, atol=2e-6)
     np.testing.assert_array_equal(load_mesh(path).vertices.astype(np.float32), clip.vertices[0])
     np.testing.assert_array_equal(clip.mesh.vertices.astype(np.float32), clip.vertices[0])
-    lows = clip.vertices[..., 1].min(axis=1)
-    assert abs(np.quantile(lows, 0.2)) < 1e-6
+    heights = clip.vertices[..., 1].min(axis=1)
+    assert abs(np.quantile(heights, 0.2)) < 1e-6
 
 
 @pytest.mark.parametrize("fps", [15.0, 60.0])
-def test_another_frame_rate_samples_the_motion(fps, body, motion, tmp_path):
+def test_another_frame_rate_resamples_the_motion(fps, body, motion, tmp_path):
     path = write_bvh(tmp_path / "a.bvh", body, motion)
-    asked, own = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
-    assert (asked.fps, len(asked)) == (fps, len(own))
-    np.testing.assert_allclose(asked.vertices, motion_clip(body, None, own).vertices, atol=1e-6)
+    clip, resampled = load_clip(path, fps=fps), resample(motion_of_file(path), fps)
+    assert (clip.fps, len(clip)) == (fps, len(resampled))
+    np.testing.assert_allclose(clip.vertices, motion_clip(body, None, resampled).vertices, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -128,20 +135,20 @@ def test_another_frame_rate_samples_the_motion(fps, body, motion, tmp_path):
     [("0.0333333", 30), (".0083333", 120), ("0.00833", 120), ("0.0417", 24), ("0.01", 100), ("8.3333e-3", 120),
      ("0.0333667", 1 / 0.0333667), ("0.0416", 1 / 0.0416), ("2", 0.5)],
 )  # fmt: skip
-def test_frame_times_are_as_exact_as_they_are_written(written, rate, body, motion, tmp_path):
+def test_rounded_frame_times_give_whole_rates(written, rate, body, motion, tmp_path):
     path = write_bvh(tmp_path / "a.bvh", body, window(motion, 0.0, 0.1))
     path.write_text(path.read_text().replace("0.0333333", written))
     assert load_bvh(path).fps == rate
 
 
-def test_long_takes_lie_on_disk(body, motion, tmp_path, monkeypatch):
-    monkeypatch.setattr(paging, "LARGE", 2**20)
+def test_frames_of_long_takes_are_stored_on_disk(body, motion, tmp_path, monkeypatch):
+    monkeypatch.setattr(frame_buffer, "LARGE", 2**20)
     clip = motion_file_clip(write_bvh(tmp_path / "a.bvh", body, motion))
     assert isinstance(clip.vertices, np.memmap)
     assert clip.vertices.dtype == np.float32
 
 
-def test_look_says_that_it_is_a_motion(body, motion, tmp_path):
+def test_inspection_reports_a_motion(body, motion, tmp_path):
     facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, motion))
     assert facts.details == (("motion", "31 joints, played on the shipped body, which is what is told here"),)
     assert facts.details[0][1] in facts.text()
@@ -150,19 +157,19 @@ def test_look_says_that_it_is_a_motion(body, motion, tmp_path):
     assert not is_motion_file(tmp_path / "b.npz")
 
 
-def test_a_folder_of_motions_is_no_clip(body, motion, tmp_path):
+def test_a_folder_of_motion_files_is_refused(body, motion, tmp_path):
     write_bvh(tmp_path / "a1.bvh", body, motion)
     with pytest.raises(InputError, match="numbered meshes"):
         load_clip(tmp_path)
 
 
-def test_a_skeleton_of_no_person_is_refused_by_file_and_joints(body, motion, tmp_path):
+def test_the_error_of_a_skeleton_without_limbs_names_file_and_joints(body, motion, tmp_path):
     path = write_bvh(tmp_path / "fox.bvh", body, motion, name=lambda joint: joint.replace("Left", "Port"))
     with pytest.raises(InputError, match=r"fox\.bvh: expected hips .* found none for LeftUpLeg, .* among Hips, "):
         load_clip(path)
 
 
-def test_a_clip_knows_which_way_its_person_faces(body, motion, tmp_path):
+def test_a_clip_has_the_headings_of_its_motion(body, motion, tmp_path):
     turned = Rotation.from_euler("y", 100, degrees=True).as_matrix()
     rotmat = motion.rotmat.copy()
     rotmat[:, 0] = turned @ rotmat[:, 0]

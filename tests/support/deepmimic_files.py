@@ -1,4 +1,4 @@
-"""Files laid out as DeepMimic's, with motions of our own: 44 numbers a frame, JSON."""
+"""Write synthetic motions in the format of DeepMimic: JSON with 44 numbers per frame."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ import numpy as np
 from mimesh.motions.deepmimic import CLIPS
 
 QUATERNIONS = (4, 8, 12, 16, 21, 25, 30, 35, 39)
-"""Where they begin in a frame: root, chest, neck, right hip, ankle and shoulder, left hip, ankle and shoulder."""
+"""Index in a frame of the first number of each quaternion.
+
+Root, chest, neck; right hip, ankle and shoulder; left hip, ankle and shoulder.
+"""
 HINGES = (20, 29, 34, 43)
-"""Right knee and elbow, left knee and elbow."""
+"""Index in a frame of each hinge angle: right knee and elbow, left knee and elbow."""
 STANDING = 0.421546 + 0.40987 + 0.05
-"""Height of the root (m) over the floor of somebody who stands upright on flat soles."""
+"""Height of the root (m) above the floor of a person who stands upright."""
 
 
 def still_rows(frames: int = 3, duration: float = 1 / 30) -> np.ndarray:
-    """Somebody who stands with hanging arms, facing x."""
+    """Make frames of a person who stands with lowered arms, facing x."""
     rows = np.zeros((frames, 44))
     rows[:, 0], rows[:, 2] = duration, STANDING
     rows[:, QUATERNIONS] = 1.0
@@ -26,7 +29,7 @@ def still_rows(frames: int = 3, duration: float = 1 / 30) -> np.ndarray:
 
 
 def swaying_rows(seed: int, frames: int = 40, duration: float = 1 / 30) -> np.ndarray:
-    """Somebody who bends and turns all joints smoothly and moves forward; another motion for every seed."""
+    """Make frames in which all joints rotate smoothly and the root moves forward; another motion for every seed."""
     rng, at = np.random.default_rng(seed), np.arange(frames) * duration
     rows = still_rows(frames, duration)
     rows[:, 1] = at
@@ -41,7 +44,7 @@ def swaying_rows(seed: int, frames: int = 40, duration: float = 1 / 30) -> np.nd
 
 
 def write_rows(path: Path, rows) -> Path:
-    """A file of these frames."""
+    """Write a file of these frames."""
     path.parent.mkdir(parents=True, exist_ok=True)
     frames = rows.tolist() if isinstance(rows, np.ndarray) else rows
     path.write_text(json.dumps({"Loop": "none", "Frames": frames}))
@@ -49,7 +52,7 @@ def write_rows(path: Path, rows) -> Path:
 
 
 def write_folder(folder: Path) -> Path:
-    """All 20 files of pybullet_data/data/motions: at 16, 30 and 60 frames a second, one shorter than a second."""
+    """Write all 20 files of pybullet_data/data/motions, at 16, 30 and 60 frames per second, one below a second."""
     for k, file in enumerate(CLIPS.values()):
         rate = (30, 60, 16)[k % 3]
         seconds = 0.7 if file.endswith("_run.txt") else 1.6

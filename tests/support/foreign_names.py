@@ -1,4 +1,4 @@
-"""Names that others give to our joints, as they stand in their files."""
+"""Joint names of common rigs and motion databases."""
 
 from __future__ import annotations
 
@@ -121,22 +121,22 @@ SCHEMES = {
         "Collar ShldrBend ForearmBend Hand ThighBend Shin Foot Toe",
     ),
 }
-"""How names are made for the centre, the left and the right; then names for `CENTRE` and `SIDE` (- for none)."""
+"""Templates of names for the centre, the left and the right; then names for `CENTRE` and `SIDE` (- for none)."""
 
 
 def spelt(scheme: str) -> dict[str, str]:
-    """Our joints and what a scheme calls them."""
+    """Map our joints to the names of a scheme."""
     centre, left, right, middle, side = SCHEMES[scheme]
     rows = [("{}", CENTRE, centre, middle), ("Left{}", SIDE, left, side), ("Right{}", SIDE, right, side)]
     return {
-        ours.format(joint): theirs.format(name)
-        for ours, joints, theirs, names in rows
+        ours.format(joint): template.format(name)
+        for ours, joints, template, names in rows
         for joint, name in zip(joints, names.split(), strict=True)
         if name != "-"
     }
 
 
 def renamed(scheme: str) -> Callable[[str], str]:
-    """Our joints as a scheme calls them; those that it lacks get a name without meaning."""
+    """Return the function from our joint names to those of a scheme; joints that it lacks get names without meaning."""
     names = spelt(scheme)
     return lambda joint: names.get(joint, f"twist{joint}")

@@ -1,4 +1,4 @@
-"""Motion files as others would write them: our own body's motions under other names, rest poses, axes and units."""
+"""Write motion files of the shipped body with other joint names, rest poses, axes and units."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from mimesh.motions import Motion
 from mimesh.motions.motion import joint_tracks
 
 Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
-"""From our axes to those of a file with z up, in which a person faces -y."""
+"""Rotation to the axes of a file with z up, in which a person faces -y."""
 X_FRONT = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
-"""From our axes to those of a file with y up, in which a person faces +x."""
+"""Rotation to the axes of a file with y up, in which a person faces +x."""
 ARM, LEG = ("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase")
 
 
 def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:
-    """World rotations (J, 3, 3) that take our T-pose to another rest pose.
+    """Compute world rotations (J, 3, 3) from the T-pose to another rest pose.
 
-    t, a (arms 45 degrees down, legs 8 degrees out) and hanging (85 degrees down) stand. In up and along-x all bones
-    point up or along x, and how each is rolled is anybody's guess, the same for the bones of a limb.
+    t, a (arms 45 degrees down, legs 8 degrees out) and lowered (arms 85 degrees down) are standing poses. In up and
+    along-x all bones point up or along x, with one random roll for each limb.
     """
     turns = np.tile(np.eye(3), (len(body.parents), 1, 1))
-    if kind in ("a", "hanging"):
-        lowered, out = {"a": (45, 8), "hanging": (85, 0)}[kind]
+    if kind in ("a", "lowered"):
+        lowered, out = {"a": (45, 8), "lowered": (85, 0)}[kind]
         for side, sign in (("Left", 1), ("Right", -1)):
             for parts, degrees in ((ARM, -lowered * sign), (LEG, out * sign)):
                 for part in parts:
@@ -37,7 +37,8 @@ def rest_pose(body: RiggedBody, kind: str) -> np.ndarray:
     return turns
 
 
-def _all_along(body: RiggedBody, way: np.ndarray, turns: np.ndarray) -> np.ndarray:
+def _all_along(body: RiggedBody, direction: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    """Rotate all bones to one direction, with a random roll for each limb."""
     rng = np.random.default_rng(4)
     roll: dict[str, float] = {}
     for j, joint in enumerate(body.joint_names):
@@ -48,8 +49,8 @@ def _all_along(body: RiggedBody, way: np.ndarray, turns: np.ndarray) -> np.ndarr
             bone = np.array([0.0, 1.0, 0.0])
         limb = next((side + name for side in ("Left", "Right") for name, parts in (("Arm", ARM), ("UpLeg", LEG))
                      for part in parts if joint == side + part), joint)  # fmt: skip
-        turn = Rotation.from_rotvec(way * roll.setdefault(limb, rng.uniform(-3, 3)))
-        turns[j] = (turn * Rotation.align_vectors(way[None], bone[None])[0]).as_matrix()
+        turn = Rotation.from_rotvec(direction * roll.setdefault(limb, rng.uniform(-3, 3)))
+        turns[j] = (turn * Rotation.align_vectors(direction[None], bone[None])[0]).as_matrix()
     return turns
 
 
@@ -65,14 +66,15 @@ def write_bvh(
     order: str = "ZXY",
     end: str = "End Site\n{\nOFFSET 0 0 1\n}",
 ) -> Path:
-    """Write a motion of `body` as BVH; `axes` takes our axes to the file's, `scale` is its units a metre."""
+    """Write a motion of `body` as BVH; `axes` rotates to the file's axes, `scale` is the file's units per metre."""
     axes = np.eye(3) if axes is None else axes
     turns = rest_pose(body, rest)
-    rotation, place = joint_tracks(body, motion)
+    rotation, position = joint_tracks(body, motion)
     world = axes @ rotation @ np.swapaxes(turns, -1, -2) @ axes.T
     lines, columns = ["HIERARCHY"], []
 
     def visit(j: int) -> None:
+        """Append the joint, its channels and, recursively, its children."""
         parent = body.parents[j]
         bone = turns[parent] @ (body.joints[j] - body.joints[parent]) if parent >= 0 else body.joints[0]
         lines.append(f"{'JOINT' if parent >= 0 else 'ROOT'} {name(body.joint_names[j])}\n{{")
@@ -81,10 +83,10 @@ def write_bvh(
         lines.append(f"CHANNELS {turning and 3} {turning}" if parent >= 0 else
                      f"CHANNELS 6 Xposition Yposition Zposition {turning}")  # fmt: skip
         if parent < 0:
-            columns.append(scale * place[:, 0] @ axes.T)
+            columns.append(scale * position[:, 0] @ axes.T)
         local = np.swapaxes(world[:, parent], -1, -2) @ world[:, j] if parent >= 0 else world[:, j]
         columns.append(Rotation.from_matrix(local).as_euler(order, degrees=True))
-        children = [k for k, holder in enumerate(body.parents) if holder == j]
+        children = [k for k, above in enumerate(body.parents) if above == j]
         for child in children:
             visit(child)
         lines.append("}" if children else f"{end}\n}}")
@@ -97,14 +99,14 @@ def write_bvh(
 
 
 def write_amass(path: Path, body: RiggedBody, motion: Motion, axes: np.ndarray, joints: int = 52, **arrays) -> Path:
-    """Write a motion of `body` as an AMASS-style archive whose world `axes` takes ours to; wrists at rest."""
-    rotation, place = joint_tracks(body, motion)
-    world = {theirs: rotation[:, body.joint(ours)] for theirs, ours in OURS.items()}
+    """Write a motion of `body` as an AMASS-style archive; `axes` rotates to the world of the file."""
+    rotation, position = joint_tracks(body, motion)
+    world = {joint: rotation[:, body.joint(ours)] for joint, ours in OURS.items()}
     local = {j: np.swapaxes(world[p], -1, -2) @ world[j] if p else axes @ world[j] for j, p in PARENTS.items()}
     rotvec = np.zeros((len(motion), joints, 3))
     for k, joint in enumerate(PARENTS):
         rotvec[:, k] = Rotation.from_matrix(local[joint]).as_rotvec()
-    np.savez(path, poses=rotvec.reshape(len(motion), -1), trans=place[:, 0] @ axes.T, **arrays)
+    np.savez(path, poses=rotvec.reshape(len(motion), -1), trans=position[:, 0] @ axes.T, **arrays)
     return path
 
 
@@ -122,5 +124,5 @@ _PARTS = {
     "elbow": "ForeArm", "wrist": "Hand",
 }  # fmt: skip
 OURS = {"pelvis": "Hips", "spine1": "LowerBack", "spine2": "Spine", "spine3": "Spine1", "neck": "Neck", "head": "Head"}
-OURS |= {f"{side}_{theirs}": f"{side.title()}{ours}" for side in ("left", "right") for theirs, ours in _PARTS.items()}
-"""Our joint for each of theirs."""
+OURS |= {f"{side}_{part}": f"{side.title()}{ours}" for side in ("left", "right") for part, ours in _PARTS.items()}
+"""Joint of the shipped body for each joint of an archive."""

@@ -1,4 +1,4 @@
-"""Small people for tests of whole pipelines: the shipped body thinned by decimation, posed by its skeleton."""
+"""Meshes of people with few faces, for tests of whole pipelines: the shipped body after decimation."""
 
 from __future__ import annotations
 
@@ -12,8 +12,11 @@ from mimesh.core.mesh import Clip, Mesh
 
 
 @cache
-def _thin(faces_left: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices of the body to keep, and faces over them: its decimation, snapped to the nearest vertices."""
+def decimation(faces_left: int) -> tuple[np.ndarray, np.ndarray]:
+    """Decimate the body: indices of the vertices that remain, and faces over them.
+
+    Decimated points are replaced by the nearest vertices of the body, so that the result can be skinned.
+    """
     import fast_simplification
     from scipy.spatial import cKDTree
 
@@ -21,32 +24,32 @@ def _thin(faces_left: int) -> tuple[np.ndarray, np.ndarray]:
     points, faces = fast_simplification.simplify(
         body.vertices.astype(np.float32), body.faces.astype(np.int32), target_count=faces_left
     )
-    kept, index = np.unique(cKDTree(body.vertices).query(points)[1], return_inverse=True)
+    remaining, index = np.unique(cKDTree(body.vertices).query(points)[1], return_inverse=True)
     faces = index[faces.astype(int)]
-    sound = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-    return kept, faces[sound]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    return remaining, faces[proper]
 
 
 def person(shape: int = 0, pose: int | None = None, faces: int = 1000, wide: bool = False) -> Mesh:
-    """Person `shape` in pose `pose` of Table 6 (or of the joint limits); at rest without a pose."""
+    """Make person `shape` in pose `pose` of Table 6 (`wide`: of the joint limits); at rest without a pose."""
     body = load_body()
-    kept, triangles = _thin(faces)
+    remaining, triangles = decimation(faces)
     rotvec = np.zeros((len(body.parents), 3))
     if pose is not None:
         rotvec = sample_pose(body, 7, pose, JOINT_LIMITS if wide else TABLE_6)
     vertices = body.posed(sample_shape(body, 7, shape), rotvec_to_rotmat(rotvec))
-    return Mesh(vertices[kept], triangles, name=f"person{shape}")
+    return Mesh(vertices[remaining], triangles, name=f"person{shape}")
 
 
 def walk(shape: int = 1, frames: int = 4, faces: int = 1000) -> Clip:
-    """A person who swings one leg, turns by 8 degrees a frame and goes forward by 0.2 m a frame."""
+    """Make a clip of a person who swings one leg, turns by 8 degrees and moves forward by 0.2 m per frame."""
     body = load_body()
-    kept, triangles = _thin(faces)
+    remaining, triangles = decimation(faces)
     vertices = []
     for t in range(frames):
         rotvec = np.zeros((len(body.parents), 3))
         rotvec[body.joint("Hips"), 1] = np.radians(8 * t)
         rotvec[body.joint("LeftUpLeg"), 0] = np.radians(-20 * t)
         root = np.array([0, 0, 0.2 * t])
-        vertices.append(body.posed(sample_shape(body, 7, shape), rotvec_to_rotmat(rotvec), root)[kept])
+        vertices.append(body.posed(sample_shape(body, 7, shape), rotvec_to_rotmat(rotvec), root)[remaining])
     return Clip(Mesh(vertices[0], triangles, name="walk"), np.stack(vertices), fps=10.0)

@@ -1,4 +1,4 @@
-"""Rigged characters as files: the shipped body thinned, as other people's exporters would write it."""
+"""glTF files of rigged characters: the shipped body after decimation, as various exporters would write it."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from people import _thin
+from people import decimation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
 from mimesh.io.gltf.draft import Draft
 
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
-"""The world from a z-up armature in hundredths of a unit."""
+"""T_world_armature of a z-up armature in hundredths of a unit."""
 
 
 def kept(faces: int = 300) -> np.ndarray:
-    """The vertices of the body that a character of so many faces has, in its order."""
-    return _thin(faces)[0]
+    """List the vertices of the body that a character of so many faces has, in its order."""
+    return decimation(faces)[0]
 
 
 def character(
@@ -32,22 +32,22 @@ def character(
     moved: np.ndarray | None = None,
     turn: np.ndarray | None = None,
 ) -> Path:
-    """Write person `shape` (None: the mean) with a skin of two sets of influences; returns `path`.
+    """Write person `shape` (None: the mean) with a skin of two sets of influences, and return `path`.
 
     Args:
-        rest: rotation matrices of the joints in the pose in which the character is made.
-        name: what the file calls our joints.
-        hold: joints that hang on another parent than ours ("": on the armature).
-        frames: seed of the directions of the joints' own axes.
-        moved: what each joint's node does after binding: matrices that take the rest pose elsewhere.
+        rest: local joint rotations of the character's rest pose.
+        name: maps our joint names to those of the file.
+        hold: other parents of joints, by joint name ("": the armature).
+        frames: seed of the random axes of the joints.
+        moved: world transforms of the joints' nodes after binding, relative to the rest pose.
         turn: rotation of the whole character.
     """
     body = load_body()
     count, turn = len(body.parents), np.eye(3) if turn is None else turn
-    left, triangles = _thin(faces)
+    remaining, triangles = decimation(faces)
     rotmat = np.tile(np.eye(3), (count, 1, 1)) if rest is None else rest
     coefficients = np.zeros(1) if shape is None else sample_shape(body, 7, shape)
-    vertices = body.posed(coefficients, rotmat)[left] @ turn.T
+    vertices = body.posed(coefficients, rotmat)[remaining] @ turn.T
     joints = body.shaped(coefficients)[1]
     rotation, translation = body.skinning_transforms(joints, rotmat)
     T_world_joint = np.tile(np.eye(4), (count, 1, 1))
@@ -56,19 +56,19 @@ def character(
     bind = np.linalg.inv(T_world_joint) @ ARMATURE
     world = T_world_joint if moved is None else moved @ T_world_joint
     parents = [-1 if (hold or {}).get(n) == "" else p for n, p in zip(body.joint_names, body.parents, strict=True)]
-    for joint, holder in (hold or {}).items():
-        if holder:
-            parents[body.joint(joint)] = body.joint(holder)
+    for joint, parent in (hold or {}).items():
+        if parent:
+            parents[body.joint(joint)] = body.joint(parent)
 
-    strongest = np.argsort(-body.weights[left], axis=1)[:, :8]
-    weights = np.take_along_axis(body.weights[left], strongest, axis=1)
+    strongest = np.argsort(-body.weights[remaining], axis=1)[:, :8]
+    weights = np.take_along_axis(body.weights[remaining], strongest, axis=1)
     draft = Draft({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]})
-    small = np.concatenate([vertices, np.ones((len(left), 1))], axis=1) @ np.linalg.inv(ARMATURE).T
-    attributes = {"POSITION": draft.add_floats(small[:, :3], bounds=True)}
+    local = np.concatenate([vertices, np.ones((len(remaining), 1))], axis=1) @ np.linalg.inv(ARMATURE).T
+    attributes = {"POSITION": draft.add_floats(local[:, :3], bounds=True)}
     for k in range(2):
         four = slice(4 * k, 4 * k + 4)
         view = draft.add_view((strongest[:, four] + 0).astype("<u1"))
-        kind = {"componentType": 5121, "count": len(left), "type": "VEC4"}
+        kind = {"componentType": 5121, "count": len(remaining), "type": "VEC4"}
         attributes[f"JOINTS_{k}"] = draft.add_accessor({"bufferView": view, **kind})
         attributes[f"WEIGHTS_{k}"] = draft.add_floats(weights[:, four])
     nodes = [{"name": "armature", "matrix": ARMATURE.T.ravel().tolist(), "children": [1]}]

@@ -1,4 +1,4 @@
-"""Rigged bodies and how to sample them: people for training, protocols and the demo."""
+"""Rigged bodies: the shipped human, random people and poses, garments, characters, and fitting to points."""
 
 from .body_model import RiggedBody, load_body, save_body
 from .characters import CHARACTERS, character

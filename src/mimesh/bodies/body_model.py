@@ -1,8 +1,7 @@
-"""RiggedBody: a template with shape components and a skeleton, posed by linear blend skinning (NumPy).
+"""RiggedBody: a body model with shape components, a skeleton and skinning weights, posed by linear blend skinning.
 
-Frame: metres, y up, the body faces +z, its left side is +x. At rest every joint frame has the world's axes, so a joint
-rotation is a rotation about world axes placed at the joint, in the frame of its parent (as SMPL has it).
-The batched torch twin is `learn.bodies`.
+Frame: metres, y up, the body faces +z, its left side is +x. At rest every joint frame has the world's axes. A joint's
+rotation is given in the frame of its parent, as in SMPL. The batched torch twin is `learn.bodies`.
 """
 
 from __future__ import annotations
@@ -16,28 +15,31 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
+from ..core.skinning import skin_poses, skinning_transforms
 
 
 @dataclass(frozen=True, eq=False)
 class RiggedBody:
-    """Arrays of one body model; see the module for frames and units."""
+    """A body model with V vertices, J joints and K shape coefficients; see the module for frames and units."""
 
     name: str
     vertices: Float[np.ndarray, "V 3"]
-    """Mean shape at rest (T-pose)."""
+    """Vertices of the mean shape at rest (T-pose)."""
     faces: Int[np.ndarray, "F 3"]
     components: Float[np.ndarray, "K V 3"]
     """Displacement of the vertices for one standard deviation of each shape coefficient."""
     joints: Float[np.ndarray, "J 3"]
+    """Joint positions of the mean shape at rest."""
     joint_components: Float[np.ndarray, "K J 3"]
+    """Displacement of the joints for one standard deviation of each shape coefficient."""
     weights: Float[np.ndarray, "V J"]
     """Skinning weights, rows sum to 1."""
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root; parents come before children."""
+    """Index of each joint's parent, -1 for the root; parents come before their children."""
 
     def joint(self, name: str) -> int:
-        """Index of a joint; KeyError names the ones there are."""
+        """Look up the index of a joint; the KeyError of an unknown name lists the joints."""
         if name not in self.joint_names:
             raise KeyError(f"{self.name} has no joint {name!r}; it has {', '.join(self.joint_names)}")
         return self.joint_names.index(name)
@@ -45,9 +47,9 @@ class RiggedBody:
     def shaped(
         self, shape: Float[np.ndarray, "*B K"]
     ) -> tuple[Float[np.ndarray, "*B V 3"], Float[np.ndarray, "*B J 3"]]:
-        """Rest vertices and joints of people with the given shape coefficients (standard deviations).
+        """Compute vertices and joints at rest for shape coefficients (standard deviations).
 
-        Fewer coefficients than components leave the rest at zero.
+        If there are fewer coefficients than components, the others are zero.
         """
         k = shape.shape[-1]
         vertices = self.vertices + np.tensordot(shape, self.components[:k], axes=1)
@@ -59,36 +61,27 @@ class RiggedBody:
         rotmat: Float[np.ndarray, "*#B J 3 3"],
         root: Float[np.ndarray, "*#B 3"] | None = None,
     ) -> Float[np.ndarray, "*C V 3"]:
-        """Vertices under local joint rotations; `root` (metres) is added to where the root joint rests.
+        """Compute vertices for shape coefficients and local joint rotations.
 
-        One person in many poses and many people in one pose are fine: leading axes broadcast.
+        Leading axes broadcast: one person in many poses, or many people in one pose.
+
+        Args:
+            root: displacement of the root joint from rest (metres).
         """
         vertices, joints = self.shaped(shape)
-        rotation, translation = self.skinning_transforms(joints, rotmat, root)
-        many = rotation.shape[:-3]
-        transforms = np.concatenate([rotation, translation[..., None]], axis=-1).reshape(*many, -1, 12)
-        # One matrix product: einsum over joints takes three times as long.
-        blended = (self.weights @ transforms).reshape(*many, -1, 3, 4)
-        return np.einsum("...vkl,...vl->...vk", blended[..., :3], vertices) + blended[..., 3]
+        return skin_poses(vertices, self.weights, *self.skinning_transforms(joints, rotmat, root))
 
     def skinning_transforms(
-        self, joints: Float[np.ndarray, "*#B J 3"], rotmat: Float[np.ndarray, "*#B J 3 3"], root=None
+        self,
+        joints: Float[np.ndarray, "*#B J 3"],
+        rotmat: Float[np.ndarray, "*#B J 3 3"],
+        root: Float[np.ndarray, "*#B 3"] | None = None,
     ) -> tuple[Float[np.ndarray, "*C J 3 3"], Float[np.ndarray, "*C J 3"]]:
-        """Rotation and translation that each joint applies to a rest point: x -> rotation x + translation."""
-        rotation, position = [], []
-        for j, parent in enumerate(self.parents):
-            if parent < 0:
-                rotation.append(rotmat[..., j, :, :])
-                position.append(joints[..., j, :] if root is None else joints[..., j, :] + root)
-            else:
-                bone = (joints[..., j, :] - joints[..., parent, :])[..., None]
-                rotation.append(rotation[parent] @ rotmat[..., j, :, :])
-                position.append(position[parent] + (rotation[parent] @ bone)[..., 0])
-        rotations, positions = np.stack(rotation, -3), np.stack(np.broadcast_arrays(*position), -2)
-        return rotations, positions - (rotations @ joints[..., None])[..., 0]
+        """Compute the map x -> rotation x + translation of each joint from rest to a pose; leading axes broadcast."""
+        return skinning_transforms(joints, rotmat, self.parents, root)
 
     def mesh(self, vertices: Float[np.ndarray, "V 3"] | None = None) -> Mesh:
-        """A Mesh with this body's faces; at rest with the mean shape unless vertices are given."""
+        """Make a Mesh with this body's faces and the given vertices; default is the mean shape at rest."""
         points = self.vertices if vertices is None else vertices
         return Mesh(np.asarray(points, np.float64), self.faces, name=self.name)
 
@@ -101,6 +94,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
     if not path.exists():
         raise InputError(f"{name_or_path}: expected a shipped body (human) or a .npz file, found neither")
     with np.load(path) as data:
+        # Weights are stored as the largest few of each vertex, in half precision.
         weights = np.zeros((len(data["vertices"]), len(data["parents"])))
         np.put_along_axis(weights, data["weight_joints"].astype(int), data["weights"].astype(np.float64), axis=1)
         return RiggedBody(
@@ -117,7 +111,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
 
 
 def save_body(body: RiggedBody, path: Path, influences: int = 6) -> None:
-    """Write a compact `.npz`: components and weights in half precision, the largest `influences` weights a vertex."""
+    """Write a compact `.npz`: components and weights in half precision, the largest `influences` weights per vertex."""
     strongest = np.argsort(-body.weights, axis=1)[:, :influences]
     np.savez_compressed(
         path,
@@ -140,7 +134,7 @@ EXTREMES = {
     "left foot": ("LeftToeBase", (0.0, 0.0, 1.0)),
     "right foot": ("RightToeBase", (0.0, 0.0, 1.0)),
 }
-"""The vertex farthest in a direction from a joint, among those near the line through the joint."""
+"""Landmarks at the ends of the body: joint and direction; the vertex farthest along the line through the joint."""
 ON_SKIN = {
     "left shoulder": ("LeftArm", (0.0, 1.0, 0.0)),
     "right shoulder": ("RightArm", (0.0, 1.0, 0.0)),
@@ -151,36 +145,39 @@ ON_SKIN = {
     "left knee": ("LeftLeg", (0.0, 0.0, 1.0)),
     "right knee": ("RightLeg", (0.0, 0.0, 1.0)),
 }
-"""The vertex of the skin where a ray from a joint leaves the body (the first crossing, roughly: nearest to the ray)."""
+"""Landmarks on the skin at a joint: joint and direction. The vertex near which a ray from the joint leaves the body."""
 LANDMARKS = (*EXTREMES, *ON_SKIN)
-"""All 13 in order; the first 5 are the ends of the body."""
+"""Names of all 13 landmarks in order; the first 5 are the ends of the body."""
 NEAR = 0.06
-"""Metres around the line through a joint in which an extreme is looked for; a palm or a foot is narrower."""
+"""Largest distance (metres) of an extreme from the line through its joint; a palm or a foot is narrower."""
+DISTANCE_COST = 0.1
+"""Cost of a metre along the ray, in metres of distance from the ray: prefers the first crossing of the skin."""
 
 
 def landmarks(body: RiggedBody) -> dict[str, int]:
-    """Vertex index of each of LANDMARKS on a human body; shape and pose do not matter, the vertex stays the same."""
-    found = {name: _extreme(body, joint, np.array(way)) for name, (joint, way) in EXTREMES.items()}
-    return found | {name: _on_skin(body, joint, np.array(way)) for name, (joint, way) in ON_SKIN.items()}
+    """Find the vertex index of each of LANDMARKS on a human body, at rest; it is the same for all shapes and poses."""
+    found = {name: _extreme(body, joint, np.array(direction)) for name, (joint, direction) in EXTREMES.items()}
+    return found | {name: _on_skin(body, joint, np.array(direction)) for name, (joint, direction) in ON_SKIN.items()}
 
 
-def _along_and_aside(
-    body: RiggedBody, joint: str, way: Float[np.ndarray, " 3"]
+def _line_coordinates(
+    body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
-    """Of each vertex: how far it lies in a direction from a joint, and how far from that line."""
+    """Compute each vertex's coordinate along a line through a joint, and its distance from the line."""
     offset = body.vertices - body.joints[body.joint(joint)]
-    along = offset @ way
-    return along, np.linalg.norm(offset - along[:, None] * way, axis=1)
+    along = offset @ direction
+    return along, np.linalg.norm(offset - along[:, None] * direction, axis=1)
 
 
-def _extreme(body: RiggedBody, joint: str, way: Float[np.ndarray, " 3"]) -> int:
-    along, aside = _along_and_aside(body, joint, way)
-    return int(np.where(aside < NEAR, along, -np.inf).argmax())
+def _extreme(body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]) -> int:
+    """Find the vertex farthest along a line through a joint, among those less than NEAR from the line."""
+    along, distance = _line_coordinates(body, joint, direction)
+    return int(np.where(distance < NEAR, along, -np.inf).argmax())
 
 
-def _on_skin(body: RiggedBody, joint: str, way: Float[np.ndarray, " 3"]) -> int:
-    """Nearest to the ray among vertices that follow this joint or its parent; far ones lose by their distance."""
-    along, aside = _along_and_aside(body, joint, way)
+def _on_skin(body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]) -> int:
+    """Find the vertex nearest to a ray from a joint, among those weighted mostly to this joint or its parent."""
+    along, distance = _line_coordinates(body, joint, direction)
     index = body.joint(joint)
-    follows = body.weights[:, index] + body.weights[:, body.parents[index]] > 0.5
-    return int(np.where(follows & (along > 0), aside + 0.1 * along, np.inf).argmin())
+    weighted = body.weights[:, index] + body.weights[:, body.parents[index]] > 0.5
+    return int(np.where(weighted & (along > 0), distance + DISTANCE_COST * along, np.inf).argmin())

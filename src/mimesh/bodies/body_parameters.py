@@ -1,6 +1,7 @@
-"""A body somewhere in space as one vector of unknowns, and the gradient of its points by them.
+"""Parameters of a posed body as one vector, and the gradient of its points with respect to that vector.
 
-Written out by hand because the shipped package has no automatic differentiation; tests hold it to finite differences.
+The gradient is written out by hand, because the shipped package has no automatic differentiation; tests compare it with
+finite differences.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.rig import descendant_matrix
 from ..core.skinning import blend_matrices
 from ..core.surface_points import at_barycentric, sample_surface
 from .body_model import RiggedBody
@@ -20,143 +22,152 @@ from .sampling import rotvec_to_rotmat
 
 @dataclass(frozen=True, eq=False)
 class BodyParameters:
-    """A person of a body model somewhere in space: `scale * body + translation`."""
+    """Shape, pose, size and position of a body model: its points are `scale * posed + translation`."""
 
     scale: float
     translation: Float[np.ndarray, " 3"]
     shape: Float[np.ndarray, " K"]
+    """Shape coefficients (standard deviations)."""
     rotvec: Float[np.ndarray, "J 3"]
+    """Local rotation vector of each joint (radians)."""
     error: float = np.inf
-    """Mean squared distance to the points plus that of the points to the body."""
-    lost: float = np.inf
-    """Error from which on a frame that follows this one in a clip is fitted anew; carried along unchanged."""
+    """Residual of the fit: mean squared distance to the target points plus that of the target points to the body."""
+    restart_error: float = np.inf
+    """Residual from which on a later frame of the same clip is fitted from the start poses again; set by the first."""
 
     def joints(self, body: RiggedBody) -> Float[np.ndarray, "J 3"]:
-        """Where the joints are."""
+        """Compute the joint positions."""
         _, joints = body.shaped(self.shape)
         rotation, translation = body.skinning_transforms(joints, rotvec_to_rotmat(self.rotvec))
         return self.scale * (np.einsum("jkl,jl->jk", rotation, joints) + translation) + self.translation
 
     def points(self, body: RiggedBody) -> Float[np.ndarray, "V 3"]:
-        """Where the body's vertices are."""
+        """Compute the vertices of the body."""
         return self.scale * body.posed(self.shape, rotvec_to_rotmat(self.rotvec)) + self.translation
 
     def rotations(self, body: RiggedBody) -> Float[np.ndarray, "J 3 3"]:
-        """Rotation of each joint from the body at rest, about the world's axes."""
+        """Compute the world rotation of each joint from rest."""
         _, joints = body.shaped(self.shape)
         return body.skinning_transforms(joints, rotvec_to_rotmat(self.rotvec))[0]
 
 
 def thin_body(body: RiggedBody, count: int, components: int, seed: int = 0) -> RiggedBody:
-    """The body as `count` points spread evenly over its surface, without faces, with its first shape components."""
-    chosen, weights = sample_surface(body.vertices, body.faces, count, np.random.default_rng(seed))
-    at = (body.faces, chosen, weights)
+    """Reduce a body to `count` random points of its surface, without faces, and its first shape components."""
+    chosen, barycentric = sample_surface(body.vertices, body.faces, count, np.random.default_rng(seed))
+    samples = (body.faces, chosen, barycentric)
     return replace(
         body,
-        vertices=at_barycentric(body.vertices, *at),
+        vertices=at_barycentric(body.vertices, *samples),
         faces=np.zeros((0, 3), np.int64),
-        components=at_barycentric(body.components[:components], *at),
+        components=at_barycentric(body.components[:components], *samples),
         joint_components=body.joint_components[:components],
-        weights=np.einsum("nk,nkj->nj", weights, body.weights[body.faces[chosen]]),
+        weights=np.einsum("nk,nkj->nj", barycentric, body.weights[body.faces[chosen]]),
     )
 
 
-def unknowns_of(fit: BodyParameters) -> Float[np.ndarray, " P"]:
-    """One vector: logarithm of the scale, translation, shape, rotation vectors."""
-    return np.concatenate([[np.log(fit.scale)], fit.translation, fit.shape, fit.rotvec.ravel()])
+def to_vector(parameters: BodyParameters) -> Float[np.ndarray, " P"]:
+    """Pack parameters in one vector: logarithm of the scale, translation, shape, rotation vectors."""
+    return np.concatenate(
+        [[np.log(parameters.scale)], parameters.translation, parameters.shape, parameters.rotvec.ravel()]
+    )
 
 
-def fit_of(body: RiggedBody, unknowns: Float[np.ndarray, " P"], error: float = np.inf) -> BodyParameters:
-    """The inverse of `unknowns_of`."""
-    return BodyParameters(*_parts(body, unknowns), error)
+def from_vector(body: RiggedBody, vector: Float[np.ndarray, " P"], error: float = np.inf) -> BodyParameters:
+    """Unpack parameters from a vector: the inverse of `to_vector`."""
+    return BodyParameters(*_split(body, vector), error)
 
 
-def _parts(
-    body: RiggedBody, unknowns: Float[np.ndarray, " P"]
+def _split(
+    body: RiggedBody, vector: Float[np.ndarray, " P"]
 ) -> tuple[float, Float[np.ndarray, " 3"], Float[np.ndarray, " K"], Float[np.ndarray, "J 3"]]:
+    """Split a vector into scale, translation, shape and rotation vectors."""
     k = 4 + len(body.components)
-    return float(np.exp(unknowns[0])), unknowns[1:4], unknowns[4:k], unknowns[k:].reshape(-1, 3)
+    return float(np.exp(vector[0])), vector[1:4], vector[4:k], vector[k:].reshape(-1, 3)
 
 
 def posed_and_pullback(
-    body: RiggedBody, unknowns: Float[np.ndarray, " P"]
+    body: RiggedBody, vector: Float[np.ndarray, " P"]
 ) -> tuple[Float[np.ndarray, "V 3"], Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, " P"]]]:
-    """Points of a fit given as one vector (see `unknowns_of`), and the map from their gradient to the vector's."""
-    scale, place, shape, rotvec = _parts(body, unknowns)
+    """Compute the points of a body given by its vector, and return the map from their gradient to the vector's.
+
+    Point v is scale * sum_j w_vj (R_j x_v + t_j) + translation, with the world rotation R_j of joint j. The pullback
+    (vector-Jacobian product, reverse mode) treats each joint as a rigid body: the gradients of the points are forces,
+    which add up to a force and a torque on each joint and are passed on to its parent.
+    """
+    scale, translation, shape, rotvec = _split(body, vector)
     points = body.vertices + np.tensordot(shape, body.components, 1)
     joints = body.joints + np.tensordot(shape, body.joint_components, 1)
-    rotation, above = _world_rotations(body.parents, rotvec)
-    below = descendants(body.parents)
-    # offset = that of the parent + (rotation of the parent - rotation) joint, down from the root
-    offset = below.T @ np.einsum("jkl,jl->jk", above - rotation, joints)
+    rotation, parent_rotation = _world_rotations(body.parents, rotvec)
+    descendants = descendant_matrix(body.parents)
+    # t_j = t_parent + (R_parent - R_j) joint_j, because both maps take joint_j to the same position. So t_j is the sum
+    # of these differences over the ancestors of j.
+    offset = descendants.T @ np.einsum("jkl,jl->jk", parent_rotation - rotation, joints)
     blended = blend_matrices(body.weights, rotation)
     skinned = np.einsum("vkl,vl->vk", blended, points) + body.weights @ offset
 
     def pullback(gradient: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " P"]:
-        inner = scale * gradient
-        to_points = np.einsum("vkl,vk->vl", blended, inner)
-        to_rotation = (body.weights.T @ (inner[:, :, None] * points[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
-        force = body.weights.T @ inner
+        """Map the gradient with respect to the points to the gradient with respect to the vector."""
+        scaled = scale * gradient
+        to_points = np.einsum("vkl,vk->vl", blended, scaled)
+        to_rotation = (body.weights.T @ (scaled[:, :, None] * points[:, None, :]).reshape(-1, 9)).reshape(-1, 3, 3)
+        force = body.weights.T @ scaled
+        # Torque about the origin: the rotation's part, and that of the offset t_j.
         torque = _axial(to_rotation @ rotation.transpose(0, 2, 1)) + np.cross(offset, force)
-        # A joint turns and carries all that hangs on it: forces and torques add up from the leaves.
-        force, torque = below @ force, below @ torque
+        # A joint moves all its descendants: sum forces and torques over subtrees.
+        force, torque = descendants @ force, descendants @ torque
         position = np.einsum("jkl,jl->jk", rotation, joints) + offset
-        spin = np.einsum("jkl,jk->jl", above, torque - np.cross(position, force))
-        to_joints = np.einsum("jkl,jk->jl", above - rotation, force)
+        # Torque about the joint's own position, in the frame of its parent, in which the joint's rotation is given.
+        spin = np.einsum("jkl,jk->jl", parent_rotation, torque - np.cross(position, force))
+        to_joints = np.einsum("jkl,jk->jl", parent_rotation - rotation, force)
         to_shape = np.tensordot(body.components, to_points) + np.tensordot(body.joint_components, to_joints)
-        to_scale = [(inner * skinned).sum()]
+        to_scale = [(scaled * skinned).sum()]  # with respect to the logarithm of the scale
         return np.concatenate([to_scale, gradient.sum(axis=0), to_shape, rotvec_pullback(rotvec, spin).ravel()])
 
-    return scale * skinned + place, pullback
+    return scale * skinned + translation, pullback
 
 
 def rotvec_pullback(rotvec: Float[np.ndarray, "J 3"], torque: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """Gradient by rotation vectors from that by small turns applied after them: the transposed left Jacobian."""
+    """Compute the gradient with respect to rotation vectors from that with respect to small rotations after them.
+
+    This is the product with the transposed left Jacobian of SO(3):
+    torque - (1 - cos a) / a^2 r x torque + (a - sin a) / a^3 r x (r x torque), with a = |r|.
+    """
     angle = np.linalg.norm(rotvec, axis=1, keepdims=True)
-    small = angle < 1e-4
+    small = angle < 1e-4  # the quotients would cancel; their limits are off by less than 1e-9
     safe = np.where(small, 1.0, angle)
     first = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
     second = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
-    turned = np.cross(rotvec, torque)
-    return torque - first * turned + second * np.cross(rotvec, turned)
+    crossed = np.cross(rotvec, torque)
+    return torque - first * crossed + second * np.cross(rotvec, crossed)
 
 
 def _world_rotations(
     parents: tuple[int, ...], rotvec: Float[np.ndarray, "J 3"]
 ) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3 3"]]:
-    """Rotation of each joint from rest about the world's axes, and that of its parent."""
+    """Compute the world rotation of each joint, and that of its parent, one level of the tree at a time."""
     rotation = rotvec_to_rotmat(rotvec)
-    above = np.broadcast_to(np.eye(3), rotation.shape).copy()
-    for level, over in _levels(parents):
-        above[level] = rotation[over]
-        rotation[level] = above[level] @ rotation[level]
-    return rotation, above
+    parent_rotation = np.broadcast_to(np.eye(3), rotation.shape).copy()
+    for joints, above in _levels(parents):
+        parent_rotation[joints] = rotation[above]
+        rotation[joints] = parent_rotation[joints] @ rotation[joints]
+    return rotation, parent_rotation
 
 
 @cache
 def _levels(parents: tuple[int, ...]) -> tuple[tuple[Int[np.ndarray, " L"], Int[np.ndarray, " L"]], ...]:
-    """Joints at each depth below the root, and their parents; read-only."""
-    depth = descendants(parents).sum(axis=0)
+    """List the joints at each depth below the root, and their parents; read-only."""
+    depth = descendant_matrix(parents).sum(axis=0)
     levels = [np.flatnonzero(depth == d) for d in range(2, int(depth.max()) + 1)]
-    return tuple((_frozen(level), _frozen(np.array(parents)[level])) for level in levels)
+    return tuple((_read_only(level), _read_only(np.array(parents)[level])) for level in levels)
 
 
-@cache
-def descendants(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
-    """1 at [j, k] where joint k is j or hangs on it; read-only."""
-    below = np.eye(len(parents))
-    for j in range(len(parents) - 1, -1, -1):
-        if parents[j] >= 0:
-            below[parents[j]] += below[j]
-    return _frozen(below)
-
-
-def _frozen(cached: np.ndarray) -> np.ndarray:
+def _read_only(cached: np.ndarray) -> np.ndarray:
+    """Protect a cached array, which all callers share."""
     cached.setflags(write=False)
     return cached
 
 
 def _axial(matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "J 3"]:
-    """Sum of v x w over the outer products w v^T that each matrix is made of."""
+    """Compute the axial vector of each matrix: for a sum of outer products w v^T it is the sum of v x w."""
     rows = [(2, 1), (0, 2), (1, 0)]
     return np.stack([matrices[:, i, j] - matrices[:, j, i] for i, j in rows], axis=1)

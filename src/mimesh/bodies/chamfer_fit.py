@@ -1,8 +1,8 @@
-"""Fit a rigged body to a cloud of points by L-BFGS on the Chamfer distance: from the T-pose, coarse to fine.
+"""Fit a rigged body to a point cloud: L-BFGS on the Chamfer distance, from many start poses, coarse to fine.
 
-Only positions are compared, each with the nearest one of the other set: no vertex index is ever taken for a
-correspondence. Unknowns: size and place, the joints' rotations, the shape coefficients that the body comes with.
-Lengths are about those of the unit sphere, which the weights of the priors are chosen for.
+Only positions are used, and each point is matched with the nearest point of the other set: no vertex index is taken for
+a correspondence. Unknowns are scale, translation, joint rotations and the shape coefficients of the given body. The
+weights of the priors assume lengths of about those of the unit sphere.
 """
 
 from __future__ import annotations
@@ -14,118 +14,134 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..core.rig import descendant_matrix
 from .body_model import RiggedBody
-from .body_parameters import BodyParameters, descendants, fit_of, posed_and_pullback, unknowns_of
+from .body_parameters import BodyParameters, from_vector, posed_and_pullback, to_vector
 from .sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, rotvec_to_rotmat
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
 POSE_PRIOR = 3e-6
-"""Squared distance that a joint turned from rest by half of its range costs, by the square of the turn.
+"""Cost (squared distance) of a joint rotated from rest by half of its range; grows with the square of the angle.
 
-This and the next three were chosen on human-npt's `val`.
+This and the next three were tuned on `val` of human-npt.
 """
 SHAPE_PRIOR = 3e-7
-"""Squared distance that a shape coefficient of one standard deviation costs."""
-SLIDE = 0.1
-"""What a squared distance along the surface counts, beside one across it: matched points are not the same point."""
-GOOD = 1.2e-4
-"""Error of a fit to 4,000 points that found its person: on `val` these are below 1.1e-4, and all others above 2e-4."""
-PATIENCE = 2
-"""Throws in a row that may fail to make a fit clearly better."""
-# What is thrown together where a fit went wrong.
+"""Cost (squared distance) of a shape coefficient of one standard deviation."""
+TANGENTIAL_WEIGHT = 0.1
+"""Weight of a squared distance along the surface; across it the weight is 1. Matched points are not the same point."""
+GOOD_ERROR = 1.2e-4
+"""Residual of a successful fit to 4,000 points: on `val` these are below 1.1e-4, and all others above 2e-4."""
+MAX_FAILED_RESTARTS = 2
+"""Rounds of random restarts in a row that may fail to reduce the residual clearly."""
+RESTARTS = 60
+"""Random poses of each group of joints in a round of random restarts."""
 LEGS, ARMS = ("UpLeg", "Leg"), ("Shoulder", "Arm", "ForeArm")
 LIMBS = tuple(tuple(side + bone for bone in bones) for side in ("Left", "Right") for bones in (LEGS, ARMS))
 LOWER_HALF = ("Hips", "LowerBack", "Spine", *LIMBS[0], *LIMBS[2])
+"""Groups of joints that random restarts draw together: each limb, and the lower half of the body."""
 SLACK = np.radians(15)
-"""How far a joint may go beyond the tables of limits: less of it makes fits of people within them worse."""
-LOUD = 100.0
-"""Lengths are multiplied by this for L-BFGS, whose test for convergence takes values below 1 for small."""
+"""How far (radians) a joint may exceed the tables of limits; with less, people within the limits are fitted worse."""
+SHAPE_LIMIT = 3.5
+"""Largest shape coefficient (standard deviations)."""
+LBFGS_SCALE = 100.0
+"""Factor on lengths for SciPy's L-BFGS-B, whose convergence test is relative for values above 1 only."""
 
 
 def fit_points(
     body: RiggedBody, points: Float[np.ndarray, "N 3"], start: BodyParameters | None = None, seed: int = 0
 ) -> BodyParameters:
-    """The person of `body` (see `thin_body`) nearest to points of a normalised mesh, given in random order.
+    """Fit `body` (see `thin_body`) to points of a normalised mesh, given in random order.
 
-    With a start, the fit of a frame before of the same person, size and shape are kept. If that leaves an error of
-    `start.lost`, which the first frame has set, the points are fitted as if there were no start; the better one counts.
-    Nothing is rejected: points far off the body pull it towards them. Does not look for people on their heads.
+    `start` is the fit of the previous frame of the same person: its scale and shape are kept. If that gives an error of
+    `start.restart_error` or more, the points are also fitted without it, and the better fit is returned. Outliers are
+    not rejected. People who stand on their heads are not searched for.
     """
-    cloud = cloud_of(points, SLIDE)
-    coarse = [(_first_points(body, count), cloud_of(points[:count])) for count in (300, 800)]
+    cloud = target_cloud(points, TANGENTIAL_WEIGHT)
+    coarse = [(_first_points(body, count), target_cloud(points[:count])) for count in (300, 800)]
     if start is None:
-        return _fitted_anew(body, points, cloud, coarse, seed)
-    turns = _free(body, size=False, shape=False)
-    followed = _descend(body, cloud, _descend(*coarse[1], start, turns, 4, 15), turns, 8, 15)
-    followed = replace(followed, lost=start.lost)
-    if followed.error < start.lost:
-        return followed
-    return min(followed, _fitted_anew(body, points, cloud, coarse, seed), key=_error)
+        return _fit_from_start_poses(body, points, cloud, coarse, seed)
+    # Coarse points first: they follow large motions at little cost.
+    pose_only = _free_unknowns(body, size=False, shape=False)
+    tracked = _descend(body, cloud, _descend(*coarse[1], start, pose_only, 4, 15), pose_only, 8, 15)
+    tracked = replace(tracked, restart_error=start.restart_error)
+    if tracked.error < start.restart_error:
+        return tracked
+    return min(tracked, _fit_from_start_poses(body, points, cloud, coarse, seed), key=_error)
 
 
-def _fitted_anew(
+def _fit_from_start_poses(
     body: RiggedBody,
     points: Float[np.ndarray, "N 3"],
     cloud: TargetCloud,
     coarse: list[tuple[RiggedBody, TargetCloud]],
     seed: int,
 ) -> BodyParameters:
-    """From T-poses that face a little left or right, raise a knee or lower the arms, the few points choose the best.
+    """Fit from the poses of `_start_poses`, selected on few points; then restart from random poses while that helps.
 
-    While the fit is not GOOD, limbs are thrown anew by the seed until that helps no more; the better fit is kept.
+    Restarts (seeded) run while the error exceeds GOOD_ERROR and not more than MAX_FAILED_RESTARTS in a row fail to
+    reduce it by a fifth.
     """
-    rough = _best_of([_starts(coarse[0][0], points)], 12, *coarse)
-    fit, rng = _descend(body, cloud, rough, _free(body), 8, 30), np.random.default_rng(seed)
+    rough = _select_start([_start_poses(coarse[0][0], points)], 12, *coarse)
+    fit, rng = _descend(body, cloud, rough, _free_unknowns(body), 8, 30), np.random.default_rng(seed)
     failed = 0
-    while fit.error > GOOD and failed < PATIENCE:
-        again = _best_of(
-            [_thrown(coarse[0][0], points, fit, limb, rng) for limb in (*LIMBS, LOWER_HALF, body.joint_names)],
+    while fit.error > GOOD_ERROR and failed < MAX_FAILED_RESTARTS:
+        restarted = _select_start(
+            [_random_poses(coarse[0][0], points, fit, names, rng) for names in (*LIMBS, LOWER_HALF, body.joint_names)],
             2,
             *coarse,
         )
         better = fit
-        if again.error < rough.error:
-            rough, better = again, min(fit, _descend(body, cloud, again, _free(body), 8, 30), key=_error)
+        if restarted.error < rough.error:
+            rough = restarted
+            better = min(fit, _descend(body, cloud, restarted, _free_unknowns(body), 8, 30), key=_error)
         failed = 0 if better.error < 0.8 * fit.error else failed + 1
         fit = better
-    return replace(fit, lost=max(3 * fit.error, GOOD))
+    return replace(fit, restart_error=max(3 * fit.error, GOOD_ERROR))
 
 
-def _best_of(
+def _select_start(
     groups: list[list[BodyParameters]],
-    kept: int,
-    few: tuple[RiggedBody, TargetCloud],
-    more: tuple[RiggedBody, TargetCloud],
+    best: int,
+    coarsest: tuple[RiggedBody, TargetCloud],
+    coarse: tuple[RiggedBody, TargetCloud],
 ) -> BodyParameters:
-    """The best of many poses after a short descent: some of each group to the few points, then two to more points."""
-    limbs = _free(few[0], ("Hips", "Leg", "Arm"), shape=False)
-    begun = [fit for group in groups for fit in sorted((_scored(*few, fit) for fit in group), key=_error)[:kept]]
-    begun = sorted((_descend(*few, fit, limbs, 4, 5) for fit in begun), key=_error)[:2]
-    return min((_descend(*more, fit, _free(few[0]), 4, 15) for fit in begun), key=_error)
+    """Select the best of many start poses after short descents.
+
+    The `best` poses of each group are fitted to the coarsest points, and the best two of these to the coarse ones.
+    """
+    # Few unknowns suffice to rank the starts: root, legs and arms, with the shape fixed.
+    limbs = _free_unknowns(coarsest[0], ("Hips", "Leg", "Arm"), shape=False)
+    starts = [
+        fit for group in groups for fit in sorted((_with_error(*coarsest, fit) for fit in group), key=_error)[:best]
+    ]
+    fits = sorted((_descend(*coarsest, fit, limbs, 4, 5) for fit in starts), key=_error)[:2]
+    return min((_descend(*coarse, fit, _free_unknowns(coarse[0]), 4, 15) for fit in fits), key=_error)
 
 
-def _thrown(
+def _random_poses(
     body: RiggedBody,
     points: Float[np.ndarray, "N 3"],
     fit: BodyParameters,
     names: tuple[str, ...],
     rng: np.random.Generator,
 ) -> list[BodyParameters]:
-    """The fit with joints of these names anywhere within their limits, many times."""
+    """Draw RESTARTS variants of a fit in which the named joints are uniform within their limits."""
     low, high = limits_rotvec(body, JOINT_LIMITS)
-    low[0, 1], high[0, 1] = -1.0, 1.0  # headings, which the table leaves out
+    low[0, 1], high[0, 1] = -1.0, 1.0  # headings (radians), which the table leaves out
     joints, fits = [body.joint(name) for name in names], []
-    for anywhere in rng.uniform(low, high, (60, *low.shape)):
+    # All joints are drawn, so that the draws do not depend on which joints are used.
+    for drawn in rng.uniform(low, high, (RESTARTS, *low.shape)):
         rotvec = fit.rotvec.copy()
-        rotvec[joints] = anywhere[joints]
-        fits.append(_placed(body, points, fit.shape, rotvec))
+        rotvec[joints] = drawn[joints]
+        fits.append(_aligned(body, points, fit.shape, rotvec))
     return fits
 
 
-def _scored(body: RiggedBody, cloud: TargetCloud, fit: BodyParameters) -> BodyParameters:
-    posed = posed_and_pullback(body, unknowns_of(fit))[0]
+def _with_error(body: RiggedBody, cloud: TargetCloud, fit: BodyParameters) -> BodyParameters:
+    """Compute the error of parameters."""
+    posed = posed_and_pullback(body, to_vector(fit))[0]
     return replace(fit, error=chamfer(cloud, posed, cloud.matches(posed))[0])
 
 
@@ -134,14 +150,15 @@ def _error(fit: BodyParameters) -> float:
 
 
 def _first_points(body: RiggedBody, count: int) -> RiggedBody:
+    """Reduce a thinned body to its first points, which are random ones."""
     components = body.components[:, :count]
     return replace(body, vertices=body.vertices[:count], components=components, weights=body.weights[:count])
 
 
-def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[BodyParameters]:
-    """People of mean shape in simple poses."""
+def _start_poses(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[BodyParameters]:
+    """List the deterministic starts: mean shape, three headings, legs down, bent or raised, arms out or lowered."""
     fits = []
-    legs = ((0, 0), (60, 60), (85, 0))  # hanging, knee raised, stretched to the front
+    legs = ((0, 0), (60, 60), (85, 0))  # degrees of hip and knee: straight down, knee raised, straight to the front
     for heading, left, right, lowered in product((-40, 0, 40), legs, legs, (0, 70)):
         degrees = {"Hips": (0, heading, 0), "LeftArm": (0, 0, -lowered), "RightArm": (0, 0, lowered)}
         degrees |= {"LeftUpLeg": (-left[0], 0, 0), "LeftLeg": (left[1], 0, 0)}
@@ -149,129 +166,140 @@ def _starts(body: RiggedBody, points: Float[np.ndarray, "N 3"]) -> list[BodyPara
         rotvec = np.zeros((len(body.parents), 3))
         for name, turn in degrees.items():
             rotvec[body.joint(name)] = np.radians(turn)
-        fits.append(_placed(body, points, np.zeros(len(body.components)), rotvec))
+        fits.append(_aligned(body, points, np.zeros(len(body.components)), rotvec))
     return fits
 
 
-def _placed(
+def _aligned(
     body: RiggedBody,
     points: Float[np.ndarray, "N 3"],
     shape: Float[np.ndarray, " K"],
     rotvec: Float[np.ndarray, "J 3"],
 ) -> BodyParameters:
-    """A person with the centroid and the root mean square radius of the points."""
+    """Choose scale and translation so that centroid and root mean square radius are those of the points."""
     posed = body.posed(shape, rotvec_to_rotmat(rotvec))
-    size, own = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, posed))
-    scale = max(float(size / own), 1e-6)  # a single point has no size
+    target_size, body_size = (np.sqrt(np.square(x - x.mean(axis=0)).sum(-1).mean()) for x in (points, posed))
+    scale = max(float(target_size / body_size), 1e-6)  # a single point has no size
     return BodyParameters(scale, points.mean(axis=0) - scale * posed.mean(axis=0), shape, rotvec)
 
 
-def _free(
+def _free_unknowns(
     body: RiggedBody, joints: tuple[str, ...] = ("",), size: bool = True, shape: bool = True
 ) -> Bool[np.ndarray, " P"]:
-    """Which unknowns move: place always, size, shape, and joints whose names end like these."""
-    turns = np.repeat([name.endswith(joints) for name in body.joint_names], 3)
-    return np.concatenate([[size], np.ones(3, bool), np.full(len(body.components), shape), turns])
+    """Mask the unknowns to optimise: translation always, scale, shape, and joints whose names end with `joints`."""
+    rotations = np.repeat([name.endswith(joints) for name in body.joint_names], 3)
+    return np.concatenate([[size], np.ones(3, bool), np.full(len(body.components), shape), rotations])
 
 
 def _descend(
     body: RiggedBody, cloud: TargetCloud, fit: BodyParameters, free: Bool[np.ndarray, " P"], rounds: int, steps: int
 ) -> BodyParameters:
-    """Match nearest points, take up to `steps` iterations of L-BFGS over the free unknowns, `rounds` times."""
+    """Alternate `rounds` times: match nearest points, then run up to `steps` L-BFGS iterations on the free unknowns."""
     from scipy.optimize import minimize
 
-    unknowns, unit = unknowns_of(fit), LOUD * _reach(body)[free]
+    # Unknowns are scaled by how far they move points, so that their steps are comparable.
+    vector, unit = to_vector(fit), LBFGS_SCALE * _leverage(body)[free]
     low, high = _limits(body)
     weight = _prior_weight(body, low, high)
 
-    def objective(moving: Float[np.ndarray, " M"]) -> tuple[float, Float[np.ndarray, " M"]]:
-        trial = unknowns.copy()
-        trial[free] = moving / unit
+    def objective(scaled: Float[np.ndarray, " M"]) -> tuple[float, Float[np.ndarray, " M"]]:
+        """Compute the error with priors, and its gradient, of the scaled free unknowns."""
+        trial = vector.copy()
+        trial[free] = scaled / unit
         posed, pullback = posed_and_pullback(body, trial)
         error, gradient = chamfer(cloud, posed, matches)
         slope = pullback(gradient) + 2 * weight * trial
-        return LOUD**2 * (error + float(weight @ trial**2)), LOUD**2 * slope[free] / unit
+        return LBFGS_SCALE**2 * (error + float(weight @ trial**2)), LBFGS_SCALE**2 * slope[free] / unit
 
     bounds = np.stack([low[free] * unit, high[free] * unit], axis=1)
     options = {"maxiter": steps, "maxcor": 20, "ftol": 1e-5, "gtol": 1e-7}
     for _ in range(rounds):
-        matches = cloud.matches(posed_and_pullback(body, unknowns)[0])
-        found = minimize(objective, unknowns[free] * unit, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
-        unknowns[free] = found.x / unit
-    return _scored(body, cloud, fit_of(body, unknowns))
+        matches = cloud.matches(posed_and_pullback(body, vector)[0])
+        found = minimize(objective, vector[free] * unit, jac=True, method="L-BFGS-B", bounds=bounds, options=options)
+        vector[free] = found.x / unit
+    return _with_error(body, cloud, from_vector(body, vector))
 
 
-def _reach(body: RiggedBody) -> Float[np.ndarray, " P"]:
-    """How far about a unit of each unknown moves the points: makes steps of all unknowns comparable."""
-    carried = body.weights @ descendants(body.parents).T
-    joints = np.sqrt((carried * np.square(body.vertices[:, None] - body.joints).sum(-1)).mean(axis=0))
+def _leverage(body: RiggedBody) -> Float[np.ndarray, " P"]:
+    """Estimate how far (root mean square over the points) one unit of each unknown moves the points."""
+    weighted = body.weights @ descendant_matrix(body.parents).T  # weight of each joint's subtree at each point
+    joints = np.sqrt((weighted * np.square(body.vertices[:, None] - body.joints).sum(-1)).mean(axis=0))
     size = np.sqrt(np.square(body.vertices - body.vertices.mean(axis=0)).sum(-1).mean())
     shape = np.sqrt(np.square(body.components).sum(-1).mean(-1))
     return np.maximum(np.concatenate([[size], np.ones(3), shape, np.repeat(joints, 3)]), 3e-3)
 
 
 def _limits(body: RiggedBody) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
-    """Lowest and highest unknowns: joints that never turn are held, the root is free."""
+    """Compute the bounds of all unknowns; joints without range are fixed, scale, translation and root are free."""
     tables = np.stack([limits_rotvec(body, table) for table in (TABLE_6, JOINT_LIMITS)])
     low, high = tables[:, 0].min(axis=0), tables[:, 1].max(axis=0)
+    # Joints without any range in the tables stay fixed: they get no slack.
     slack = SLACK * (high > low).any(axis=1, keepdims=True)
     low, high = low - slack, high + slack
     low[0], high[0] = -np.inf, np.inf
-    place, shape = np.full(4, np.inf), np.full(len(body.components), 3.5)
-    return np.concatenate([-place, -shape, low.ravel()]), np.concatenate([place, shape, high.ravel()])
+    similarity, shape = np.full(4, np.inf), np.full(len(body.components), SHAPE_LIMIT)
+    return np.concatenate([-similarity, -shape, low.ravel()]), np.concatenate([similarity, shape, high.ravel()])
 
 
 def _prior_weight(
     body: RiggedBody, low: Float[np.ndarray, " P"], high: Float[np.ndarray, " P"]
 ) -> Float[np.ndarray, " P"]:
-    """Cost of the square of each unknown: none for size, place and the root."""
+    """Compute the cost of the square of each unknown; zero for scale, translation and the root's rotation."""
     k = len(body.components)
+    # Fixed joints have no range and the root an infinite one: both cost nothing.
     half = (high[4 + k :] - low[4 + k :]) / 2
     return np.concatenate([np.zeros(4), np.full(k, SHAPE_PRIOR), POSE_PRIOR / np.where(half > 0, half, np.inf) ** 2])
 
 
 @dataclass(frozen=True, eq=False)
 class TargetCloud:
-    """Points to fit to, and the planes that they lie in."""
+    """Points to fit to, with the normals of the surface that they sample."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
-    """Of the surface, either side; zero where distances count alike in all directions."""
-    slide: float
-    """Weight of the squared distance as such; its part along the normal has the rest of 1."""
+    """Unit normals of either sign; zero if distances in all directions count alike."""
+    tangential_weight: float
+    """Weight of the squared distance in all directions; the part along the normal has the rest of 1 in addition."""
     tree: KDTree
 
     def matches(self, others: Float[np.ndarray, "V 3"]) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]:
-        """The nearest point of each of the others, and the nearest other of each point."""
+        """Find the nearest cloud point of each of `others`, and the nearest of `others` to each cloud point."""
         from scipy.spatial import KDTree
 
         return np.asarray(self.tree.query(others)[1]), np.asarray(KDTree(others).query(self.points)[1])
 
 
-def cloud_of(points: Float[np.ndarray, "N 3"], slide: float = 1.0, neighbours: int = 16) -> TargetCloud:
-    """A cloud; where `slide` is below 1, with the normals of planes through each point's nearest neighbours."""
+def target_cloud(points: Float[np.ndarray, "N 3"], tangential_weight: float = 1.0, neighbours: int = 16) -> TargetCloud:
+    """Build a cloud; if `tangential_weight` is below 1, normals are those of planes through each point's neighbours."""
     from scipy.spatial import KDTree
 
     tree, normals = KDTree(points), np.zeros_like(points)
-    if slide < 1:
+    if tangential_weight < 1:
         near = points[tree.query(points, k=min(neighbours, len(points)))[1].reshape(len(points), -1)]
         near = near - near.mean(axis=1, keepdims=True)
+        # The eigenvector of the smallest eigenvalue of the covariance is the normal of the plane.
         normals = np.linalg.eigh(near.transpose(0, 2, 1) @ near)[1][:, :, 0]
-    return TargetCloud(points, normals, slide, tree)
+    return TargetCloud(points, normals, tangential_weight, tree)
 
 
 def chamfer(
     cloud: TargetCloud, others: Float[np.ndarray, "V 3"], matches: tuple[Int[np.ndarray, " V"], Int[np.ndarray, " N"]]
 ) -> tuple[float, Float[np.ndarray, "V 3"]]:
-    """Mean squared distance of the others to their matches and of the cloud to its, and the gradient by the others."""
-    near, back = matches
+    """Compute the Chamfer distance for fixed matches, and its gradient with respect to `others`.
+
+    It is the mean squared distance of `others` to their matches plus that of the cloud's points to theirs, with the
+    tangential weight t: d^T (t I + (1 - t) n n^T) d for a difference d and the cloud's normal n.
+    """
+    nearest_cloud, nearest_other = matches
     error, gradient = 0.0, np.zeros_like(others)
-    for mine, theirs in ((near, slice(None)), (slice(None), back)):
-        normals, away = cloud.normals[mine], others[theirs] - cloud.points[mine]
-        pull = cloud.slide * away + (1 - cloud.slide) * (away * normals).sum(-1, keepdims=True) * normals
-        error += float((away * pull).sum()) / len(away)
-        if isinstance(theirs, slice):
-            gradient += 2 / len(away) * pull
+    for cloud_index, other_index in ((nearest_cloud, slice(None)), (slice(None), nearest_other)):
+        normals, difference = cloud.normals[cloud_index], others[other_index] - cloud.points[cloud_index]
+        across = (difference * normals).sum(-1, keepdims=True)
+        pull = cloud.tangential_weight * difference + (1 - cloud.tangential_weight) * across * normals
+        error += float((difference * pull).sum()) / len(difference)
+        if isinstance(other_index, slice):
+            gradient += 2 / len(difference) * pull
         else:
-            gradient += 2 / len(away) * np.stack([np.bincount(theirs, p, len(others)) for p in pull.T], axis=1)
+            summed = np.stack([np.bincount(other_index, p, len(others)) for p in pull.T], axis=1)
+            gradient += 2 / len(difference) * summed
     return error, gradient

@@ -1,4 +1,4 @@
-"""A cast to try things with: people and stylised characters made from the shipped human, with clothes and colours."""
+"""Characters for demos and figures: the shipped human with other proportions, garments and colours."""
 
 from __future__ import annotations
 
@@ -18,24 +18,25 @@ from .sampled_body import bone_directions, kinds_of_bones
 from .sampling import lowered_arms, rotvec_to_rotmat
 
 Colour = tuple[float, float, float]
+"""Linear RGB in 0..1."""
 
 
 @dataclass(frozen=True)
 class Role:
-    """What one character is made of."""
+    """Definition of a character: shape, proportions, garments and colours."""
 
     shape: tuple[float, ...] = ()
     """Shape coefficients of the human, in standard deviations."""
     lengths: Mapping[str, float] = field(default_factory=dict)
-    """Factor on the length of a kind of bone, named as the joint it hangs from without its side."""
+    """Factor on the length of the bones from a joint, by the joint's name without its side."""
     girths: Mapping[str, float] = field(default_factory=dict)
-    """Factor on all that is across such a bone."""
+    """Factor on the thickness of these bones."""
     size: float = 1.0
+    """Factor on all lengths."""
     garments: tuple[str, ...] = ()
     skin: Colour = (0.604, 0.342, 0.233)
-    """Linear RGB in 0..1, as materials have it."""
     colours: Mapping[str, Colour] = field(default_factory=dict)
-    """Of each garment."""
+    """Colour of each garment."""
 
 
 CHARACTERS: dict[str, Role] = {
@@ -98,16 +99,16 @@ CHARACTERS: dict[str, Role] = {
 
 
 def character(name: str, arms: float = 0.6) -> Mesh:
-    """A member of the cast at rest, coloured, in metres and facing +z.
+    """Build the mesh of a character at rest, coloured, in metres, standing on y = 0 and facing +z.
 
     Args:
-        arms: 0 holds them out in a T, 1 lets them hang.
+        arms: 0 for a T-pose, 1 for lowered arms (see `lowered_arms`).
 
     Raises:
-        InputError: no such member.
+        InputError: no character has this name.
     """
     if name not in CHARACTERS:
-        raise InputError(f"{name}: expected one of the cast ({', '.join(CHARACTERS)}), found another; name one of them")
+        raise InputError(f"{name}: expected a character ({', '.join(CHARACTERS)}), found another name; use one of them")
     role = CHARACTERS[name]
     body = proportioned(dressed_body(load_body(), role.garments), role.lengths, role.girths, role.size)
     vertices = body.posed(np.array(role.shape), rotvec_to_rotmat(arms * lowered_arms(body)))
@@ -118,56 +119,63 @@ def character(name: str, arms: float = 0.6) -> Mesh:
 def proportioned(
     body: RiggedBody, lengths: Mapping[str, float], girths: Mapping[str, float], size: float = 1.0
 ) -> RiggedBody:
-    """The body with other bones, still standing on the floor; it keeps its shapes, weights and joints' names.
+    """Scale the bones of a body, which stays on the floor; shape components, weights and joint names are kept.
 
-    Every joint scales what hangs from it by `lengths` along its bone and by `girths` across it, and carries the joints
-    below along; where bones branch only girth counts. This is linear, so shape components go the same way.
+    Every joint scales the vertices weighted to it by `lengths` along its bone and by `girths` across it, and moves its
+    descendants along; where bones branch, girth scales all directions. The scaling is linear in the vertices and
+    joints, so it is applied to the shape components too.
 
     Raises:
-        InputError: a kind of bone that the body has not.
+        InputError: the body has no bone of a given name.
     """
     direction, branching = bone_directions(body)
+    # Projection onto each bone's direction; zero where bones branch.
     along = np.where(branching[:, None, None], 0.0, direction[:, :, None] * direction[:, None])
-    length, girth = (_by_joint(body, factors)[:, None, None] for factors in (lengths, girths))
+    length, girth = (_joint_factors(body, factors)[:, None, None] for factors in (lengths, girths))
     linear = size * (length * along + girth * (np.eye(3) - along))
 
-    def grown(points: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]):
+    def scaled(points: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "J 3"]):
+        """Scale vertices and joints."""
         bones = joints[1:] - joints[list(body.parents[1:])]
-        places = place_joints(size * joints[0], bones, linear, body.parents)
-        offset = places - np.einsum("jab,jb->ja", linear, joints)
-        return skin_points(points, body.weights, linear, offset), places
+        positions = place_joints(size * joints[0], bones, linear, body.parents)
+        # Each joint's map takes its old position to the new one.
+        offset = positions - np.einsum("jab,jb->ja", linear, joints)
+        return skin_points(points, body.weights, linear, offset), positions
 
-    vertices, joints = grown(body.vertices, body.joints)
-    changes = [grown(*pair) for pair in zip(body.components, body.joint_components, strict=True)]
+    vertices, joints = scaled(body.vertices, body.joints)
+    components = [scaled(*pair) for pair in zip(body.components, body.joint_components, strict=True)]
     floor = np.array([0.0, vertices[:, 1].min(), 0.0])
     return dataclasses.replace(
         body,
         vertices=vertices - floor,
         joints=joints - floor,
-        components=np.stack([points for points, _ in changes]),
-        joint_components=np.stack([places for _, places in changes]),
+        components=np.stack([points for points, _ in components]),
+        joint_components=np.stack([positions for _, positions in components]),
     )
 
 
-def _by_joint(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.ndarray, " J"]:
-    """The factor of each joint's kind of bone; 1 where none is given."""
+def _joint_factors(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.ndarray, " J"]:
+    """Look up the factor of each joint's kind of bone; 1 where none is given."""
     kind = kinds_of_bones(body)
-    found = np.ones(len(kind))
+    result = np.ones(len(kind))
     for name, factor in factors.items():
-        joint = next((j for j, own in enumerate(body.joint_names) if own in (name, f"Left{name}", f"L{name}")), None)
+        joint = next(
+            (j for j, known in enumerate(body.joint_names) if known in (name, f"Left{name}", f"L{name}")), None
+        )
         if joint is None:
             raise InputError(f"{name}: expected a bone of {body.name}, found none of that name; see its joint_names")
-        found[kind == kind[joint]] = factor
-    return found
+        result[kind == kind[joint]] = factor
+    return result
 
 
 def _parts(role: Role, mesh: Mesh) -> tuple[Part, ...]:
-    """One run of faces for the skin and one for each garment."""
+    """Make the parts of a mesh: one run of faces for the skin and one for each garment."""
+    # Faces of a dressed body: its own first, then each garment's in order (`dressed_body`).
     counts = [len(load_garment(name).faces) for name in role.garments]
     ends = np.cumsum([len(mesh.faces) - sum(counts), *counts])
-    looks = (("skin", role.skin), *((name, role.colours[name]) for name in role.garments))
+    colours = (("skin", role.skin), *((name, role.colours[name]) for name in role.garments))
     starts = (0, *ends[:-1])
     return tuple(
         Part(name, int(start), int(stop), Material(name, (*colour, 1.0)))
-        for (name, colour), start, stop in zip(looks, starts, ends, strict=True)
+        for (name, colour), start, stop in zip(colours, starts, ends, strict=True)
     )

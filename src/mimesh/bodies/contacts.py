@@ -1,7 +1,7 @@
-"""Poses in which people touch themselves: hands together, arms against the body, crossed legs.
+"""Poses with self-contact: hands together, arms against the body, crossed legs.
 
-A place on one limb is brought to a place elsewhere, surface to surface, by the joints between: least squares within the
-limits of the joints, from a pose that is kept as far as it can be.
+A face of one limb is brought to a face of another part of the body by the joints between them: nonlinear least squares
+within the limits of the joints, regularised towards the given pose.
 """
 
 from __future__ import annotations
@@ -20,33 +20,37 @@ from .body_model import RiggedBody
 from .sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
 
 ARM, LEG = ("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg")
-"""Bones that move to make a contact."""
+"""Joints that may turn to make a contact."""
 TRUNK = ("Hips", "LowerBack", "Spine", "Spine1", "Head")
-DISTANCE, FACING, KEEPING = 0.01, 0.5, 1.0
-"""Scales of the residuals: metres between the places, sum of their normals, radians from the pose before."""
+"""Joints of the trunk and head, which arms may touch."""
+DISTANCE, NORMALS, POSE = 0.01, 0.5, 1.0
+"""Scales of the residuals: metres between the faces, sum of their unit normals, radians from the given pose."""
 TRIES = 12
-"""Pairs of places that are tried, until one is met without cutting through."""
+"""Largest number of random pairs of faces that are tried, until one is met without an intersection."""
 MET, DEEP = 0.01, 0.02
-"""Metres: places so near have met, vertices so far below the surface of another limb have cut through it."""
+"""Metres: largest distance of faces in contact, and smallest depth under another surface that is an intersection."""
 CORNERS = np.arange(6).reshape(2, 3)
-"""Of the two triangles that are brought together."""
+"""Faces of the reduced body, which has only the vertices of the two faces."""
 STEP = 1e-4
-"""Radians, of the numerical derivative."""
+"""Step of the numerical derivative (radians)."""
 BANK = Path(str(resources.files("mimesh.bodies"))) / "contacts.npz"
-"""People who touch themselves, for training; `scripts/build_contacts.py` made it."""
+"""People with self-contacts, for training; made by `scripts/build_contacts.py`."""
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What touches what, and the joints that bring them together."""
+    """Two parts of the body that can touch, and the joints that bring them together."""
 
-    one: tuple[str, ...]
-    """The place lies where one of these joints holds the skin most."""
-    other: tuple[str, ...]
+    first: tuple[str, ...]
+    """Joints of one part: its faces have their largest weights on these."""
+    second: tuple[str, ...]
+    """Joints of the other part."""
     moving: tuple[str, ...]
+    """Joints that are optimised."""
 
 
 def _sides(names: tuple[str, ...], side: str) -> tuple[str, ...]:
+    """Prefix joint names with a side."""
     return tuple(side + name for name in names)
 
 
@@ -74,7 +78,7 @@ CONTACTS: dict[str, tuple[Contact, ...]] = {
         ),
     ),
 }
-"""By kind; one of them is drawn."""
+"""Possible contacts of each kind."""
 
 
 def touching(
@@ -84,97 +88,103 @@ def touching(
     kind: str,
     rng: np.random.Generator,
 ) -> Float[np.ndarray, "J 3"]:
-    """A person's pose with a contact of a kind of CONTACTS put in: the best of a few that were tried.
+    """Change a pose to one with a random contact of the given kind (a key of CONTACTS), and return the best of TRIES.
 
     Args:
-        rotvec: the pose before, rotation vectors in radians.
+        shape: shape coefficients of the person.
+        rotvec: the given pose, rotation vectors in radians.
     """
-    found = []
+    candidates = []
     for _ in range(TRIES):
         contact = CONTACTS[kind][rng.integers(len(CONTACTS[kind]))]
-        faces = np.stack([body.faces[rng.choice(_held(body, names))] for names in (contact.one, contact.other)])
-        pose, apart = _brought(body, shape, rotvec, contact.moving, faces)
-        cut = _cut_through(body, body.posed(shape, rotvec_to_rotmat(pose)), contact.moving)
-        found.append((max(apart, MET) + max(cut, DEEP), pose))
-        if apart < MET and cut < DEEP:
+        faces = np.stack([body.faces[rng.choice(_faces_of(body, names))] for names in (contact.first, contact.second)])
+        pose, distance = _solve_contact(body, shape, rotvec, contact.moving, faces)
+        depth = _intersection_depth(body, body.posed(shape, rotvec_to_rotmat(pose)), contact.moving)
+        candidates.append((max(distance, MET) + max(depth, DEEP), pose))
+        if distance < MET and depth < DEEP:
             break
-    return min(found, key=lambda each: each[0])[1]
+    return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def contact_bank() -> tuple[Float[np.ndarray, "N K"], Float[np.ndarray, "N J 3"]]:
-    """Shape coefficients of people, and rotation vectors of poses in which each of them touches him- or herself."""
+    """Load the shipped people with self-contacts: shape coefficients, and rotation vectors (radians) of their poses."""
     with np.load(BANK) as data:
         return data["shapes"].astype(np.float64), data["rotvecs"].astype(np.float64)
 
 
-def _held(body: RiggedBody, names: tuple[str, ...]) -> Int[np.ndarray, " N"]:
-    """Faces whose corners are mostly held by one of these joints."""
-    most = np.isin(body.weights.argmax(axis=1), [body.joint(name) for name in names])
-    return np.flatnonzero(most[body.faces].all(axis=1))
+def _faces_of(body: RiggedBody, names: tuple[str, ...]) -> Int[np.ndarray, " N"]:
+    """List the faces whose corners all have their largest weight on one of these joints."""
+    strongest = np.isin(body.weights.argmax(axis=1), [body.joint(name) for name in names])
+    return np.flatnonzero(strongest[body.faces].all(axis=1))
 
 
-def _brought(
+def _solve_contact(
     body: RiggedBody,
     shape: Float[np.ndarray, " K"],
     rotvec: Float[np.ndarray, "J 3"],
     moving: tuple[str, ...],
     faces: Int[np.ndarray, "2 3"],
 ) -> tuple[Float[np.ndarray, "J 3"], float]:
-    """The pose that brings two faces together, outside to outside, and how far apart (metres) they stay."""
+    """Compute the pose in which two faces touch with opposite normals, and the distance (metres) that remains."""
     from scipy.optimize import least_squares
 
     corners = faces.ravel()
-    small = dataclasses.replace(
+    # Only the vertices of the two faces are posed.
+    reduced = dataclasses.replace(
         body, vertices=body.vertices[corners], components=body.components[:, corners], weights=body.weights[corners]
     )
     index = [body.joint(name) for name in moving]
     low, high = limits_rotvec(body, JOINT_LIMITS)[:, index].reshape(2, -1)
-    low, high = low - 1e-3, high + 1e-3  # some are zero wide
+    low, high = low - 1e-3, high + 1e-3  # least_squares needs low < high, and some joints have no range
     start = np.clip(rotvec[index].ravel(), low, high)
 
-    def gaps(many):
-        poses = np.repeat(rotvec[None], len(many), axis=0)
-        poses[:, index] = many.reshape(len(many), -1, 3)
-        points = small.posed(shape, rotvec_to_rotmat(poses))
-        one, other = np.moveaxis(points.reshape(-1, 2, 3, 3).mean(axis=2), 1, 0)
-        return one - other, geometry.face_normals(points, CORNERS).sum(axis=1), many - start
+    def differences(batch):
+        """Compute offset of the faces, sum of their normals and change of pose for a batch of unknowns."""
+        poses = np.repeat(rotvec[None], len(batch), axis=0)
+        poses[:, index] = batch.reshape(len(batch), -1, 3)
+        points = reduced.posed(shape, rotvec_to_rotmat(poses))
+        first, second = np.moveaxis(points.reshape(-1, 2, 3, 3).mean(axis=2), 1, 0)
+        return first - second, geometry.face_normals(points, CORNERS).sum(axis=1), batch - start
 
-    def residuals(many):
-        scaled = (gap / scale for gap, scale in zip(gaps(many), (DISTANCE, FACING, KEEPING), strict=True))
+    def residuals(batch):
+        scaled = (part / scale for part, scale in zip(differences(batch), (DISTANCE, NORMALS, POSE), strict=True))
         return np.concatenate(list(scaled), axis=1)
 
-    def slopes(x):
-        both = residuals(np.concatenate([x[None], x + STEP * np.eye(len(x))]))
-        return (both[1:] - both[0]).T / STEP
+    def jacobian(x):
+        """Compute forward differences of all unknowns in one batch."""
+        values = residuals(np.concatenate([x[None], x + STEP * np.eye(len(x))]))
+        return (values[1:] - values[0]).T / STEP
 
     def residual(x):
         return residuals(x[None])[0]
 
     limits = {"bounds": (low, high), "max_nfev": 30, "xtol": 1e-4, "ftol": 1e-4}
-    solved = least_squares(residual, start, slopes, **limits)  # pyright: ignore[reportArgumentType] (its stub)
+    solved = least_squares(residual, start, jacobian, **limits)  # pyright: ignore[reportArgumentType] (its stub)
     pose = rotvec.copy()
     pose[index] = solved.x.reshape(-1, 3)
-    return pose, float(np.linalg.norm(gaps(solved.x[None])[0]))
+    return pose, float(np.linalg.norm(differences(solved.x[None])[0]))
 
 
-def _cut_through(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], moving: tuple[str, ...]) -> float:
-    """How deep (metres) moved limbs are below the surface of something else, but for a hundredth of all vertices.
+def _intersection_depth(body: RiggedBody, vertices: Float[np.ndarray, "V 3"], moving: tuple[str, ...]) -> float:
+    """Measure how deep (metres) moved limbs are below other surfaces: the 99th percentile over all vertices.
 
-    That is the depth which a twentieth of an arm exceeds: skin that is pressed is not told from skin that cuts through.
+    About a twentieth of an arm's vertices are deeper. Contact pressure is not distinguished from intersection.
     """
     from scipy.spatial import KDTree
 
-    most, normals = body.weights.argmax(axis=1), geometry.vertex_normals(vertices, body.faces)
+    strongest, normals = body.weights.argmax(axis=1), geometry.vertex_normals(vertices, body.faces)
     depth = np.zeros(len(vertices))
     for side in ("Left", "Right"):
-        ours = [body.joint(name) for name in moving if name.startswith(side)]
-        ends = descendants(ours, body.parents)
-        limb = np.flatnonzero(np.isin(most, ends))
-        # What the limb hangs from always touches it.
-        above = [body.parents[j] for j in ours]
-        rest = np.flatnonzero(~np.isin(most, [*ends, *above, *(body.parents[j] for j in above)]))
+        joints = [body.joint(name) for name in moving if name.startswith(side)]
+        limb_joints = descendants(joints, body.parents)
+        limb = np.flatnonzero(np.isin(strongest, limb_joints))
+        # The parts next to the limb always touch it, so they are left out.
+        above = [body.parents[j] for j in joints]
+        excluded = [*limb_joints, *above, *(body.parents[j] for j in above)]
+        rest = np.flatnonzero(~np.isin(strongest, excluded))
         if len(limb):
+            # Depth along the normal of the nearest other vertex; positive is below the surface.
             nearest = rest[KDTree(vertices[rest]).query(vertices[limb])[1]]
             depth[limb] = ((vertices[nearest] - vertices[limb]) * normals[nearest]).sum(axis=1)
-    moved = np.sort(depth)[::-1]
-    return float(moved[len(moved) // 100])
+    deepest = np.sort(depth)[::-1]
+    return float(deepest[len(deepest) // 100])

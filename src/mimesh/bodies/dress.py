@@ -1,7 +1,7 @@
-"""What the shipped human can wear: garments that follow the person's shape and skeleton, so their truth is exact too.
+"""Garments of the shipped human, with its shape coefficients and joints: their exact result of a transfer is known.
 
-Built by `scripts/build_dress.py` from MakeHuman's helper meshes. Each garment is one open surface
-with the body's shape coefficients and joints; nothing is simulated, so a skirt stretches between spread legs.
+Built by `scripts/build_dress.py` from MakeHuman's helper meshes. Each garment is one open surface. Cloth is not
+simulated, so a skirt stretches between spread legs.
 """
 
 from __future__ import annotations
@@ -16,36 +16,37 @@ from ..core.errors import InputError
 from .body_model import RiggedBody
 
 GARMENTS = ("skirt", "tights", "hair")
-"""A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair leave room for tights."""
+"""A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair fit over tights."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Garment:
-    """A surface worn by the human, at rest on the mean person in the body's own frame (metres)."""
+    """A garment at rest on the mean shape, in the body's frame (metres)."""
 
     name: str
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     components: Float[np.ndarray, "K V 3"]
-    """Displacement for one standard deviation of each of the *body's* shape coefficients."""
+    """Displacement for one standard deviation of each of the body's shape coefficients."""
     weights: Float[np.ndarray, "V J"]
-    """Skinning weights on the body's joints, rows sum to 1."""
+    """Skinning weights of the body's joints, rows sum to 1."""
 
 
 def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
-    """The human in the named garments as one rigged body: its own vertices come first, then each garment's in order.
+    """Combine a body and the named garments to one rigged body: vertices of the body, then of each garment in order.
 
-    Skin under a garment stays, and garments may touch it in far poses.
+    Skin under a garment is kept, and garments may intersect it in extreme poses.
 
     Raises:
-        InputError: an unknown or repeated garment, or a body that is not the shipped human (its first components do)
-            or has more components than the garments.
+        InputError: an unknown or repeated garment, a body that is not the shipped human, or a body with more components
+            than the garments (with fewer, the first ones are used).
     """
     worn = [load_garment(name) for name in garments]
     if len(set(garments)) < len(garments):
         raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
     _check_fits(body)
     count = len(body.components)
+    # Faces of each garment are shifted by the number of vertices before it.
     first = np.cumsum([len(part.vertices) for part in (body, *worn)])
     return dataclasses.replace(
         body,
@@ -58,7 +59,7 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
 
 
 def load_garment(name: str) -> Garment:
-    """A shipped garment by name.
+    """Load a shipped garment by name.
 
     Raises:
         InputError: no such garment.
@@ -80,7 +81,7 @@ def load_garment(name: str) -> Garment:
 
 
 def _check_fits(body: RiggedBody) -> None:
-    """Refuse a body with joints elsewhere than the garments' wearer (by a millimetre), or with more components."""
+    """Raise InputError for a body with joints over 1 mm from the shipped human's, or with more components."""
     with _open() as data:
         joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
     same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3
@@ -94,4 +95,5 @@ def _check_fits(body: RiggedBody) -> None:
 
 
 def _open() -> np.lib.npyio.NpzFile:
+    """Open the file of all garments."""
     return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

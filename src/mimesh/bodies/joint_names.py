@@ -1,8 +1,8 @@
-"""Which joint is which: those of somebody else's skeleton that stand for ours, by their names and by what holds what.
+"""Map the joints of a foreign skeleton to those of the shipped body, by their names and the hierarchy.
 
-A limb joint is a side and a part, in either order and however it is written: LeftUpLeg, mixamorig:LeftUpLeg, L_Thigh,
-thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". The trunk goes by the hierarchy: its joints are those between the hips and
-where both arms hang, its neck those between there and the head, whatever they are called.
+The name of a limb joint contains a side and a part, in either order and any spelling: LeftUpLeg, mixamorig:LeftUpLeg,
+L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
+the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
 """
 
 from __future__ import annotations
@@ -24,33 +24,37 @@ PARTS = {
     "Shoulder": "clavicle collar collarbone shoulder",
     "Hand": "wrist hand",
 }
-"""Our limb joints without their side: what others call them, the surest word first.
+"""Limb joints of the shipped body without their side, and words that others use for them, the least ambiguous first.
 
-A word means what is not found by a surer one: `leg` is the shin beside a thigh, and the thigh beside a knee; `shoulder`
-is the upper arm beside a collar and an elbow, and the collar beside an arm. Rows are served from the top.
+A name is used once, and rows are matched from the top. So the meaning of an ambiguous word depends on the other names:
+`leg` is the shin if there is a thigh, and the thigh if there is a knee; `shoulder` is the upper arm if there are a
+collar and an elbow, and the collar if there is an arm.
 """
 HIPS = ("hips", "hip", "pelvis")
+"""Words for the root of trunk and legs."""
 SIDES = {"left": "Left", "l": "Left", "right": "Right", "r": "Right"}
+"""Words for a side."""
 _WORDS = "|".join(sorted({word for words in PARTS.values() for word in words.split()}))
 _LIMB = re.compile(f"(left|right|l|r)({_WORDS})(?:01)?|({_WORDS})(?:01)?(left|right|l|r)")
-_RIGS = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
+_RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
 SHOWN = 12
-"""Names of a file that an error quotes."""
+"""Largest number of joint names that an error quotes."""
 
 
 def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
-    """Index of the joint that stands for each of ours, as far as there is one; fingers are left out.
+    """Find the index of the joint that corresponds to each joint of the shipped body; joints not found are left out.
 
-    `parents` come before their children, -1 for roots. Of two joints of one name the first counts. Of a longer trunk
-    than ours the first, the middle and the last joint are taken, of a shorter one the last ones.
+    `parents` come before their children, -1 for roots. Fingers are not mapped. If two joints have one name, the first
+    is taken. Of a trunk longer than the shipped body's the first, the middle and the last joint are taken; a shorter
+    one is mapped to the last joints.
     """
     plain = plain_names(joint_names)
     found = _limbs(plain)
     hips = [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
-    legs = _shared(found, ("LeftUpLeg", "RightUpLeg"), parents)
+    legs = _common_ancestors(found, ("LeftUpLeg", "RightUpLeg"), parents)
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
-    chest = _shared(found, ("LeftArm", "RightArm"), parents)
+    chest = _common_ancestors(found, ("LeftArm", "RightArm"), parents)
     if chest:
         trunk = _below(chest, found.get("Hips", -1))
         spread = [trunk[0], trunk[len(trunk) // 2], trunk[-1]] if len(trunk) > 2 else trunk
@@ -60,10 +64,10 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
 
 
 def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tuple[str, ...], path: object) -> None:
-    """Check that a skeleton has the joints that are needed.
+    """Check that all needed joints were found.
 
     Raises:
-        InputError: it lacks some; the message lists these and what there is instead.
+        InputError: some were not; the message lists them and the names in the file.
     """
     missing = [joint for joint in dict.fromkeys(needed) if joint not in found]
     if missing:
@@ -76,42 +80,44 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
 
 
 def plain_names(joint_names: tuple[str, ...]) -> list[str]:
-    """Names in lower case without separators, namespaces and the words that most names of a file begin or end with."""
+    """Simplify names: lower case, without separators, namespaces and first or last words that most names share."""
     words = [[w for w in re.split(r"[._\s-]+", name.split(":")[-1].lower()) if w] for name in joint_names]
+    # Remove prefixes, then suffixes, until no word is common to most names.
     for end in (0, -1):
         while (common := _common(words, end)) is not None:
-            for own in words:
-                if len(own) > 1 and own[end] == common:
-                    del own[end]
-    return [_RIGS.sub("", "".join(own)) for own in words]
+            for parts in words:
+                if len(parts) > 1 and parts[end] == common:
+                    del parts[end]
+    return [_RIG_PREFIX.sub("", "".join(parts)) for parts in words]
 
 
 def _common(words: list[list[str]], end: int) -> str | None:
-    """The first (or last) word of more than half of all names, unless it is a side."""
-    counts = Counter(own[end] for own in words if len(own) > 1 and own[end] not in SIDES)
+    """Find the first (or last) word of more than half of all names, unless it is a side; None if there is none."""
+    counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
     word, count = counts.most_common(1)[0] if counts else ("", 0)
     return word if 2 * count > len(words) else None
 
 
 def _limbs(plain: list[str]) -> dict[str, int]:
-    """Limb joints of both sides by name alone."""
-    there: dict[tuple[str, str], int] = {}
+    """Find the limb joints of both sides by their names alone."""
+    by_word: dict[tuple[str, str], int] = {}
     for j, name in enumerate(plain):
         if match := _LIMB.fullmatch(name):
             side, part = (match[1], match[2]) if match[1] else (match[4], match[3])
-            there.setdefault((SIDES[side], part), j)
+            by_word.setdefault((SIDES[side], part), j)
     found = {}
     for side in ("Left", "Right"):
         for part, words in PARTS.items():
-            word = next((word for word in words.split() if (side, word) in there), None)
+            word = next((word for word in words.split() if (side, word) in by_word), None)
             if word is not None:
-                ours = f"{side[0]}HipJoint" if part == "HipJoint" else f"{side}{part}"
-                found[ours] = there.pop((side, word))
+                joint = f"{side[0]}HipJoint" if part == "HipJoint" else f"{side}{part}"
+                # A name is used once: later rows may have the same word.
+                found[joint] = by_word.pop((side, word))
     return found
 
 
 def _chain(joint: int, parents: tuple[int, ...]) -> list[int]:
-    """A joint and all that hold it, up to the root."""
+    """List a joint and its ancestors, up to the root."""
     chain = []
     while joint >= 0:
         chain.append(joint)
@@ -119,25 +125,25 @@ def _chain(joint: int, parents: tuple[int, ...]) -> list[int]:
     return chain
 
 
-def _shared(found: dict[str, int], pair: tuple[str, str], parents: tuple[int, ...]) -> list[int]:
-    """The joint that holds both of a pair, nearest first, and all above it; empty where there is none."""
+def _common_ancestors(found: dict[str, int], pair: tuple[str, str], parents: tuple[int, ...]) -> list[int]:
+    """List the common ancestors of a pair of joints, nearest first; empty if a joint or an ancestor is missing."""
     if not all(joint in found for joint in pair):
         return []
-    one, two = (_chain(found[joint], parents) for joint in pair)
-    return [j for j in one if j in two]
+    first, second = (_chain(found[joint], parents) for joint in pair)
+    return [j for j in first if j in second]
 
 
 def _below(chain: list[int], top: int) -> list[int]:
-    """The part of a chain below one of its joints, from the top down; a chain without it loses its root."""
+    """Select the part of a chain below one of its joints, from the top down; of a chain without it all but the root."""
     stop = chain.index(top) if top in chain else len(chain) - 1
     return chain[:stop][::-1]
 
 
 def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> dict[str, int]:
-    """Head and neck: the head by name, or else the last joint above the chest that is called spine or neck."""
-    above = [j for j in range(len(plain)) if chest in _chain(j, parents)[1:]]
-    heads = [j for j in above if plain[j] in ("head", "chead")]
-    heads = heads or [j for j in above if plain[j].startswith(("spine", "neck"))][-1:]
+    """Find head and neck: the head by name, or else the last descendant of the chest named spine or neck."""
+    descendants = [j for j in range(len(plain)) if chest in _chain(j, parents)[1:]]
+    heads = [j for j in descendants if plain[j] in ("head", "chead")]
+    heads = heads or [j for j in descendants if plain[j].startswith(("spine", "neck"))][-1:]
     if not heads:
         return {}
     neck = _below(_chain(heads[0], parents), chest)[:-1]

@@ -1,8 +1,19 @@
-"""A rigged body as points of people of any shape and proportions, and how each point moves with every unknown.
+"""A rigged body as random surface points with proportions of bones, and the Jacobian of its points, for Gauss-Newton.
 
-Unknowns, in one vector of U: logarithm of the size, place of the root joint (3), shape coefficients (K), logarithms of
-length and then of girth for each kind of bone (G each; left and right are one kind; where bones branch girth counts
-for both), and a small turn of each joint about the world's axes (3 J), which all that hangs from the joint follows.
+The unknowns, U in one vector, in this order (`SampledBody.unknowns` has their slices):
+
+* size (1): logarithm of the scale s;
+* root (3): position of the root joint;
+* shape (K): shape coefficients (standard deviations);
+* bones (2 G): logarithms of the length, then of the girth, of the G kinds of bones; left and right bones are one kind.
+  Where bones branch, the girth scales all directions;
+* turns (3 J): a small rotation vector of each joint about the world's axes, applied after its rotation. All descendants
+  of the joint turn with it.
+
+Point i is x_i = sum_j w_ij (p_j + L_j o_ij) (linear blend skinning), with o_ij its offset from joint j at rest, p_j the
+position of joint j, and L_j = s R_j (l_j A_j + g_j (I - A_j)) for the joint's world rotation R_j, the length l_j and
+girth g_j of its bone, and the projection A_j onto the bone's direction at rest. Forward kinematics gives
+p_child = p_parent + L_parent (rest_child - rest_parent).
 """
 
 from __future__ import annotations
@@ -15,67 +26,75 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.geometry import face_normals
-from ..core.skinning import blend_matrices
-from ..core.surface_points import sample_surface
+from ..core.rig import descendant_matrix
+from ..core.skinning import blend_matrices, place_joints
+from ..core.surface_points import interpolate, sample_surface
 from .body_model import RiggedBody
-from .body_parameters import descendants
 from .sampling import rotvec_to_rotmat
 
-FINE = 0.5
-"""How much denser points lie where a bone holds little surface: with that root of it, so that hands are known too."""
-LEAST = 0.003
-"""Share of the surface that every bone is counted to hold at least."""
+DENSITY_EXPONENT = 0.5
+"""The density of points is a bone's fraction of the surface to minus this power: small parts get more points."""
+MIN_FRACTION = 0.003
+"""Smallest fraction of the surface that a bone is assumed to have; bounds the density."""
 
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """One person in one pose, somewhere in space."""
+    """Size, position, shape, proportions and pose of one person: the values of all unknowns."""
 
     size: float
-    """What a metre of the body is."""
+    """Length of one metre of the body, in the unit of the points."""
     root: Float[np.ndarray, " 3"]
+    """Position of the root joint."""
     shape: Float[np.ndarray, " K"]
+    """Shape coefficients (standard deviations)."""
     bones: Float[np.ndarray, " B"]
-    """Logarithms of length, then of girth, of each kind of bone: B is 2 G."""
+    """Logarithms of length, then of girth, of each kind of bones: B is 2 G."""
     rotation: Float[np.ndarray, "J 3 3"]
-    """Of each joint from the body at rest, in the world."""
+    """World rotation of each joint from rest."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampledBody:
-    """N points of a body at rest."""
+    """N surface points of a body at rest, with the arrays that pose them."""
 
     names: tuple[str, ...]
-    """Of the joints."""
+    """Names of the joints."""
     parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the root; parents come before their children."""
     vertices: Float[np.ndarray, "N 3"]
+    """Positions of the points (metres)."""
     normals: Float[np.ndarray, "N 3"]
     components: Float[np.ndarray, "N 3 K"]
+    """Displacement of the points for one standard deviation of each shape coefficient."""
     weights: Float[np.ndarray, "N J"]
+    """Skinning weights, rows sum to 1."""
     joints: Float[np.ndarray, "J 3"]
     joint_components: Float[np.ndarray, "J 3 K"]
     along: Float[np.ndarray, "J 3 3"]
-    """Projects onto the direction of each joint's bone; zero where there is no such direction."""
+    """Projection A_j onto the direction of each joint's bone; zero where bones branch."""
     kind: Int[np.ndarray, " J"]
-    """Of each joint's bone; left and right are of one kind."""
+    """Kind of each joint's bone; left and right are one kind."""
 
     @classmethod
     def of(cls, body: RiggedBody, count: int, seed: int = 0) -> SampledBody:
-        """About so many points, spread evenly over each part of the body, denser on small parts, in random order."""
+        """Sample about `count` points, evenly on each part of the body, denser on small parts, in random order."""
         rng = np.random.default_rng(seed)
-        face, share = sample_surface(body.vertices, body.faces, 30 * count, rng)
-        weights = mixed(body.weights, body.faces[face], share)
-        dense = np.cumsum(weights @ np.maximum(weights.mean(axis=0), LEAST) ** -FINE)
-        chosen = np.unique(np.searchsorted(dense, dense[-1] * (np.arange(count) + 0.5) / count))
+        face, barycentric = sample_surface(body.vertices, body.faces, 30 * count, rng)
+        weights = interpolate(body.weights, body.faces[face], barycentric)
+        # Of many uniform samples, take those at equal steps of the accumulated density.
+        fraction = np.maximum(weights.mean(axis=0), MIN_FRACTION)
+        density = np.cumsum(weights @ fraction**-DENSITY_EXPONENT)
+        chosen = np.unique(np.searchsorted(density, density[-1] * (np.arange(count) + 0.5) / count))
         chosen = rng.permutation(chosen)
-        corners, share = body.faces[face[chosen]], share[chosen]
+        corners, barycentric = body.faces[face[chosen]], barycentric[chosen]
         directions, branching = bone_directions(body)
         return cls(
             names=body.joint_names,
             parents=body.parents,
-            vertices=mixed(body.vertices, corners, share),
+            vertices=interpolate(body.vertices, corners, barycentric),
             normals=face_normals(body.vertices, body.faces)[face[chosen]],
-            components=np.stack([mixed(component, corners, share) for component in body.components], axis=2),
+            components=np.stack([interpolate(c, corners, barycentric) for c in body.components], axis=2),
             weights=weights[chosen],
             joints=body.joints,
             joint_components=np.moveaxis(body.joint_components, 0, 2),
@@ -84,23 +103,23 @@ class SampledBody:
         )
 
     def first(self, count: int) -> SampledBody:
-        """The same with fewer points."""
+        """Reduce to the first `count` points, which are random ones."""
         arrays = ("vertices", "normals", "components", "weights")
         return replace(self, **{name: getattr(self, name)[:count] for name in arrays})
 
     @cached_property
     def below(self) -> Float[np.ndarray, "J J"]:
-        """1 at [j, k] where joint k is j or hangs from it."""
-        return descendants(self.parents)
+        """Descendant matrix: 1 at [j, k] if joint k is joint j or a descendant of it."""
+        return descendant_matrix(self.parents)
 
     @cached_property
     def one_hot(self) -> Float[np.ndarray, "J G"]:
-        """Which kind each joint's bone is."""
+        """One-hot encoding of the kind of each joint's bone."""
         return np.eye(self.kind.max() + 1)[self.kind]
 
     @cached_property
     def unknowns(self) -> dict[str, slice]:
-        """Where in the vector each group is."""
+        """Slice of each group in the vector of unknowns; see the module."""
         sizes = (1, 3, self.components.shape[2], 2 * self.one_hot.shape[1], 3 * len(self.parents))
         ends = np.cumsum(sizes)
         return {name: slice(end - n, end) for name, n, end in zip(_GROUPS, sizes, ends, strict=True)}
@@ -108,17 +127,18 @@ class SampledBody:
     def mean_person(
         self, size: float, root: Float[np.ndarray, " 3"], rotation: Float[np.ndarray, "J 3 3"]
     ) -> BodyState:
-        """The mean person in a pose."""
+        """Make the state of the mean shape and proportions in a pose."""
         groups = self.unknowns
         shape, bones = (np.zeros(groups[name].stop - groups[name].start) for name in ("shape", "bones"))
         return BodyState(size, root, shape, bones, rotation)
 
-    def stepped(self, stance: BodyState, step: Float[np.ndarray, " U"]) -> BodyState:
-        """The stance after a change of all unknowns."""
+    def stepped(self, state: BodyState, step: Float[np.ndarray, " U"]) -> BodyState:
+        """Apply a change of all unknowns to a state."""
         size, root, shape, bones, turns = (step[self.unknowns[name]] for name in _GROUPS)
-        turned = rotvec_to_rotmat(self.below.T @ turns.reshape(-1, 3)) @ stance.rotation
+        # A joint turns with all its ancestors: the sum of their rotation vectors, to first order.
+        rotation = rotvec_to_rotmat(self.below.T @ turns.reshape(-1, 3)) @ state.rotation
         return BodyState(
-            float(stance.size * np.exp(size[0])), stance.root + root, stance.shape + shape, stance.bones + bones, turned
+            float(state.size * np.exp(size[0])), state.root + root, state.shape + shape, state.bones + bones, rotation
         )
 
 
@@ -126,124 +146,151 @@ _GROUPS = ("size", "root", "shape", "bones", "turns")
 
 
 class PosedBody:
-    """A figure in a stance: its points, and rows of the derivative of what one asks for.
+    """A sampled body in a state: points, normals and joints, and products with their Jacobian.
+
+    With the notation of the module, the derivatives of x_i = sum_j w_ij (p_j + L_j o_ij) are
+
+    * by the size: x_i - p_root, since s scales everything about the root;
+    * by the root: I;
+    * by shape coefficient k: sum_j w_ij (dp_j/dk + L_j (c_ik - cj_jk)), c the components of points, cj those of joints;
+    * by the logarithm of a length: sum_j w_ij (dp_j + s R_j l_j A_j o_ij) over the joints of that kind in the second
+      term; for a girth the same with g_j (I - A_j);
+    * by the turn of joint j: t x (sum_k w_ik (p_k + L_k o_ik - p_j)) over the descendants k of j, including j.
+
+    The derivatives dp_j of the joints by shape and bones follow the kinematic chain (`_joint_jacobian`).
 
     Attributes:
-        points: (N, 3).
+        points: (N, 3), x_i.
         normals: (N, 3), of unit length.
-        joints: (J, 3).
+        joints: (J, 3), p_j.
+        linear: (J, 3, 3), L_j.
+        lengthwise: (J, 3, 3), the part s R_j l_j A_j of L_j.
+        offset: (N, J, 3), o_ij.
     """
 
-    def __init__(self, figure: SampledBody, stance: BodyState) -> None:
-        self.figure, self.stance = figure, stance
-        count = len(figure.one_hot.T)
-        length, girth = np.exp(stance.bones.reshape(2, count))[:, figure.kind, None, None]
-        across = np.eye(3) - figure.along
-        turned = stance.size * stance.rotation
-        self.lengthwise, crosswise = turned @ (length * figure.along), turned @ (girth * across)
-        self.linear = self.lengthwise + crosswise
-        rest = figure.joints + figure.joint_components @ stance.shape
-        self.offset = (figure.vertices + figure.components @ stance.shape)[:, None] - rest
-        self.joints, self.by_person = self._chain(rest, crosswise)
-        held = figure.weights[..., None] * np.einsum("jab,njb->nja", self.linear, self.offset)
-        self.held = held + figure.weights[..., None] * self.joints
-        self.points = self.held.sum(axis=1)
-        normals = stance.rotation @ (figure.along / length + across / girth)
-        self.normals = _unit(np.einsum("nab,nb->na", self._blended(normals), figure.normals))
+    def __init__(self, body: SampledBody, state: BodyState) -> None:
+        self.body, self.state = body, state
+        count = len(body.one_hot.T)
+        length, girth = np.exp(state.bones.reshape(2, count))[:, body.kind, None, None]
+        across = np.eye(3) - body.along
+        scaled_rotation = state.size * state.rotation
+        self.lengthwise, self._crosswise = scaled_rotation @ (length * body.along), scaled_rotation @ (girth * across)
+        self.linear = self.lengthwise + self._crosswise
+        self._rest_joints = body.joints + body.joint_components @ state.shape
+        self.offset = (body.vertices + body.components @ state.shape)[:, None] - self._rest_joints
+        bones = self._rest_joints[1:] - self._rest_joints[list(body.parents[1:])]
+        self.joints = place_joints(state.root, bones, self.linear, body.parents)
+        # Contribution of each joint to each point, w_ij (p_j + L_j o_ij).
+        moved = body.weights[..., None] * np.einsum("jab,njb->nja", self.linear, self.offset)
+        self._contributions = moved + body.weights[..., None] * self.joints
+        self.points = self._contributions.sum(axis=1)
+        # Normals transform with the inverse transpose of L_j; the scale does not matter.
+        normals = state.rotation @ (body.along / length + across / girth)
+        self.normals = _unit(np.einsum("nab,nb->na", self._blended(normals), body.normals))
 
     def along(self, index: Int[np.ndarray, " M"], direction: Float[np.ndarray, "M 3"]) -> Float[np.ndarray, "M U"]:
-        """How far chosen points move along directions with each unknown."""
-        figure, n = self.figure, direction
-        weights, person = figure.weights[index], self.by_person.copy()
-        shapes = figure.components.shape[2]
-        person[:, :, :shapes] -= self.linear @ figure.joint_components
-        by_person = (weights[..., None] * n[:, None]).reshape(len(n), -1) @ person.reshape(-1, person.shape[2])
-        back = np.einsum("nab,na->nb", self._blended(self.linear)[index], n)
-        by_person[:, :shapes] += (back[:, None] @ figure.components[index])[:, 0]
+        """Compute direction_m . dx_index[m] / du for all unknowns u: how far points move along given directions.
+
+        These are rows of the Jacobian of point-to-plane distances. They are computed without the full Jacobian
+        (3 N x U): directions are first transformed to the frames of the joints.
+        """
+        body, n = self.body, direction
+        weights, by_joints = body.weights[index], self._joint_jacobian.copy()
+        # Shape and bones. The part of the joints, sum_j w_ij (dp_j - L_j cj_jk):
+        shapes = body.components.shape[2]
+        by_joints[:, :, :shapes] -= self.linear @ body.joint_components
+        by_person = (weights[..., None] * n[:, None]).reshape(len(n), -1) @ by_joints.reshape(-1, by_joints.shape[2])
+        # plus sum_j w_ij L_j c_ik, with the blended matrix applied to the direction,
+        at_rest = np.einsum("nab,na->nb", self._blended(self.linear)[index], n)
+        by_person[:, :shapes] += (at_rest[:, None] @ body.components[index])[:, 0]
+        # plus the parts of length and girth of L_j o_ij, summed over the joints of each kind.
         offset = self.offset[index]
-        ways = [
-            weights * np.einsum("nja,nja->nj", _seen(n, linear), offset) for linear in (self.lengthwise, self.linear)
-        ]
-        kinds = np.concatenate([ways[0] @ figure.one_hot, (ways[1] - ways[0]) @ figure.one_hot], axis=1)
+        lengthwise, both = (
+            weights * np.einsum("nja,nja->nj", _in_joint_frames(n, linear), offset)
+            for linear in (self.lengthwise, self.linear)
+        )
+        kinds = np.concatenate([lengthwise @ body.one_hot, (both - lengthwise) @ body.one_hot], axis=1)
         by_person[:, shapes:] += kinds
         size = ((self.points[index] - self.joints[0]) * n).sum(axis=1, keepdims=True)
+        # n . (t x arm) = t . (arm x n)
         turns = _cross(self._arms[index], n[:, None]).reshape(len(n), -1)
         return np.concatenate([size, n, by_person, turns], axis=1)
 
     def of_joints(self) -> Float[np.ndarray, "R U"]:
-        """How the joints move with each unknown, three rows each."""
-        joints, figure = self.joints, self.figure
-        arms = figure.below.T[..., None] * (joints[:, None] - joints)
+        """Compute the Jacobian of the joint positions: three rows (x, y, z) per joint, R is 3 J."""
+        joints, body = self.joints, self.body
+        arms = body.below.T[..., None] * (joints[:, None] - joints)
         turns = np.einsum("abc,kjc->kajb", _LEVI_CIVITA, arms).reshape(*joints.shape, -1)
-        place = np.broadcast_to(np.eye(3), (len(joints), 3, 3))
-        parts = [(joints - joints[0])[..., None], place, self.by_person, turns]
+        root = np.broadcast_to(np.eye(3), (len(joints), 3, 3))
+        parts = [(joints - joints[0])[..., None], root, self._joint_jacobian, turns]
         return np.concatenate(parts, axis=2).reshape(joints.size, -1)
 
-    def _chain(self, rest: Float[np.ndarray, "J 3"], crosswise: Float[np.ndarray, "J 3 3"]):
-        """Where the joints are, and how they move with shape and bones."""
-        figure, shapes = self.figure, self.stance.shape.size
-        kinds = figure.one_hot.shape[1]
-        places = [self.stance.root]
-        moves = [np.zeros((3, shapes + 2 * kinds))]
-        for j, parent in enumerate(figure.parents[1:], 1):
-            bone = rest[j] - rest[parent]
-            between = figure.joint_components[j] - figure.joint_components[parent]
-            places.append(places[parent] + self.linear[parent] @ bone)
-            move = moves[parent].copy()
-            move[:, :shapes] += self.linear[parent] @ between
-            move[:, shapes + figure.kind[parent]] += self.lengthwise[parent] @ bone
-            move[:, shapes + kinds + figure.kind[parent]] += crosswise[parent] @ bone
-            moves.append(move)
-        return np.stack(places), np.stack(moves)
+    @cached_property
+    def _joint_jacobian(self) -> Float[np.ndarray, "J 3 D"]:
+        """Derivatives of the joint positions by shape and bones, D = K + 2 G, down the kinematic chain."""
+        body, shapes = self.body, self.state.shape.size
+        kinds = body.one_hot.shape[1]
+        jacobians = [np.zeros((3, shapes + 2 * kinds))]
+        for j, parent in enumerate(body.parents[1:], 1):
+            bone = self._rest_joints[j] - self._rest_joints[parent]
+            bone_components = body.joint_components[j] - body.joint_components[parent]
+            jacobian = jacobians[parent].copy()
+            jacobian[:, :shapes] += self.linear[parent] @ bone_components
+            jacobian[:, shapes + body.kind[parent]] += self.lengthwise[parent] @ bone
+            jacobian[:, shapes + kinds + body.kind[parent]] += self._crosswise[parent] @ bone
+            jacobians.append(jacobian)
+        return np.stack(jacobians)
 
     @cached_property
     def _arms(self) -> Float[np.ndarray, "N J 3"]:
-        """From each joint to what it carries of each point, times how much of it that is."""
-        below = self.figure.below
-        return below @ self.held - (self.figure.weights @ below.T)[..., None] * self.joints
+        """Lever arm of each joint j at each point: sum over descendants k of w_ik (p_k + L_k o_ik - p_j)."""
+        below = self.body.below
+        return below @ self._contributions - (self.body.weights @ below.T)[..., None] * self.joints
 
     def _blended(self, matrices: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "N 3 3"]:
-        return blend_matrices(self.figure.weights, matrices)
+        return blend_matrices(self.body.weights, matrices)
 
 
 def bone_directions(body: RiggedBody) -> tuple[Float[np.ndarray, "J 3"], Bool[np.ndarray, " J"]]:
-    """Direction of each joint's bone at rest, and which joints have several (these scale alike in all directions)."""
+    """Compute the direction of each joint's bone at rest, and which joints have several children.
+
+    A joint without children has a bone to the centroid of the vertices that are weighted to it. Of a joint with several
+    children the direction is not used: all its directions scale alike.
+    """
     children = [[c for c, p in enumerate(body.parents) if p == j] for j in range(len(body.parents))]
     ends = []
     for j, below in enumerate(children):
-        own = body.weights[:, j]
-        ends.append(body.joints[below[0]] if len(below) == 1 else own @ body.vertices / max(own.sum(), 1e-9))
+        weight = body.weights[:, j]
+        centroid = weight @ body.vertices / max(weight.sum(), 1e-9)
+        ends.append(body.joints[below[0]] if len(below) == 1 else centroid)
     direction = np.stack(ends) - body.joints
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
     return direction, np.array([len(below) > 1 for below in children])
 
 
 def kinds_of_bones(body: RiggedBody) -> Int[np.ndarray, " J"]:
-    """Joints that are each other's mirror image share a number."""
+    """Number the kinds of bones: joints that are mirror images of each other have one number."""
     names = [re.sub("^(Left|Right|L(?=[A-Z])|R(?=[A-Z]))", "", name) for name in body.joint_names]
     return np.unique(names, return_inverse=True)[1]
 
 
-def _seen(n: Float[np.ndarray, "M 3"], linear: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "M J 3"]:
-    """Directions as each joint sees them."""
+def _in_joint_frames(n: Float[np.ndarray, "M 3"], linear: Float[np.ndarray, "J 3 3"]) -> Float[np.ndarray, "M J 3"]:
+    """Transform directions to the frame of each joint: n^T L_j."""
     return (n @ linear.transpose(1, 0, 2).reshape(3, -1)).reshape(len(n), -1, 3)
 
 
 def _cross(a: Float[np.ndarray, "M #J 3"], b: Float[np.ndarray, "M #J 3"]) -> Float[np.ndarray, "M J 3"]:
-    """As np.cross, several times as fast."""
+    """Compute cross products, several times as fast as np.cross."""
     (ax, ay, az), (bx, by, bz) = np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)
     return np.stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx], axis=-1)
 
 
-def mixed(values: np.ndarray, corners: Int[np.ndarray, "N 3"], shares: Float[np.ndarray, "N 3"]) -> np.ndarray:
-    """Values of vertices at places on triangles."""
-    return (values[corners] * shares[..., None]).sum(axis=1)
-
-
 def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
+    """Normalise vectors to length 1; vectors of next to no length stay short."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 
 _LEVI_CIVITA = np.zeros((3, 3, 3))
 _LEVI_CIVITA[[0, 1, 2], [1, 2, 0], [2, 0, 1]] = 1
 _LEVI_CIVITA[[0, 2, 1], [2, 1, 0], [1, 0, 2]] = -1
+"""Levi-Civita symbol: (a x b)_i = e_ijk a_j b_k."""

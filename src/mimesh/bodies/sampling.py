@@ -1,4 +1,4 @@
-"""Random people and poses, each a pure function of a seed: sample i depends on (seed, i) and on nothing else.
+"""Random shapes and poses of the shipped body: sample i is a function of (seed, i) alone.
 
 Triples of degrees are rotation vectors about the world's axes at rest (x the person's left, y up, z front).
 """
@@ -11,6 +11,7 @@ from jaxtyping import Float
 from .body_model import RiggedBody
 
 Range = tuple[int, int]
+"""Lowest and highest angle about one axis, in degrees."""
 
 TABLE_6: dict[str, tuple[Range, Range, Range]] = {
     "Hips": ((-2, 2), (-2, 2), (-2, 2)),
@@ -38,7 +39,7 @@ TABLE_6: dict[str, tuple[Range, Range, Range]] = {
     "LeftFingerBase": ((-5, 5), (0, 10), (-10, 0)),
     "RightFingerBase": ((-5, 5), (-10, 0), (0, 10)),
 }
-"""NPT Table 6 (rows 1 to 24 in order) on our joints."""
+"""Ranges of rotation vectors in NPT's Table 6 (rows 1 to 24 in order), by joint of the shipped body."""
 
 _LEFT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     "UpLeg": ((-110, 40), (-35, 35), (-20, 50)),
@@ -51,6 +52,7 @@ _LEFT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     "Hand": ((-25, 25), (-20, 20), (-60, 60)),
     "FingerBase": ((-5, 5), (-5, 10), (-60, 5)),
 }
+"""Limits of the joints of the left side, named without it."""
 _CENTRE_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     "Hips": ((-12, 12), (0, 0), (-12, 12)),
     "LowerBack": ((-15, 30), (-15, 15), (-15, 15)),
@@ -60,10 +62,11 @@ _CENTRE_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     "Neck1": ((-12, 12), (-15, 15), (-8, 8)),
     "Head": ((-20, 20), (-25, 25), (-12, 12)),
 }
+"""Limits of the trunk, neck and head."""
 
 
-def _mirrored(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
-    """The other side's limits: reflection at x = 0 keeps turns about x and reverses those about y and z."""
+def _mirror_ranges(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
+    """Compute the limits of the other side: reflection at x = 0 keeps rotations about x and negates the others."""
     x, (y0, y1), (z0, z1) = ranges
     return x, (-y1, -y0), (-z1, -z0)
 
@@ -71,13 +74,13 @@ def _mirrored(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
 JOINT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     **_CENTRE_LIMITS,
     **{f"Left{bone}": ranges for bone, ranges in _LEFT_LIMITS.items()},
-    **{f"Right{bone}": _mirrored(ranges) for bone, ranges in _LEFT_LIMITS.items()},
+    **{f"Right{bone}": _mirror_ranges(ranges) for bone, ranges in _LEFT_LIMITS.items()},
 }
-"""What human joints can do, roughly, from a T-pose; heading is sampled apart."""
+"""Approximate ranges of human joints, as rotation vectors from a T-pose. Headings are not included."""
 
 
 def limits_rotvec(body: RiggedBody, limits: dict[str, tuple[Range, Range, Range]]) -> Float[np.ndarray, "2 J 3"]:
-    """Lowest and highest rotation vector of every joint in radians; joints that the table leaves out stay at zero."""
+    """Convert a table of limits to the lowest and highest rotation vector of every joint (radians); zero by default."""
     bounds = np.zeros((2, len(body.joint_names), 3))
     for name, ranges in limits.items():
         bounds[:, body.joint(name)] = np.radians(ranges).T
@@ -85,7 +88,7 @@ def limits_rotvec(body: RiggedBody, limits: dict[str, tuple[Range, Range, Range]
 
 
 def sample_shape(body: RiggedBody, seed: int, index: int, spread: float = 1.0) -> Float[np.ndarray, " K"]:
-    """Shape coefficients of person `index`: normal, cut at 2.5 standard deviations, times `spread`."""
+    """Draw shape coefficients of person `index`: normal, clipped at 2.5 standard deviations, times `spread`."""
     drawn = _generator(seed, index, 0).normal(size=len(body.components))
     return spread * np.clip(drawn, -2.5, 2.5)
 
@@ -93,24 +96,25 @@ def sample_shape(body: RiggedBody, seed: int, index: int, spread: float = 1.0) -
 def sample_pose(
     body: RiggedBody, seed: int, index: int, limits: dict[str, tuple[Range, Range, Range]] | None = None
 ) -> Float[np.ndarray, "J 3"]:
-    """Rotation vectors of pose `index`, uniform within `limits` (default: NPT's Table 6)."""
+    """Draw rotation vectors of pose `index`, uniform within `limits` (default: NPT's Table 6)."""
     low, high = limits_rotvec(body, TABLE_6 if limits is None else limits)
     return _generator(seed, index, 1).uniform(low, high)
 
 
 def lowered_arms(body: RiggedBody) -> Float[np.ndarray, "J 3"]:
-    """Rotation vectors that lower the arms of the T-pose by 75 degrees; a part of them gives an A-pose."""
+    """Make rotation vectors that lower the arms of the T-pose by 75 degrees; a fraction of them gives an A-pose."""
     pose = np.zeros((len(body.joint_names), 3))
     pose[body.joint("LeftArm"), 2], pose[body.joint("RightArm"), 2] = -np.radians(75), np.radians(75)
     return pose
 
 
 def rotvec_to_rotmat(rotvec: Float[np.ndarray, "*B 3"]) -> Float[np.ndarray, "*B 3 3"]:
-    """Rotation matrices of rotation vectors in radians."""
+    """Convert rotation vectors (radians) to rotation matrices."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_rotvec(rotvec.reshape(-1, 3)).as_matrix().reshape(*rotvec.shape, 3)
 
 
 def _generator(seed: int, index: int, stream: int) -> np.random.Generator:
+    """Make the generator of sample `index`; shapes are stream 0, poses 1, motions 2 and 3 (`motions.procedural`)."""
     return np.random.default_rng(np.random.SeedSequence([seed, index, stream]))

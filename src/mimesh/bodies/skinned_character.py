@@ -1,8 +1,8 @@
-"""GltfRig: somebody else's rigged character, posed by full linear blend skinning (NumPy).
+"""SkinnedCharacter: the rigged character of a glTF file, posed by linear blend skinning (NumPy).
 
-Joint rotations are those of `RiggedBody`: about world axes (y up, +z front, +x the left side) placed at the joint where
-it rests, in the frame of its parent. How the file's own joint frames lie does not matter, so one set of rotations
-means one pose for all characters that rest alike.
+Joint rotations are defined as in `RiggedBody`: about world axes (y up, +z front, +x the left side) through the joint at
+rest, in the frame of its parent. They do not depend on the joint frames of the file, so one set of rotations gives the
+same pose to all characters with the same rest pose.
 """
 
 from __future__ import annotations
@@ -17,29 +17,29 @@ from ..core.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class SkinnedCharacter:
-    """A character at rest and what holds it, in the units of its file."""
+    """A character at rest with its skeleton and skinning weights, in the unit of its file."""
 
     mesh: Mesh
-    """At rest, as `load_mesh` gives it."""
+    """The mesh at rest, as `load_mesh` returns it."""
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for roots; parents come before children."""
+    """Index of each joint's parent, -1 for roots; parents come before their children."""
     T_world_joint: Float[np.ndarray, "J 4 4"]
-    """Joints at rest, with the scales of the file's nodes."""
+    """Transform of each joint at rest, with the scales of the file's nodes."""
     joint_of: Int[np.ndarray, "V K"]
-    """Joint of each influence; J stands for the world, which never moves."""
+    """Joint of each of the K influences of a vertex; index J is the world, which does not move."""
     weights: Float[np.ndarray, "V K"]
-    """Rows sum to 1."""
+    """Skinning weight of each influence, rows sum to 1."""
     points: Float[np.ndarray, "V K 3"]
-    """Where each influence alone puts the vertex at rest; they differ where the file was bound in another pose."""
+    """Position of the vertex at rest under each influence alone; they differ if the file was bound in another pose."""
 
     @property
     def joints(self) -> Float[np.ndarray, "J 3"]:
-        """Positions of the joints at rest."""
+        """Joint positions at rest."""
         return self.T_world_joint[:, :3, 3]
 
     def bones(self) -> frozenset[tuple[str, str]]:
-        """Name and parent's name of each joint: two characters with equal bones have one skeleton, of any size."""
+        """List the name and parent's name of each joint; two characters with equal lists have the same skeleton."""
         return frozenset(
             (name, self.joint_names[parent] if parent >= 0 else "")
             for name, parent in zip(self.joint_names, self.parents, strict=True)
@@ -48,25 +48,27 @@ class SkinnedCharacter:
     def skinning_transforms(
         self, local_rotmat: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, "3"] | None = None
     ) -> Float[np.ndarray, "J+1 4 4"]:
-        """What each joint does to points of the rest pose, and last what the world does to them: nothing.
+        """Compute each joint's transform of points from rest to a pose; the last one, of the world, is the identity.
 
-        `root` (the file's unit) moves every root joint.
+        Args:
+            root: displacement of every root joint from rest, in the unit of the file.
         """
         count = len(self.parents)
         transforms = np.tile(np.eye(4), (count + 1, 1, 1))
         for j, parent in enumerate(self.parents):
-            own = np.eye(4)
-            own[:3, :3] = local_rotmat[j]
-            own[:3, 3] = self.joints[j] - local_rotmat[j] @ self.joints[j]
+            local = np.eye(4)  # rotation about the joint's position at rest
+            local[:3, :3] = local_rotmat[j]
+            local[:3, 3] = self.joints[j] - local_rotmat[j] @ self.joints[j]
             if parent < 0 and root is not None:
-                own[:3, 3] += root
-            transforms[j] = transforms[parent] @ own  # the parent -1 is the last entry, the world
+                local[:3, 3] += root
+            transforms[j] = transforms[parent] @ local  # parent -1 is the last entry, the world
         return transforms
 
     def posed(
         self, local_rotmat: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, "3"] | None = None
     ) -> Float[np.ndarray, "V 3"]:
-        """Vertices under local joint rotations; see the module for their frames. Morph targets stay as they are."""
-        held = self.skinning_transforms(local_rotmat, root)[self.joint_of]
-        moved = (held[..., :3] @ self.points[..., None])[..., :3, 0] + held[..., :3, 3]
+        """Compute the vertices under local joint rotations (see the module); morph targets are not animated."""
+        # Each influence has its own rest point, so transforms cannot be blended first, as `core.skinning` does.
+        transforms = self.skinning_transforms(local_rotmat, root)[self.joint_of]
+        moved = (transforms[..., :3] @ self.points[..., None])[..., :3, 0] + transforms[..., :3, 3]
         return (self.weights[..., None] * moved).sum(axis=1)

@@ -1,1 +1,1 @@
-"""Data types and arithmetic that every other package uses; it imports none of them."""
+"""Meshes, geometry, normalization, rigs and skinning: what every other package uses. Imports no other package."""

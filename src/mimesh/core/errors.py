@@ -1,5 +1,5 @@
-"""The one exception that a user can cause."""
+"""The exception for errors that a user can cause and repair."""
 
 
 class InputError(ValueError):
-    """The user's file or argument is wrong. One line: what was expected, what was found, what to do."""
+    """A wrong file or argument. The message is one line: what was expected, what was found, what to do."""

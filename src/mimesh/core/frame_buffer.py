@@ -1,4 +1,4 @@
-"""Frames of a clip that need no memory: long clips lie in a temporary file, which the system pages in and out."""
+"""Buffers for the frames of a clip. Those of long clips are memory maps of a temporary file, to bound the memory."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from jaxtyping import Float
 
 T = TypeVar("T")
 LARGE = 64 * 2**20
-"""Bytes from which on frames lie on disk."""
+"""Bytes from which on a buffer is a file on disk."""
 
 PAGED = 32
-"""Frames that are worked on between two calls of `release_pages`."""
+"""Frames processed between two calls of `release_pages`."""
 
 Progress = Callable[[int, int], None]
-"""Called as frames get done with (frames done, frames in all)."""
+"""Callback for progress, called with (frames done, frames in all)."""
 
 
 def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
-    """An array for so many frames, in memory or, for a long clip, in a file that is gone when the array is.
+    """Allocate an array for `count` frames: in memory, or from LARGE bytes on in a file that is deleted with the array.
 
     Raises:
-        InputError: the temporary folder has no room for them.
+        InputError: the temporary folder has too little space.
     """
     shape = (count, vertices, 3)
     if count * vertices * 3 * np.dtype(dtype).itemsize < LARGE:
@@ -37,7 +37,7 @@ def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dty
 
 
 def _reserve(descriptor: int, size: int) -> None:
-    """Take the room now: a page that finds none later kills the process."""
+    """Reserve the disk space now: a page that cannot be written later would kill the process (SIGBUS)."""
     from .errors import InputError
 
     if not hasattr(os, "posix_fallocate"):
@@ -52,7 +52,7 @@ def _reserve(descriptor: int, size: int) -> None:
 
 
 def release_pages(frames: Float[np.ndarray, "T V 3"]) -> None:
-    """Give back the memory that pages of such a file have taken; the values stay."""
+    """Release the memory of a memory-mapped array; its values stay in the file. Other arrays are left alone."""
     pages = getattr(frames, "_mmap", None)
     if pages is not None and hasattr(pages, "madvise"):
         pages.madvise(mmap.MADV_DONTNEED)
@@ -65,24 +65,24 @@ def store_frames(
     dtype: type[np.floating] | np.dtype = np.float64,
     progress: Progress | None = None,
 ) -> Float[np.ndarray, "T V 3"]:
-    """Take in `count` frames of so many vertices, one by one, into `allocate_frames`."""
-    kept = allocate_frames(count, vertices, dtype)
+    """Store `count` frames that arrive one by one in an array of `allocate_frames`."""
+    stored = allocate_frames(count, vertices, dtype)
     done = 0
     for points in frames:
-        kept[done] = points
+        stored[done] = points
         done += 1
         if done % PAGED == 0:
-            release_pages(kept)
+            release_pages(stored)
         if progress is not None:
             progress(done, count)
-    assert done == count, f"{done} frames came, {count} were said to"
-    return kept
+    assert done == count, f"expected {count} frames, got {done}"
+    return stored
 
 
 def each_frame(
     vertices: Float[np.ndarray, "T V 3"], progress: Progress | None = None
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The frames of a clip one by one in double precision, without keeping what was read."""
+    """Iterate over the frames of a clip in double precision, and release their pages as they have been read."""
     for t, points in enumerate(vertices):
         yield np.asarray(points, np.float64)
         if t % PAGED == 0:
@@ -92,7 +92,7 @@ def each_frame(
 
 
 def counted(items: Iterable[T], count: int, progress: Progress | None) -> Iterator[T]:
-    """The items, each told to `progress` once it has been taken care of."""
+    """Iterate over items and report each to `progress` when the next one is requested."""
     for done, item in enumerate(items, 1):
         yield item
         if progress is not None:

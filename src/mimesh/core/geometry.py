@@ -14,37 +14,37 @@ if TYPE_CHECKING:
 
 
 def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
-    """Face normals whose length is twice the face's area (cross product of two edges)."""
+    """Compute the cross product of two edges of each face: its normal times twice its area."""
     a, b, c = (np.take(vertices, faces[:, k], axis=-2) for k in range(3))
     return np.cross(b - a, c - a)
 
 
 def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F"]:
-    """Area of each triangle."""
+    """Compute the area of each triangle."""
     return 0.5 * np.linalg.norm(face_vectors(vertices, faces), axis=-1)
 
 
 def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
-    """Unit normals of triangles; those without area get +y."""
+    """Compute unit normals of triangles; those without area get +y."""
     return _unit_or_up(face_vectors(vertices, faces))
 
 
 def vertex_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "V 3"]:
-    """Area-weighted unit normals; vertices without a face, or with cancelling faces, get +y."""
+    """Compute area-weighted unit normals; vertices without faces, or whose face normals cancel, get +y."""
     vectors = np.repeat(face_vectors(vertices, faces), 3, axis=0)
     return _unit_or_up(_sum_by(faces.ravel(), vectors, len(vertices)))
 
 
 def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Vectors at length one; zero vectors stay zero."""
+    """Normalise vectors to length 1; zero vectors stay zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(length > 0, length, 1.0)
 
 
 def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> csr_array:
-    """Sparse (3 F, V): row 3 f + k times a function on the vertices is its derivative along axis k in triangle f.
+    """Build the sparse gradient of functions on the vertices: row 3 f + k is the derivative along axis k in triangle f.
 
-    The derivative along a triangle's normal is zero. Weighed by area, its square is the cotangent Laplacian. Every
+    The derivative along a triangle's normal is zero. With areas as weights, G^T G is the cotangent Laplacian. Every
     triangle must have an area.
     """
     from scipy.sparse import csr_array
@@ -60,13 +60,13 @@ def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray,
 
 
 def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
-    """Each undirected edge once, smaller index first, sorted."""
+    """List each undirected edge once, smaller index first, sorted."""
     pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     return np.unique(pairs, axis=0)
 
 
 def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:
-    """(V, V) matrix that has a one for each two vertices of a pair, both ways: sums over neighbours."""
+    """Build the symmetric adjacency matrix (V, V) of pairs of vertices; its product sums over neighbours."""
     from scipy.sparse import csr_array
 
     both = np.concatenate([pairs, pairs[:, ::-1]])
@@ -76,18 +76,18 @@ def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:
 def near_pairs(
     vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], reach: float
 ) -> Int[np.ndarray, "N 2"]:
-    """Pairs of vertices no further apart than `reach` along edges, each once, smaller index first, sorted."""
+    """List the pairs of vertices at most `reach` apart along edges, each once, smaller index first, sorted."""
     from scipy.sparse import csr_array
     from scipy.sparse.csgraph import dijkstra
 
     first, second = edges(faces).T
     lengths = np.linalg.norm(vertices[first] - vertices[second], axis=1)
-    apart = dijkstra(csr_array((lengths, (first, second)), shape=(len(vertices),) * 2), directed=False, limit=reach)
-    return np.argwhere(np.triu(np.isfinite(apart), k=1))
+    distance = dijkstra(csr_array((lengths, (first, second)), shape=(len(vertices),) * 2), directed=False, limit=reach)
+    return np.argwhere(np.triu(np.isfinite(distance), k=1))
 
 
 def neighbours(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " S"], Int[np.ndarray, " N"]]:
-    """Neighbours of each vertex by edges, as (first, index): those of vertex v are `index[first[v]:first[v + 1]]`."""
+    """List the neighbours of each vertex as (first, index): those of vertex v are `index[first[v]:first[v + 1]]`."""
     both = edges(faces)
     both = np.concatenate([both, both[:, ::-1]])
     both = both[np.lexsort((both[:, 1], both[:, 0]))]
@@ -95,7 +95,7 @@ def neighbours(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " S"], In
 
 
 def spatial_order(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " N"]:
-    """An order in which near points are near: halves along the longest side, again and again (a k-d tree's leaves)."""
+    """Order points so that near points have near indices: the leaves of a k-d tree split along the longest side."""
     cells = [np.arange(len(points))]
     while any(len(cell) > 1 for cell in cells):
         cells = [half for cell in cells for half in _halves(points, cell)]
@@ -103,6 +103,7 @@ def spatial_order(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " N"]:
 
 
 def _halves(points, cell):
+    """Split a cell (indices of points) at the median of its longest side; a cell of one point stays."""
     if len(cell) < 2:
         return [cell]
     axis = np.ptp(points[cell], axis=0).argmax()
@@ -111,10 +112,11 @@ def _halves(points, cell):
 
 
 def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, " V"]]:
-    """Merge vertices at exactly one position: the W distinct positions, sorted by x, y, z, and each vertex's index.
+    """Merge vertices at equal positions: the W distinct positions, sorted by x, y, z, and each vertex's index in them.
 
-    Exact on purpose: a tolerance would join surfaces that only touch. `merged[index]` gives the vertices back.
+    Positions must be exactly equal: a tolerance would join surfaces that only touch. `merged[index]` are the vertices.
     """
+    # Equal positions are adjacent once sorted; a new group begins where a position differs from the one before.
     order = np.lexsort(vertices.T[::-1])
     ordered = vertices[order]
     new = np.ones(len(vertices), bool)
@@ -130,18 +132,18 @@ def turn_normals(
     before: Float[np.ndarray, "V 3"],
     after: Float[np.ndarray, "V 3"],
 ) -> Float[np.ndarray, "F 3 3"]:
-    """Turn given corner normals along with the surface; for many frames of one mesh call `normal_turner` once."""
+    """Turn corner normals along with a moved surface; for many frames of one mesh call `normal_turner` once."""
     return normal_turner(corner_normals, faces, before)(after)
 
 
 def normal_turner(
     corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "V 3"]
 ) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "F 3 3"]]:
-    """A function from moved vertices to turned corner normals that keeps hard edges hard and custom normals custom.
+    """Return the function from moved vertices to turned corner normals; it keeps hard edges and custom normals.
 
-    Corners at one position with one normal form a smooth fan. A fan's frame (area-weighted normal, and its first edge
-    laid into the tangent plane) is measured before and after, and the given normal keeps its place in that frame. So a
-    rigid motion turns every normal exactly, and an unmoved fan keeps its normal to the last bit.
+    Corners at one position with one normal form a smooth fan. Each fan has a frame: its area-weighted normal, and its
+    first edge projected into the tangent plane. A corner normal keeps its coordinates in the frame of its fan. So a
+    rigid motion turns every normal with it, and the normals of an unmoved fan are unchanged to the last bit.
     """
     from scipy.sparse import csr_array
 
@@ -154,18 +156,20 @@ def normal_turner(
     )
 
     def fan_frames(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "S 3 3"]:
+        """Compute the frame of each fan; rows are normal, tangent, bitangent."""
         normal = _unit_or_up(np.asarray(gather @ face_vectors(vertices, faces)).reshape(-1, 3))
         edge = vertices[end] - vertices[start]
         tangent = _unit_or_up(edge - normal * (edge * normal).sum(-1, keepdims=True))
         return np.stack([normal, tangent, np.cross(normal, tangent)], axis=1)
 
     rest, old = corner_normals.reshape(-1, 3), fan_frames(before)
-    place = np.einsum("ckd,cd->ck", old[fans], rest)
+    coordinates = np.einsum("ckd,cd->ck", old[fans], rest)
 
     def turn(after: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "F 3 3"]:
         new = fan_frames(after)
+        # Rounding would change the normals of unmoved fans, so these are copied.
         moved = (new != old).any(axis=(1, 2))[fans]
-        turned = np.einsum("ckd,ck->cd", new[fans], place)
+        turned = np.einsum("ckd,ck->cd", new[fans], coordinates)
         return np.where(moved[:, None], turned, rest).reshape(corner_normals.shape)
 
     return turn
@@ -174,8 +178,9 @@ def normal_turner(
 def corner_fans(
     corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]
 ) -> Int[np.ndarray, " 3*F"]:
-    """Number the smooth fans: corners share one if they share position and normal (to 1e-4)."""
+    """Number the smooth fans: corners are in one fan if they have one position and one normal (to 1e-4)."""
     _, position = weld(vertices)
+    # A key of welded position and rounded normal for each corner.
     key = np.concatenate([position[faces.ravel()][:, None], np.round(corner_normals.reshape(-1, 3) * 1e4)], axis=1)
     _, fans = np.unique(key, axis=0, return_inverse=True)
     return fans.reshape(-1)
@@ -184,8 +189,11 @@ def corner_fans(
 def rotate_between(
     old: Float[np.ndarray, "N 3"], new: Float[np.ndarray, "N 3"], vectors: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Apply to each vector the smallest rotation that takes unit `old` to unit `new` (opposite ones: half a turn)."""
-    axis = np.cross(old, new)
+    """Rotate each vector by the smallest rotation from unit vector `old` to unit vector `new` (Rodrigues' formula).
+
+    Opposite ones have no unique rotation; there the vector is negated.
+    """
+    axis = np.cross(old, new)  # its length is the sine of the angle
     cosine = (old * new).sum(-1, keepdims=True)
     opposite = cosine < -1 + 1e-9
     safe = np.where(opposite, 1.0, 1.0 + cosine)
@@ -194,24 +202,27 @@ def rotate_between(
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
-    """The rotation nearest to each matrix; of a sum of rotations, their mean."""
+    """Compute the rotation nearest to each matrix (Frobenius norm); for a sum of rotations it is their mean."""
     u, _, vt = np.linalg.svd(matrix)
+    # A negative determinant would be a reflection: flip the direction of the smallest singular value.
     u[..., 2] *= np.sign(np.linalg.det(u @ vt))[..., None]
     return u @ vt
 
 
 def factor(matrix: csr_array) -> SuperLU:
-    """Factors of a symmetric positive definite matrix, for as many solves as there are frames."""
+    """Factorise a sparse symmetric positive definite matrix once, to solve many right-hand sides."""
     from scipy.sparse.linalg import splu
 
     return splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
 
 def _sum_by(index: Int[np.ndarray, " N"], values: Float[np.ndarray, "N 3"], size: int) -> Float[np.ndarray, "S 3"]:
+    """Sum the values of each index."""
     return np.stack([np.bincount(index, values[:, k], minlength=size) for k in range(3)], axis=1).astype(float)
 
 
 def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
+    """Normalise vectors to length 1; zero vectors become +y."""
     return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 
@@ -222,14 +233,15 @@ def closest_on_mesh(
     candidates: int = 12,
     normals: Float[np.ndarray, "N 3"] | None = None,
 ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"], Float[np.ndarray, " N"]]:
-    """Closest surface point of each query point: face index, barycentric weights, distance.
+    """Find the closest surface point of each query point: face index, barycentric coordinates, distance.
 
-    Looks at the `candidates` faces whose centroids are nearest, which is exact when the query lies close to a mesh of
-    fairly even triangles; raise `candidates` for long thin ones. With `normals`, faces that look away from the query's
-    normal by 90 degrees or more do not count; the distance is infinite where none of the candidates is left.
+    Only the `candidates` faces with the nearest centroids are tested. That is exact if the query is close to a mesh of
+    fairly even triangles; increase `candidates` for long thin ones. With `normals`, faces whose normal is 90 degrees or
+    more from the query's are ignored; the distance is infinite if no candidate is left.
     """
     from scipy.spatial import KDTree
 
+    # Candidate columns are tested one after the other, for all points at once.
     centroids = vertices[faces].mean(axis=1)
     _, near = KDTree(centroids).query(points, k=min(candidates, len(faces)))
     near = near.reshape(len(points), -1)
@@ -252,7 +264,8 @@ def closest_on_mesh(
 def closest_barycentric(
     points: Float[np.ndarray, "N 3"], triangles: Float[np.ndarray, "N 3 3"]
 ) -> Float[np.ndarray, "N 3"]:
-    """Barycentric weights of the point of each triangle that is closest to the matching query point."""
+    """Compute the barycentric coordinates of the point of triangle i closest to query point i."""
+    # It is the projection to the plane if that is inside the triangle, else the closest point of the three edges.
     inside = _plane_barycentric(points, triangles)
     weights, best = inside, np.where((inside >= 0).all(axis=1), -1.0, np.inf)
     for i, j in ((0, 1), (1, 2), (2, 0)):
@@ -269,9 +282,11 @@ def closest_barycentric(
 
 
 def _plane_barycentric(points, triangles):
+    """Compute the barycentric coordinates of the projections of points to the planes of triangles."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.maximum((normal * normal).sum(-1), np.finfo(float).tiny)
+    # Signed areas of the sub-triangles over that of the triangle.
     u = (np.cross(c - b, points - b) * normal).sum(-1) / square
     v = (np.cross(a - c, points - c) * normal).sum(-1) / square
     return np.stack([u, v, 1 - u - v], axis=1)

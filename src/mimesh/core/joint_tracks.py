@@ -1,4 +1,4 @@
-"""Motion of joints in a clip: smoothing over time, and paths of the root joint on which feet do not slide."""
+"""Motion of a clip's joints: smoothing over time, and correction of the root path so that planted feet do not slide."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .rig import Rig
 from .skinning import SkinnedMesh
 
 PLANTED_HEIGHT, PLANTED_SPEED = 0.06, 0.15
-"""A foot is planted below this height over the ground (leg lengths) and this speed (leg lengths a second)."""
+"""A foot is planted below this height over the ground (leg lengths) and this speed (leg lengths per second)."""
 LIFT_SMOOTHING = 0.05
 """Standard deviation (seconds) of the Gaussian that smooths vertical corrections, so that landings do not jolt."""
 
@@ -28,21 +28,21 @@ class JointTrack:
     def smoothed(self, seconds: float) -> JointTrack:
         """Average rotations and positions over time with a Gaussian of this standard deviation.
 
-        Positions are averaged about the line from the first to the last, so that the way stays as long as it was.
+        Positions are averaged relative to the line from the first to the last, which keeps the length of the path.
         """
         if seconds <= 0 or len(self.positions) == 1:
             return self
         line = np.linspace(self.positions[0], self.positions[-1], len(self.positions))
-        rotation, off = (_blurred(array, seconds * self.fps) for array in (self.rotation, self.positions - line))
-        return replace(self, rotation=nearest_rotation(rotation), positions=line + off)
+        rotation, offset = (_blur(array, seconds * self.fps) for array in (self.rotation, self.positions - line))
+        return replace(self, rotation=nearest_rotation(rotation), positions=line + offset)
 
     def foot_heights(self, feet: FootJoints) -> Float[np.ndarray, "T F"]:
-        """Height of each foot joint over its height when planted; the lowest of the clip is taken to be planted."""
+        """Compute each foot joint's height above the planted foot; the lowest foot of the clip counts as planted."""
         height = self.positions[:, list(feet.joints), 1] - feet.driving_height
         return height - height.min()
 
     def planted(self, feet: FootJoints) -> Bool[np.ndarray, "T F"]:
-        """Which foot joints stand on the ground: those that are low and slow."""
+        """Detect which foot joints stand on the ground: those that are low and slow."""
         low = self.foot_heights(feet) < PLANTED_HEIGHT * feet.driving_leg
         if len(self.positions) == 1:
             return low
@@ -52,28 +52,32 @@ class JointTrack:
 
 @dataclass(frozen=True)
 class FootJoints:
-    """Joints that may stand on the ground."""
+    """Foot joints that may stand on the ground."""
 
     joints: tuple[int, ...]
+    """Indices of the F foot joints."""
     driving_leg: float
-    """Length of the driving's leg."""
+    """Leg length of the driving mesh."""
     identity_height: Float[np.ndarray, " F"]
-    """Height of each of these joints over the identity's ground when its foot is flat on it."""
+    """Height of each of these joints above the ground when the identity's foot is flat on it."""
     driving_height: Float[np.ndarray, " F"]
-    """The same of the driving."""
+    """The same for the driving mesh."""
 
 
 def sole_depths(rig: Rig, vertices: Float[np.ndarray, "V 3"], joints: tuple[int, ...]) -> Float[np.ndarray, " F"]:
-    """How far below each joint, in its own frame, the vertices reach whose largest weight it has; 0 without any."""
+    """Measure how far the vertices with their largest weight on a joint extend below it, along -y of its frame.
+
+    0 for a joint without such vertices.
+    """
     strongest = rig.weights.argmax(axis=1)
     down = [-(rig.rotation[j].T @ (vertices[strongest == j] - rig.joints[j]).T)[1] for j in joints]
     return np.array([depth.max(initial=0.0) for depth in down])
 
 
 def root_path(track: JointTrack, across: float, up: float, in_place: bool) -> Float[np.ndarray, "T 3"]:
-    """Positions of the driving's root joint, scaled by `across` over the ground and by `up` vertically.
+    """Scale the path of the driving's root joint by `across` horizontally and by `up` vertically.
 
-    With `in_place` it only moves vertically.
+    With `in_place` the horizontal position stays that of the first frame.
     """
     path = np.array([across, up, across]) * track.positions[:, 0]
     return np.where([in_place, False, in_place], path[:1], path)
@@ -82,46 +86,57 @@ def root_path(track: JointTrack, across: float, up: float, in_place: bool) -> Fl
 def grounded_path(
     track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints, up: float
 ) -> Float[np.ndarray, "T 3"]:
-    """Correct a root path so that joints planted in the driving do not slide, and stand on the ground.
+    """Correct a root path so that joints planted in the driving clip stand on the ground and do not slide.
 
-    Over the ground: from frame to frame the root is moved against the mean slide of the joints planted in both; in the
-    air it keeps its displacement. Vertically: planted joints get the driving's height over the ground (times `up`), and
-    corrections are interpolated between and smoothed.
+    Horizontally: between two frames the root is moved against the mean slide of the joints planted in both; in the air
+    it keeps its displacement. Vertically: planted joints get the driving joint's height above the ground (times `up`);
+    corrections are interpolated in between and smoothed.
     """
     planted = track.planted(feet)
     if not planted.any():
         return path
-    reached = np.stack([skinned.places(turned, np.zeros(3))[list(feet.joints)] for turned in track.rotation])
+    # Foot positions of the identity relative to its root joint.
+    reached = np.stack(
+        [skinned.joint_positions(rotation, np.zeros(3))[list(feet.joints)] for rotation in track.rotation]
+    )
     correction = np.zeros_like(path)
+    # Horizontal: accumulate the slide of joints that are planted in two frames in a row.
     both = planted[1:] & planted[:-1]
     slide = np.diff(reached + path[:, None], axis=0)
     correction[1:, [0, 2]] = -np.cumsum(_masked_mean(slide, both)[:, [0, 2]], axis=0)
     height = feet.identity_height + up * track.foot_heights(feet) - reached[..., 1]
+    # Vertical: where joints are planted, their mean height error; interpolated in between.
     known = planted.any(axis=1)
     lift = _masked_mean(height[..., None], planted)[known, 0] - path[known, 1]
     correction[:, 1] = np.interp(np.arange(len(path)), np.flatnonzero(known), lift)
-    correction[:, 1] = _blurred(correction[:, 1], LIFT_SMOOTHING * track.fps)
+    correction[:, 1] = _blur(correction[:, 1], LIFT_SMOOTHING * track.fps)
     return path + correction
 
 
 def foot_skate(
     track: JointTrack, path: Float[np.ndarray, "T 3"], skinned: SkinnedMesh, feet: FootJoints
 ) -> float | None:
-    """Mean speed (a second) over the ground of the identity's joints while planted in the driving; None: never."""
+    """Measure the mean horizontal speed (per second) of the identity's feet while the driving's are planted.
+
+    None if they never are.
+    """
     planted = track.planted(feet)
     both = planted[1:] & planted[:-1]
     if not both.any():
         return None
-    reached = np.stack([skinned.places(*pose)[list(feet.joints)] for pose in zip(track.rotation, path, strict=True)])
+    reached = np.stack(
+        [skinned.joint_positions(*pose)[list(feet.joints)] for pose in zip(track.rotation, path, strict=True)]
+    )
     return float(np.linalg.norm(np.diff(reached, axis=0)[..., [0, 2]], axis=-1)[both].mean() * track.fps)
 
 
 def _masked_mean(values: Float[np.ndarray, "T F C"], mask: Bool[np.ndarray, "T F"]) -> Float[np.ndarray, "T C"]:
-    """Mean over the feet of the mask; zero where there are none."""
+    """Average over the feet where the mask is set; zero in frames without any."""
     return (values * mask[..., None]).sum(axis=1) / np.maximum(mask.sum(axis=1), 1)[:, None]
 
 
-def _blurred(array: Float[np.ndarray, "T *C"], frames: float) -> Float[np.ndarray, "T *C"]:
+def _blur(array: Float[np.ndarray, "T *C"], frames: float) -> Float[np.ndarray, "T *C"]:
+    """Filter along time with a Gaussian of this standard deviation (frames)."""
     from scipy.ndimage import gaussian_filter1d
 
     return gaussian_filter1d(array, frames, axis=0, mode="nearest")

@@ -1,7 +1,7 @@
-"""Mesh and Clip: what every other file passes around, and the checks at the door.
+"""Mesh and Clip, the data that all packages exchange, and the checks of files that were read.
 
-Arrays are NumPy, frozen dataclasses hold them, nothing here mutates an argument. Metres, y up, right-handed,
-+z front, counter-clockwise faces wherever a frame has been applied; as the file had them before that.
+Arrays are NumPy in frozen dataclasses; no function mutates an argument. Axes and unit are those of the file. After
+`Normalization.apply`: y up, right-handed, +z front, faces counter-clockwise seen from outside.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from .frame_buffer import each_frame
 
 @runtime_checkable
 class Source(Protocol):
-    """The file a mesh came from, kept so that it can be written back with nothing but the points moved."""
+    """The file that a mesh was read from, kept so that it can be written again with only the points changed."""
 
     suffix: str
 
     def write(self, mesh: Mesh, path: Path) -> None:
-        """Write the original file to `path` with the positions (and normals) of `mesh`, all else as it was."""
+        """Write the original file to `path` with the positions (and normals) of `mesh`, otherwise unchanged."""
         ...
 
 
 @dataclass(frozen=True)
 class Material:
-    """What a surface looks like, as far as every format can say it."""
+    """Appearance of a surface, limited to what every format can store."""
 
     name: str
     base_color: tuple[float, float, float, float] = (0.8, 0.8, 0.8, 1.0)
     """Linear RGBA in 0..1."""
     texture: bytes | None = None
-    """Content of a PNG or JPEG file that multiplies the base colour."""
+    """Content of a PNG or JPEG file; its colours are multiplied by the base colour."""
 
 
 @dataclass(frozen=True)
@@ -52,27 +52,27 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A triangle mesh (or a point cloud, when it has no faces) and the file it came from.
+    """A triangle mesh, or a point cloud if it has no faces, and the file it was read from.
 
     `vertices` keep the order and count of the file, so a format with split vertices (GLB) holds several at one
-    position; `geometry.weld` finds them. Polygons are triangulated here and kept whole in `source`.
+    position; `geometry.weld` finds them. Polygons are triangulated here and kept in `source`.
     """
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
     name: str = "mesh"
     corner_uv: Float[np.ndarray, "F 3 2"] | None = None
-    """Texture coordinate of each face corner, origin at the lower left (OBJ's way; glTF's v is 1 - ours)."""
+    """Texture coordinate of each face corner, origin at the lower left as in OBJ (v of glTF is 1 minus this v)."""
     corner_normals: Float[np.ndarray, "F 3 3"] | None = None
-    """Unit normal of each face corner where the file gave normals; hard edges live here."""
+    """Unit normal of each face corner, if the file has normals; they define hard edges."""
     vertex_colors: Float[np.ndarray, "V 4"] | None = None
-    """Linear RGBA of each vertex in 0..1, where the file gave colours; it multiplies the base colour."""
+    """Linear RGBA of each vertex in 0..1, if the file has colours; multiplied by the base colour."""
     parts: tuple[Part, ...] = ()
     """Consecutive runs that cover all faces; empty means one unnamed part."""
     source: Source | None = None
 
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
-        """The same mesh with its points elsewhere and its corner normals turned along with the surface."""
+        """Replace the points and turn the corner normals along with the surface."""
         from .geometry import turn_normals
 
         if vertices.shape != self.vertices.shape:
@@ -85,18 +85,18 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Clip:
-    """A mesh that moves: `vertices[t]` are the points of `mesh` at time `t / fps` seconds."""
+    """An animated mesh: `vertices[t]` are the points of `mesh` at `t / fps` seconds."""
 
     mesh: Mesh
-    """Topology, looks and source; its vertices are those of frame 0 unless the file had a rest shape."""
+    """Topology, appearance and source; its vertices are those of frame 0 unless the file has a rest shape."""
     vertices: Float[np.ndarray, "T V 3"]
     fps: float = 30.0
     headings: Float[np.ndarray, "T 3"] | None = None
-    """Which way a person faces in every frame, y up, where joints say so; None leaves it to the shape."""
+    """Facing direction of the person in every frame (y up), if joints define it; None: detected from the shape."""
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
-        """A mesh as a clip of one frame."""
+        """Make a clip of one frame."""
         return cls(mesh, mesh.vertices[None])
 
     def __len__(self) -> int:
@@ -109,7 +109,7 @@ class Clip:
 
 
 def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
-    """Return the mesh if it can be worked with, and say in one line what is wrong if it cannot.
+    """Return the mesh if it is valid.
 
     Raises:
         InputError: no vertices, NaN or infinite coordinates, a face index out of range, or no extent at all.
@@ -142,7 +142,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
 
 
 def check_clip(clip: Clip, path: str | Path) -> Clip:
-    """Return the clip if every frame can be worked with (see `check_mesh`); raises InputError otherwise."""
+    """Return the clip if every frame is valid (see `check_mesh`); raise InputError otherwise."""
     if len(clip) == 0:
         raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
     if clip.vertices.shape[1:] != clip.mesh.vertices.shape:
@@ -162,7 +162,7 @@ def check_clip(clip: Clip, path: str | Path) -> Clip:
 
 
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
-    """Every `step`-th frame from `start` up to but without `stop`; it plays at fps / step, as fast as before.
+    """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step, so the speed is unchanged.
 
     Raises:
         InputError: no frame is left, or the step is not positive.
@@ -183,11 +183,12 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:
     """Reorder vertices and rename face indices together: new vertex i is old vertex `order[i]`.
 
-    The one permutation function of the project: training, tests and protocols all shuffle through it. The result
-    has no `source`, because its vertices are no longer those of the file.
+    Training, tests and protocols all shuffle with this function. The result has no `source`, because its vertices are
+    no longer those of the file.
     """
     if sorted(order.tolist()) != list(range(len(mesh.vertices))):
         raise ValueError(f"order must be a permutation of 0..{len(mesh.vertices) - 1}, got {len(order)} entries")
+    # Invert the permutation for the face indices.
     rank = np.empty(len(order), mesh.faces.dtype)
     rank[order] = np.arange(len(order), dtype=mesh.faces.dtype)
     colors = None if mesh.vertex_colors is None else mesh.vertex_colors[order]

@@ -1,4 +1,4 @@
-"""NumPy archives (.npz) from anywhere: opened with care, never unpickled. `io.npz` and `motions.amass` read them."""
+"""Read untrusted NumPy archives (.npz) without unpickling. Used by `io.npz` and `motions.amass`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ import numpy as np
 from .errors import InputError
 
 POINTS = ("vertices", "v", "verts", "points")
-"""What the points of a mesh or clip are called, the likeliest first."""
-# What opening a damaged, encrypted or pickled archive raises, as NumPy and zipfile have it.
+"""Array names that stand for the points of a mesh or clip, in order of preference."""
+# What NumPy and zipfile raise for a damaged, encrypted or pickled archive.
 _DAMAGE = (ValueError, TypeError, OSError, EOFError, RuntimeError, MemoryError, zipfile.BadZipFile, zlib.error)
 
 
 @contextlib.contextmanager
 def open_archive(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.ZipFile, list[str]]]:
-    """An archive and the names of its arrays, for a block that reads them; `path` is what errors call it.
+    """Open an archive: yields it and the names of its arrays. `path` is named in errors.
 
     Raises:
-        InputError: whatever goes wrong with it in the block, in one line.
+        InputError: the archive turns out to be damaged, here or while it is read inside the `with` block.
     """
     try:
         with zipfile.ZipFile(file) as archive:
@@ -38,6 +38,6 @@ def open_archive(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """One array of an archive; one of objects raises ValueError."""
+    """Read one array of an archive; an array of pickled objects raises ValueError."""
     with archive.open(f"{name}.npy") as member:
         return np.lib.format.read_array(member, allow_pickle=False)

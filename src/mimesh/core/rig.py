@@ -1,9 +1,10 @@
-"""Joints and skinning weights of a mesh at rest, and their kinematic tree."""
+"""Joints and skinning weights of a mesh at rest, and functions of the kinematic tree."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float
@@ -14,21 +15,21 @@ class Rig:
     """Joints of a mesh at rest and its skinning weights."""
 
     rotation: Float[np.ndarray, "J 3 3"]
-    """Of every joint in the world. Joints of two meshes correspond by these: the driving's rotation times the
-    transposed of the identity's is what the identity's joint has to do."""
+    """World rotation of each joint. Corresponding joints of two meshes have corresponding axes: the rotation of the
+    driving joint times the transposed rotation of the identity joint takes the identity joint to the driving pose."""
     joints: Float[np.ndarray, "J 3"]
-    """Positions."""
+    """World positions of the joints."""
     weights: Float[np.ndarray, "V J"]
     """Skinning weights, rows sum to 1."""
 
     def bones(self, parents: tuple[int, ...]) -> Float[np.ndarray, "B 3"]:
-        """Vectors from each parent to its child (all joints but the root), in the parent's frame."""
+        """Compute the vector from each joint's parent to the joint, in the parent's frame; the root has none."""
         above = list(parents[1:])
         return np.einsum("jkl,jk->jl", self.rotation[above], self.joints[1:] - self.joints[above])
 
 
 def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
-    """Indices of some joints and of all joints below them in the tree; parents come before their children."""
+    """List the indices of some joints and of all joints below them; parents come before their children."""
     found = set(tops)
     for j, parent in enumerate(parents):
         if parent in found:
@@ -36,7 +37,22 @@ def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
     return sorted(found)
 
 
+@cache
+def descendant_matrix(parents: tuple[int, ...]) -> Float[np.ndarray, "J J"]:
+    """Build the matrix that has 1 at [j, k] if joint k is joint j or a descendant of it, else 0; read-only.
+
+    Its product with a column per joint sums over each joint's subtree; the product with its transpose sums over each
+    joint's ancestors. Parents come before their children.
+    """
+    matrix = np.eye(len(parents))
+    for j in range(len(parents) - 1, -1, -1):
+        if parents[j] >= 0:
+            matrix[parents[j]] += matrix[j]
+    matrix.setflags(write=False)  # it is cached, so all callers share it
+    return matrix
+
+
 def leg_length(joints: Float[np.ndarray, "J 3"], legs: tuple[tuple[int, ...], ...]) -> float:
-    """Mean length of the legs, each a chain of joints."""
+    """Measure the mean length of the legs, each given as the indices of a chain of joints."""
     chains = [joints[list(leg)] for leg in legs]
     return float(np.mean([np.linalg.norm(np.diff(chain, axis=0), axis=1).sum() for chain in chains]))

@@ -1,6 +1,9 @@
-"""Linear blend skinning: vertices that several joints move at once, each by its weight.
+"""Forward kinematics and linear blend skinning (LBS) in NumPy: x -> sum over joints j of w_j (A_j x + t_j).
 
-The one NumPy implementation. `learn/` has a batched torch twin (gradients), and tests hold the two together.
+There are three forms, because each is the fastest for its use: `skin_points` (one pose, any linear maps A_j),
+`skin_poses` (batches of poses) and `SkinnedMesh` (many poses of one mesh, single precision). Code that needs
+derivatives has its own forms (`bodies.body_parameters`, `bodies.sampled_body`, torch in `learn`), and so do influences
+with rest points of their own (`bodies.skinned_character`). tests/core/test_skinning.py checks that all of them agree.
 """
 
 from __future__ import annotations
@@ -16,9 +19,9 @@ from .rig import Rig
 def blend_matrices(
     weights: Float[np.ndarray, "V J"], matrices: Float[np.ndarray, "J 3 3"]
 ) -> Float[np.ndarray, "V 3 3"]:
-    """One matrix a vertex: the weighted sum of those of the joints.
+    """Compute one matrix per vertex: the weighted sum of the joints' matrices.
 
-    One matrix product; the same as an einsum takes three times as long.
+    One matrix product; einsum takes three times as long.
     """
     return (weights @ matrices.reshape(-1, 9)).reshape(-1, 3, 3)
 
@@ -29,8 +32,52 @@ def skin_points(
     linear: Float[np.ndarray, "J 3 3"],
     offset: Float[np.ndarray, "J 3"],
 ) -> Float[np.ndarray, "V 3"]:
-    """Move each point by the weighted sum of what the joints do to it: x -> linear x + offset."""
+    """Move points at rest by the weighted sum of the joints' maps x -> linear x + offset."""
     return np.einsum("vkl,vl->vk", blend_matrices(weights, linear), points) + weights @ offset
+
+
+def skin_poses(
+    points: Float[np.ndarray, "*#B V 3"],
+    weights: Float[np.ndarray, "V J"],
+    rotation: Float[np.ndarray, "*B J 3 3"],
+    translation: Float[np.ndarray, "*B J 3"],
+) -> Float[np.ndarray, "*B V 3"]:
+    """Do what `skin_points` does for a batch of poses; leading axes broadcast. See `skinning_transforms`."""
+    batch = rotation.shape[:-3]
+    transforms = np.concatenate([rotation, translation[..., None]], axis=-1).reshape(*batch, -1, 12)
+    # Rotation and translation are blended in one matrix product: einsum over joints takes three times as long.
+    blended = (weights @ transforms).reshape(*batch, -1, 3, 4)
+    return np.einsum("...vkl,...vl->...vk", blended[..., :3], points) + blended[..., 3]
+
+
+def skinning_transforms(
+    joints: Float[np.ndarray, "*#B J 3"],
+    rotmat: Float[np.ndarray, "*#B J 3 3"],
+    parents: tuple[int, ...],
+    root: Float[np.ndarray, "*#B 3"] | None = None,
+) -> tuple[Float[np.ndarray, "*C J 3 3"], Float[np.ndarray, "*C J 3"]]:
+    """Compute the map x -> rotation x + translation of each joint from rest to a pose (forward kinematics).
+
+    Args:
+        joints: positions at rest, where all joint frames have the world's axes.
+        rotmat: rotation of each joint in its parent's frame.
+        parents: index of each joint's parent, -1 for roots; parents come before their children.
+        root: displacement of the root joints from rest.
+    """
+    batch = np.broadcast_shapes(rotmat.shape[:-3], joints.shape[:-2], () if root is None else root.shape[:-1])
+    rotmat = np.broadcast_to(rotmat, (*batch, *rotmat.shape[-3:]))
+    rotation, position = [], []
+    for j, parent in enumerate(parents):
+        if parent < 0:
+            rotation.append(rotmat[..., j, :, :])
+            position.append(joints[..., j, :] if root is None else joints[..., j, :] + root)
+        else:
+            bone = (joints[..., j, :] - joints[..., parent, :])[..., None]
+            rotation.append(rotation[parent] @ rotmat[..., j, :, :])
+            position.append(position[parent] + (rotation[parent] @ bone)[..., 0])
+    rotations, positions = np.stack(rotation, -3), np.stack(np.broadcast_arrays(*position), -2)
+    # The map takes the joint's rest position to its posed one: position = rotation joint + translation.
+    return rotations, positions - (rotations @ joints[..., None])[..., 0]
 
 
 def place_joints(
@@ -39,42 +86,45 @@ def place_joints(
     linear: Float[np.ndarray, "J 3 3"],
     parents: tuple[int, ...],
 ) -> Float[np.ndarray, "J 3"]:
-    """Positions of the joints of a chain whose root is at `root` (forward kinematics).
+    """Compute joint positions from the joints' world maps (forward kinematics): p_child = p_parent + linear bone.
 
     Args:
-        bones: from each parent to its child, all joints but the root, in the parent's frame.
-        linear: of every joint in the world: rotations, or with the scale of bones.
+        root: position of the root joint.
+        bones: vector from each joint's parent to the joint, in the parent's frame; the root has none.
+        linear: map of each joint from its own frame to the world: a rotation, also times scales of bones.
         parents: -1 for the root, which comes first; parents come before their children.
     """
-    places = [root]
+    positions = [root]
     for bone, parent in zip(bones, parents[1:], strict=True):
-        places.append(places[parent] + linear[parent] @ bone)
-    return np.stack(places)
+        positions.append(positions[parent] + linear[parent] @ bone)
+    return np.stack(positions)
 
 
 @dataclass(frozen=True, eq=False)
 class SkinnedMesh:
-    """Vertices of a rigged mesh in the form in which posing them is one matrix product."""
+    """A rigged mesh, packed so that posing it is one matrix product in single precision."""
 
     parents: tuple[int, ...]
-    """-1 is the root's."""
+    """Index of each joint's parent, -1 for the root; parents come before their children."""
     bones: Float[np.ndarray, "B 3"]
-    """From each parent to its child (all joints but the root), in the parent's frame."""
+    """Vector from each joint's parent to the joint, in the parent's frame; the root has none."""
     packed: np.ndarray
-    """(V, 4 J), float32: every vertex in each joint's frame, homogeneous, times the joint's weight."""
+    """(V, 4 J), float32: each vertex in each joint's frame, in homogeneous coordinates, times the joint's weight."""
 
     @classmethod
     def of(cls, vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> SkinnedMesh:
-        """From the vertices that the rig belongs to."""
+        """Pack the vertices at rest that the rig belongs to."""
         local = np.einsum("jkl,vjk->vjl", rig.rotation, vertices[:, None] - rig.joints)
         packed = np.concatenate([rig.weights[..., None] * local, rig.weights[..., None]], axis=-1)
         return cls(parents, rig.bones(parents), packed.reshape(len(vertices), -1).astype(np.float32))
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
-        """Vertices where every joint has the world rotation `rotation` and the root joint is at `root`."""
-        transforms = np.concatenate([rotation.swapaxes(-1, -2), self.places(rotation, root)[:, None]], axis=1)
+        """Compute the vertices from the world rotation of every joint and the position of the root joint."""
+        transforms = np.concatenate([rotation.swapaxes(-1, -2), self.joint_positions(rotation, root)[:, None]], axis=1)
         return (self.packed @ transforms.reshape(-1, 3).astype(np.float32)).astype(np.float64)
 
-    def places(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "J 3"]:
-        """Positions of the joints in that pose; bones keep their lengths."""
+    def joint_positions(
+        self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]
+    ) -> Float[np.ndarray, "J 3"]:
+        """Compute the joint positions of that pose; bones keep their lengths."""
         return place_joints(root, self.bones, rotation, self.parents)

@@ -1,6 +1,7 @@
-"""Points on a surface that are the same points of it in every frame: random ones, or vertices and random ones.
+"""Sample points on a surface, stored as triangle corners and barycentric coordinates, so that they follow its motion.
 
-Which points are chosen depends neither on the order of vertices and faces nor on the last bits of positions.
+The samplers of meshes (all but `sample_surface`) depend neither on the order of vertices and faces nor on the last bits
+of positions.
 """
 
 from __future__ import annotations
@@ -21,42 +22,51 @@ def sample_surface(
 ) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, "N 3"]]:
     """Draw random points of a surface, uniform by area, as (face index, barycentric coordinates).
 
-    They are the same points of the surface in every frame of a clip: see `at_barycentric`.
+    `at_barycentric` gives their positions in any frame of a clip.
     """
     areas = face_areas(vertices, faces)
+    # Inverse transform sampling: a uniform number in the accumulated areas selects the face.
     chosen = np.searchsorted(np.cumsum(areas), rng.random(count) * areas.sum()).clip(max=len(faces) - 1)
     u, v = rng.random((2, count))
-    flip = u + v > 1
+    flip = u + v > 1  # outside the triangle: reflect to the other half of the parallelogram
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
     return chosen, np.stack([1 - u - v, u, v], axis=1)
 
 
+def interpolate(
+    values: Float[np.ndarray, "*T V C"], corners: Int[np.ndarray, "N 3"], barycentric: Float[np.ndarray, "N 3"]
+) -> Float[np.ndarray, "*T N C"]:
+    """Interpolate values of vertices (positions, skinning weights) at points of triangles given by their corners."""
+    return (np.take(values, corners, axis=-2) * barycentric[:, :, None]).sum(axis=-2)
+
+
 def at_barycentric(
-    vertices: Float[np.ndarray, "*T V 3"],
+    values: Float[np.ndarray, "*T V C"],
     faces: Int[np.ndarray, "F 3"],
     chosen: Int[np.ndarray, " N"],
-    weights: Float[np.ndarray, "N 3"],
-) -> Float[np.ndarray, "*T N 3"]:
-    """Interpolate positions (or other values of vertices) at points given as (face index, barycentric coordinates)."""
-    corners = np.take(vertices, faces[chosen], axis=-2)
-    return (corners * weights[:, :, None]).sum(axis=-2)
+    barycentric: Float[np.ndarray, "N 3"],
+) -> Float[np.ndarray, "*T N C"]:
+    """Interpolate values of vertices at points given as (face index, barycentric coordinates)."""
+    return interpolate(values, faces[chosen], barycentric)
 
 
 @dataclass(frozen=True, eq=False)
 class SurfacePoints:
-    """Random points of a mesh; of a point cloud they are vertices."""
+    """Random points of a mesh, or random vertices of a point cloud."""
 
     corners: Int[np.ndarray, "N 3"]
-    """Vertices of the triangle that each point lies in (point clouds: one vertex three times)."""
+    """Vertex indices of the triangle that contains each point (point clouds: one vertex three times)."""
     barycentric: Float[np.ndarray, "N 3"]
+    """Weights of the corners, rows sum to 1."""
 
     @classmethod
     def of(cls, mesh: Mesh, count: int, rng: np.random.Generator) -> SurfacePoints:
-        """Draw points uniformly by area, whatever the order of vertices and faces."""
+        """Draw `count` points, uniform by area; the order of vertices and faces has no influence."""
         ranked = canonical_order(mesh.vertices)
         if len(mesh.faces) == 0:
-            many = len(ranked)
-            chosen = rng.permutation(many)[:count] if many >= count else rng.integers(many, size=count)
+            available = len(ranked)
+            enough = available >= count
+            chosen = rng.permutation(available)[:count] if enough else rng.integers(available, size=count)
             vertex = ranked.order[ranked.start[chosen]]
             return cls(np.repeat(vertex[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (count, 1)))
         faces = canonical_faces(mesh.faces, ranked.group)
@@ -64,39 +74,40 @@ class SurfacePoints:
         return cls(faces[face], barycentric)
 
     def part(self, which: int, of: int) -> SurfacePoints:
-        """One of so many disjoint parts, as evenly spread as the whole."""
+        """Select part `which` of `of` disjoint parts; each is as evenly spread as the whole."""
         return SurfacePoints(self.corners[which % of :: of], self.barycentric[which % of :: of])
 
     def points(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
-        """Positions in a frame."""
-        return (vertices[self.corners] * self.barycentric[..., None]).sum(axis=1)
+        """Compute the positions of the points in a frame."""
+        return interpolate(vertices, self.corners, self.barycentric)
 
     def normals(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
-        """Unit normals of the surface at the points in a frame; zeros without faces."""
+        """Compute unit normals of the triangles at the points in a frame; zeros for a point cloud."""
         normals = face_vectors(vertices, self.corners)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
 @dataclass(frozen=True, eq=False)
 class PaddedVertices:
-    """All welded vertices of a driving mesh, and random points of its surface: the same points in every frame."""
+    """All welded vertices of a driving mesh and random points of its surface; the same points in every frame."""
 
     ranked: CanonicalOrder
+    """Welded vertices."""
     corners: Int[np.ndarray, "N 3"]
-    """Vertices of the triangle that each added point lies in (point clouds: one vertex three times)."""
-    weights: Float[np.ndarray, "N 3"]
+    """Vertex indices of the triangle that contains each added point (point clouds: one vertex three times)."""
+    barycentric: Float[np.ndarray, "N 3"]
+    """Weights of the corners, rows sum to 1."""
 
     def __len__(self) -> int:
         return len(self.ranked) + len(self.corners)
 
     def at(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "P 3"]:
-        """Positions in a frame: the welded vertices by rank, then the added points."""
-        added = at_barycentric(vertices, self.corners, np.arange(len(self.corners)), self.weights)
-        return np.concatenate([self.ranked.merge(vertices), added])
+        """Compute positions in a frame: the welded vertices by rank, then the added points."""
+        return np.concatenate([self.ranked.merge(vertices), interpolate(vertices, self.corners, self.barycentric)])
 
 
 def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedVertices:
-    """Take all vertices of a mesh, and as many random points of its surface as are missing to `count`.
+    """Take all welded vertices of a mesh, and random points of its surface up to `count` points in total.
 
     Added points are uniform by area over faces ordered by centroid; a point cloud repeats random vertices.
     """
@@ -107,28 +118,27 @@ def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedV
         corners = np.repeat(first_of_rank[rng.integers(len(ranked), size=missing)][:, None], 3, axis=1)
         return PaddedVertices(ranked, corners, np.tile([1.0, 0.0, 0.0], (missing, 1)))
     faces = mesh.faces[rank_order(mesh.vertices[mesh.faces].mean(axis=1))]
-    chosen, weights = sample_surface(mesh.vertices, faces, missing, rng)
-    return PaddedVertices(ranked, faces[chosen], weights)
+    chosen, barycentric = sample_surface(mesh.vertices, faces, missing, rng)
+    return PaddedVertices(ranked, faces[chosen], barycentric)
 
 
 def surface_sampler(
     mesh: Mesh, count: int, rng: np.random.Generator
 ) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "N 3"]]:
-    """Choose `count` points of a mesh, and return the function that gives their positions in a frame.
+    """Draw `count` points of a mesh, and return the function from a frame's vertices to their positions.
 
-    Points are uniform by area; of a point cloud they are some or all of its vertices.
-
-    Neither the order of vertices or faces, nor the last bits of positions, matter.
+    Points are uniform by area; for a point cloud they are at most `count` of its vertices.
     """
     ranked = canonical_order(mesh.vertices)
     if len(mesh.faces) == 0:
         chosen = rng.permutation(len(ranked))[:count]
         return lambda vertices: rounded(ranked.merge(vertices)[chosen])
+    # Sorted faces over ranks: the same for any order of the vertices and faces.
     faces = np.unique(np.sort(ranked.group[mesh.faces], axis=1), axis=0)
-    triangles, weights = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
-    return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, triangles, weights))
+    chosen, barycentric = sample_surface(rounded(ranked.merge(mesh.vertices)), faces, count, rng)
+    return lambda vertices: rounded(at_barycentric(ranked.merge(vertices), faces, chosen, barycentric))
 
 
 def rounded(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Round to TOLERANCE: a nearest-neighbour search would turn a difference in the last bit into another match."""
+    """Round to TOLERANCE: in a nearest-neighbour search a difference in the last bit could select another match."""
     return np.round(points / TOLERANCE) * TOLERANCE

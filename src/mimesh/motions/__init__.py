@@ -1,4 +1,4 @@
-"""Motions: clips of joint rotations, shipped, read from files or made up from a seed, and putting them on a body."""
+"""Motions (joint rotations over time): shipped, read from files or generated from a seed, and applied to a body."""
 
 from .amass import load_amass
 from .bvh import load_bvh

@@ -1,10 +1,10 @@
-"""AMASS-style archives (.npz): rotation vectors (radians) of a body's joints and the way of its pelvis (metres).
+"""Read AMASS-style archives (.npz): rotation vectors (radians) of joints and the path of the pelvis (metres).
 
-`poses` (T, 66 or more) or `root_orient` (T, 3) with `pose_body` (T, 63), and `trans` (T, 3); the frame rate is called
+Arrays: `poses` (T, 66 or more), or `root_orient` (T, 3) with `pose_body` (T, 63); `trans` (T, 3); the frame rate as
 `mocap_framerate`, `mocap_frame_rate` or `fps`. The first 22 joints are read, in the order of `JOINTS`; hands, face and
-`betas` are not. What such a person looks like is not in the file and not known here: the rest skeleton is a plain
-T-pose of straight legs and arms along the axes, y up and facing +z, 1.7 m tall. So directions of limbs are a few
-degrees off those of the body they were recorded for.
+`betas` are not. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs
+and arms along the axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the
+recorded body.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from ..core.errors import InputError
 from ..core.npz_archive import POINTS, open_archive, read_array
 from .bvh import Bvh
 
-TALL = 1.7
-"""Metres."""
+HEIGHT = 1.7
+"""Height of the assumed body (metres)."""
 JOINTS = {
     "pelvis": ("", (0.0, 0.0, 0.0)),
     "left_hip": ("pelvis", (0.05, -0.05, 0.0)),
@@ -46,20 +46,23 @@ JOINTS = {
     "left_wrist": ("left_elbow", (0.146, 0.0, 0.0)),
     "right_wrist": ("right_elbow", (-0.146, 0.0, 0.0)),
 }
-"""The first joints of a frame, in order: the parent and where the joint hangs on it at rest, in body heights.
+"""The first joints of a frame, in order: parent, and offset from the parent at rest in body heights.
 
-Limbs have the usual shares of a person's height (Drillis and Contini, 1966); the rest is a plain figure.
+Lengths of limbs as fractions of the height are those of Drillis and Contini (1966); the trunk is schematic.
 """
 RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
+"""Names of the array with the frame rate."""
+DEFAULT_RATE = 30.0
+"""Frames per second of a file without a frame rate."""
 
 
 def is_amass(names: Collection[str]) -> bool:
-    """Whether an archive with arrays of these names holds a motion: poses, and no points."""
+    """Tell from the names of its arrays whether an archive is a motion: it has poses and no points."""
     return any(name in names for name in ("poses", "pose_body")) and not any(name in names for name in POINTS)
 
 
 def archive_names(path: Path) -> tuple[str, ...]:
-    """Names of the arrays in an archive; none of a damaged one, about which its reader says more."""
+    """List the names of the arrays in an archive; none if it is damaged, which its reader reports in detail."""
     try:
         with path.open("rb") as file, open_archive(file, path) as (_, names):
             return tuple(names)
@@ -68,9 +71,9 @@ def archive_names(path: Path) -> tuple[str, ...]:
 
 
 def load_amass(path: str | Path) -> Bvh:
-    """An archive's motion as a skeleton of 22 joints, y up (metres); `retarget` puts it onto one of our bodies.
+    """Load an archive's motion as a skeleton of 22 joints, y up (metres); `retarget` transfers it to a body.
 
-    AMASS has z up; a file whose pelvis stands along y most of the time has y up. Without a frame rate it is 30.
+    AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up.
 
     Raises:
         InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
@@ -82,31 +85,34 @@ def load_amass(path: str | Path) -> Bvh:
     else:
         root, body = (_rows(_get(arrays, name, path), name, n, path) for name, n in (("root_orient", 3), _BODY))
         if len(root) != len(body):
-            raise _uneven(path, "root_orient", len(root), "pose_body", len(body))
+            raise _length_error(path, "root_orient", len(root), "pose_body", len(body))
         rotvec = np.concatenate([root[:, :3], body[:, : _BODY[1]]], axis=1)
     trans = _rows(_get(arrays, "trans", path), "trans", 3, path)[:, :3]
     if len(trans) != len(rotvec):
-        raise _uneven(path, "trans", len(trans), "poses", len(rotvec))
+        raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
     rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), len(JOINTS), 3))
+    # Only the root is rotated to y up; the other rotations are relative to it.
     axes = _upright(rotmat[:, 0])
     rotmat[:, 0] = axes @ rotmat[:, 0]
     names = tuple(JOINTS)
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
-    offsets = TALL * np.array([offset for _, offset in JOINTS.values()])
+    offsets = HEIGHT * np.array([offset for _, offset in JOINTS.values()])
     return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path))
 
 
 _BODY = ("pose_body", 3 * (len(JOINTS) - 1))
+"""Name and width of the array of all joints but the root."""
 
 
 def _read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays that are used, as they are stored. Never unpickles."""
-    wanted = ("poses", "root_orient", "pose_body", "trans", *RATES)
+    """Read the arrays that are used, as they are stored, without unpickling."""
+    used = ("poses", "root_orient", "pose_body", "trans", *RATES)
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
-        return {name: read_array(archive, name) for name in wanted if name in names}
+        return {name: read_array(archive, name) for name in used if name in names}
 
 
 def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
+    """Look up an array; raise InputError if it is missing."""
     if name not in arrays:
         found = ", ".join(arrays) or "none of them"
         raise InputError(
@@ -115,12 +121,12 @@ def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
     return arrays[name]
 
 
-def _rows(values: np.ndarray, name: str, least: int, path: Path) -> Float[np.ndarray, "T C"]:
-    """An array with one row of at least so many finite numbers a frame."""
+def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.ndarray, "T C"]:
+    """Check that an array has one row of at least `width` finite numbers per frame, and return it as (T, C)."""
     flat = values.reshape(len(values), -1) if values.ndim > 1 and len(values) else values
-    if flat.ndim != 2 or len(flat) == 0 or flat.shape[1] < least or flat.dtype.kind not in "fiu":
+    if flat.ndim != 2 or len(flat) == 0 or flat.shape[1] < width or flat.dtype.kind not in "fiu":
         raise InputError(
-            f"{path}: expected '{name}' to be numbers of shape (T, {least}) or wider, found {values.dtype} "
+            f"{path}: expected '{name}' to be numbers of shape (T, {width}) or wider, found {values.dtype} "
             f"{values.shape}; save it in that shape"
         )
     if not np.isfinite(flat).all():
@@ -132,21 +138,24 @@ def _rows(values: np.ndarray, name: str, least: int, path: Path) -> Float[np.nda
 
 
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
-    found = next((arrays[name] for name in RATES if name in arrays), np.array(30.0))
+    """Read the frame rate; raise InputError if it is not a positive number."""
+    found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
     if found.size != 1 or found.dtype.kind not in "fiu" or not 0 < found.item() < np.inf:
         raise InputError(f"{path}: expected a positive frame rate, found {found!r:.60}; save one as mocap_framerate")
     return float(found.item())
 
 
 def _upright(pelvis: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "3 3"]:
-    """The axis rotation that takes the world to y up: from z up, unless the pelvis stands along y."""
-    stands = pelvis[:, :, 1].mean(axis=0)
-    if stands[1] > max(stands[2], 0.5):
+    """Compute the axis rotation of the world to y up: from z up, unless the pelvis is upright along y."""
+    pelvis_up = pelvis[:, :, 1].mean(axis=0)
+    if pelvis_up[1] > max(pelvis_up[2], 0.5):
         return np.eye(3)
     return np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 
 
-def _uneven(path: Path, one: str, count: int, other: str, others: int) -> InputError:
+def _length_error(path: Path, first: str, first_rows: int, second: str, second_rows: int) -> InputError:
+    """Make the error of two arrays with different numbers of frames."""
     return InputError(
-        f"{path}: expected as many rows in '{one}' as in '{other}', found {count} and {others}; save them again"
+        f"{path}: expected as many rows in '{first}' as in '{second}', found {first_rows} and {second_rows}; "
+        "save them again"
     )

@@ -1,6 +1,6 @@
-"""BVH motion capture files: any hierarchy, any channel order, read in one pass and checked at the door.
+"""Read and check BVH motion capture files with any hierarchy and channel order.
 
-A file's axes, units and joint names are kept as they are; `retarget` puts them onto one of our bodies.
+Axes, unit and joint names are those of the file; `retarget` transfers the motion to a body.
 """
 
 from __future__ import annotations
@@ -18,48 +18,52 @@ from ..core.errors import InputError
 
 @dataclass(frozen=True, eq=False)
 class Bvh:
-    """A skeleton and its motion, in the file's own axes and length unit."""
+    """A skeleton and its motion, in the axes and unit of the file."""
 
     name: str
     joint_names: tuple[str, ...]
     parents: tuple[int, ...]
-    """Index of each joint's parent, -1 for the root; parents come before children."""
+    """Index of each joint's parent, -1 for the root; parents come before their children."""
     offsets: Float[np.ndarray, "J 3"]
-    """Position of each joint in its parent's frame; at rest all frames are parallel, so these are the rest bones."""
+    """Position of each joint in its parent's frame. At rest all frames are parallel, so these are the bones at rest."""
     ends: dict[str, Float[np.ndarray, "3"]]
     """Offset of the End Site of each joint that has one."""
     rotmat: Float[np.ndarray, "T J 3 3"]
+    """Rotation of each joint in its parent's frame."""
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
     fps: float
     moved: dict[int, Float[np.ndarray, "T 3"]] = field(default_factory=dict)
-    """Positions, in their parent's frame, of other joints that do not stay where their offset puts them."""
+    """Positions in the parent's frame of other joints that are translated; they replace the offset."""
 
     def rest(self) -> Float[np.ndarray, "J 3"]:
-        """Joint positions at rest, the root at the origin."""
-        places = np.zeros_like(self.offsets)
+        """Compute joint positions at rest, with the root at the origin."""
+        positions = np.zeros_like(self.offsets)
         for j, parent in enumerate(self.parents):
             if parent >= 0:
-                places[j] = places[parent] + self.offsets[j]
-        return places
+                positions[j] = positions[parent] + self.offsets[j]
+        return positions
 
     def world(self) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
-        """World rotation and position of every joint in every frame."""
-        rotation, place = self.rotmat.copy(), np.empty(self.rotmat.shape[:-1])
-        place[:, 0] = self.root
+        """Compute world rotation and position of every joint in every frame (forward kinematics).
+
+        Not `core.skinning.skinning_transforms`: bones may change their length over time (`moved`).
+        """
+        rotation, position = self.rotmat.copy(), np.empty(self.rotmat.shape[:-1])
+        position[:, 0] = self.root
         for j, parent in enumerate(self.parents):
             if parent >= 0:
                 rotation[:, j] = rotation[:, parent] @ self.rotmat[:, j]
                 bone = self.moved[j] if j in self.moved else self.offsets[j : j + 1]
-                place[:, j] = place[:, parent] + (rotation[:, parent] @ bone[..., None])[..., 0]
-        return rotation, place
+                position[:, j] = position[:, parent] + (rotation[:, parent] @ bone[..., None])[..., 0]
+        return rotation, position
 
 
 def load_bvh(path: str | Path) -> Bvh:
-    """Read a BVH file (degrees; rotation channels apply in the order they are listed, the last one first).
+    """Load a BVH file. Angles are degrees; the rotation is the product of the channels' rotations in their order.
 
-    Position channels of joints other than the root count where they change: in some files the hips travel below a root
-    that stays. Those that never change are taken for copies of the OFFSET, whatever they say.
+    Position channels of joints other than the root are used if they change: in some files the hips move below a
+    resting root. Constant ones are ignored in favour of the OFFSET.
 
     Raises:
         InputError: not a BVH file, a damaged hierarchy, several roots, or motion rows that do not fit it.
@@ -78,21 +82,23 @@ def load_bvh(path: str | Path) -> Bvh:
 
 
 def bvh_joints(path: str | Path) -> int:
-    """How many joints a BVH file has, without reading its motion; 0 where it is no such file."""
+    """Count the joints of a BVH file without reading its motion; 0 for other files."""
     with Path(path).open(encoding="utf-8", errors="replace") as file:
         header = takewhile(lambda line: not line.startswith("MOTION"), file)
         return sum(line.split()[0].upper() in ("ROOT", "JOINT") for line in header if line.strip())
 
 
 def _read_hierarchy(tokens: list[str], path: Path):
-    """Joints in file order from the tokens of the HIERARCHY section."""
+    """Parse the tokens of the HIERARCHY section: names, parents, offsets, end sites and channels in file order."""
     names, parents, offsets, channels, ends = [], [], [], [], {}
     stack: list[int] = []  # open joints; -1 marks an open End Site
+    # A stack machine over the tokens; errors name the token index i.
     i = 0
     try:
         while i < len(tokens):
             word, i = tokens[i].upper(), i + 1
             if word in ("ROOT", "JOINT"):
+                # Names may contain spaces, so they extend to the brace.
                 brace = tokens.index("{", i)
                 if (word == "ROOT") != (not stack) or (word == "ROOT" and names):
                     raise InputError(
@@ -139,7 +145,7 @@ def _read_hierarchy(tokens: list[str], path: Path):
 
 
 def _channel(word: str, path: Path) -> tuple[str, int]:
-    """Kind and axis of a channel: "Zrotation" is ("rotation", 2)."""
+    """Parse the name of a channel: "Zrotation" is ("rotation", 2)."""
     axis, kind = word[:1].lower(), word[1:].lower()
     if axis not in "xyz" or kind not in ("rotation", "position"):
         raise InputError(f"{path}: expected channels such as Zrotation, found {word[:40]!r}; export it again")
@@ -147,7 +153,7 @@ def _channel(word: str, path: Path) -> tuple[str, int]:
 
 
 def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.ndarray, "T C"]]:
-    """Frames a second and the numbers of the MOTION section."""
+    """Parse the MOTION section: frame rate and one row of channel values per frame."""
     words = text.split()
     try:
         if [w.lower() for w in (words[0], *words[2:4])] != ["frames:", "frame", "time:"]:
@@ -163,6 +169,7 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
         raise InputError(
             f"{path}: expected frames and a positive frame time, found {frames} and {frame_time:g}; export it again"
         )
+    # A missing number would shift all later values, so a wrong count is an error.
     if values.size != frames * channels:
         raise InputError(
             f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
@@ -175,16 +182,16 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
 
 
 def _rate(frame_time: str) -> float:
-    """Frames a second: the whole number whose frame time this is when rounded to as many digits, if there is one."""
+    """Convert a frame time (seconds) to a rate: a whole number if its frame time rounds to the same digits."""
     seconds, whole = float(frame_time), round(1.0 / float(frame_time))
-    written = Decimal(frame_time).as_tuple().exponent
-    assert isinstance(written, int), "a finite number has an exponent"
-    is_whole = whole > 0 and abs(1.0 / whole - seconds) <= 0.51 * 10.0**written
+    exponent = Decimal(frame_time).as_tuple().exponent  # of the last digit that is written
+    assert isinstance(exponent, int), "a finite number has an exponent"
+    is_whole = whole > 0 and abs(1.0 / whole - seconds) <= 0.51 * 10.0**exponent
     return float(whole) if is_whole else 1.0 / seconds
 
 
 def _apply_channels(channels, values, offsets):
-    """Local rotation matrices (T, J, 3, 3), the root's path (T, 3), and the paths of other joints that move."""
+    """Compute local rotation matrices (T, J, 3, 3), the root's path (T, 3), and the paths of other moving joints."""
     frames = len(values)
     rotmat = np.tile(np.eye(3), (frames, len(channels), 1, 1))
     moved: dict[int, np.ndarray] = {0: np.tile(offsets[0], (frames, 1))}
@@ -193,6 +200,7 @@ def _apply_channels(channels, values, offsets):
         for kind, axis in kinds:
             if kind == "rotation":
                 rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
+            # Positions of other joints that never change are ignored, see `load_bvh`.
             elif j == 0 or np.ptp(values[:, column]) > 0:
                 moved.setdefault(j, np.tile(offsets[j], (frames, 1)))[:, axis] = values[:, column]
             column += 1
@@ -200,7 +208,7 @@ def _apply_channels(channels, values, offsets):
 
 
 def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Rotation by `angle` (radians) about coordinate axis 0, 1 or 2."""
+    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     rotmat = np.zeros((len(angle), 3, 3))
     b, c = (axis + 1) % 3, (axis + 2) % 3
     rotmat[:, axis, axis] = 1.0

@@ -1,6 +1,7 @@
-"""The shipped motions: two takes of the CMU motion capture database on our skeleton, and named pieces of them.
+"""The shipped motions: two takes of the CMU motion capture database on the skeleton of the shipped body.
 
-Which part of a take belongs to which split is written here and nowhere else. Built by `scripts/build_motions.py`.
+Also defines named segments of the takes, and which parts of them are training, validation and test data. Built by
+`scripts/build_motions.py`.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ..core.errors import InputError
 from .motion import Motion, mirror, rotmat_to_rotvec, window
 
 TAKES = ("cmu_01_01", "cmu_01_03")
+"""Subject 01 of the database, trials 01 and 03."""
 SEGMENTS = {
     "jump": ("cmu_01_01", 1.0, 3.0),
     "turn": ("cmu_01_01", 8.2, 10.2),
@@ -26,25 +28,26 @@ SEGMENTS = {
     "swing": ("cmu_01_03", 13.5, 18.0),
     "walk": ("cmu_01_03", 18.4, 20.6),
 }
-"""Name -> take, start and stop in seconds."""
+"""Named segments: take, start and stop in seconds."""
 DEMO = "jump"
+"""The motion of the demo."""
 SPLITS = {
     "train": (("cmu_01_01", 0.5, 17.0), ("cmu_01_03", 0.5, 27.5)),
     "val": (("cmu_01_01", 17.0, 20.0), ("cmu_01_03", 27.5, 32.0)),
     "test": (("cmu_01_01", 20.0, 22.5), ("cmu_01_03", 32.0, 37.5)),
 }
-"""Windows of the takes, disjoint in time: take, start, stop (s). The T-pose that takes begin with is left out."""
+"""Windows of the takes for each split, disjoint in time: take, start, stop (s). The T-pose at the start is left out."""
 QUANTUM = np.pi / 32767
-"""Rotation vectors are stored as 16-bit multiples of this (radians)."""
+"""Quantisation step of the stored rotation vectors (radians): 16-bit integers cover -pi to pi."""
 
 
 def motion_names() -> tuple[str, ...]:
-    """Names that `load_motion` knows: whole takes and named pieces."""
+    """List the names of all shipped motions: whole takes, then segments."""
     return (*TAKES, *SEGMENTS)
 
 
 def load_motion(name: str) -> Motion:
-    """A shipped motion at 30 frames a second.
+    """Load a shipped motion, at 30 frames per second.
 
     Raises:
         InputError: no such motion.
@@ -60,27 +63,29 @@ def load_motion(name: str) -> Motion:
 
 
 def split_windows(split: Literal["train", "val", "test"]) -> list[Motion]:
-    """The motions of a split, in order."""
+    """Load the motions of a split, in order."""
     return [window(_take(take), start, stop, f"{take}@{start:g}") for take, start, stop in SPLITS[split]]
 
 
 def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32[np.ndarray, "N J 3"]:
-    """Rotation vectors of every third frame of a split and of its mirror image, turned to face +z.
+    """Load the poses of a split as rotation vectors: every `every`-th frame and its mirror image, rotated to face +z.
 
-    The heading is the direction of the hips' front along the ground; tilts stay.
+    The heading is the horizontal direction of the hips' front; tilts are kept.
     """
     motions = [m for clip in split_windows(split) for m in (clip, mirror(clip))]
     rotmat = np.concatenate([m.rotmat[::every] for m in motions])
+    # The third column of the root's rotation is where its front (+z at rest) points.
     front = rotmat[:, 0, :, 2]
     heading = np.arctan2(front[:, 0], front[:, 2])
-    back = np.zeros((len(heading), 3))
-    back[:, 1] = -heading
-    rotmat[:, 0] = rotvec_to_rotmat(back) @ rotmat[:, 0]
+    turn = np.zeros((len(heading), 3))
+    turn[:, 1] = -heading
+    rotmat[:, 0] = rotvec_to_rotmat(turn) @ rotmat[:, 0]
     return rotmat_to_rotvec(rotmat).astype(np.float32)
 
 
 @cache
 def _take(name: str) -> Motion:
+    """Load a whole take."""
     with np.load(str(resources.files("mimesh.motions") / "cmu.npz")) as data:
         rotvec = data[f"{name}_rotvec"].astype(np.float64) * QUANTUM
         root: Float[np.ndarray, "T 3"] = data[f"{name}_root"].astype(np.float64)

@@ -1,8 +1,9 @@
-"""DeepMimic motion files (JSON, 44 numbers a frame) on our bodies: 20 human clips come with the package pybullet.
+"""Read DeepMimic motion files (JSON, 44 numbers per frame) and retarget them; pybullet contains 20 human clips.
 
-A frame is its duration (s), the root's position (m) and quaternion, then one quaternion or hinge angle (radians) a
-joint; quaternions are w x y z, axes x front, y up, z right, and all limbs hang straight down at rest. Who was captured
-is not documented by their authors, so the clips are read where users have them, never shipped and never trained on.
+A frame has its duration (s), the root's position (m) and quaternion, then one quaternion or hinge angle (radians) per
+joint. Quaternions are w x y z; axes are x front, y up, z right; at rest all limbs point straight down. The authors do
+not document whose motions they are, so the clips are read where a user has installed them, not shipped and not used for
+training.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from .motion import Motion, leg_length, rotmat_to_rotvec, slerp
 from .retarget import retarget
 
 NUMBERS = 44
-"""In a frame of a person; the package's four-legged robot has 20."""
+"""Length of a frame of the humanoid; frames of the package's four-legged robot have 20 numbers."""
 _HUMANOID = (
     "backflip cartwheel crawl dance_a dance_b getup_facedown getup_faceup jump kick punch roll run spin spinkick"
 )
@@ -33,24 +34,27 @@ CLIPS = {
     **{name: f"humanoid3d_{name}.txt" for name in (*_HUMANOID.split(), "walk")},
     **{name.lstrip("0"): f"walker/{name}.txt" for name in _WALKER.split()},
 }
-"""The 20 human clips of pybullet_data 3.2.7 by name, and their files."""
+"""Files of the 20 human clips of pybullet_data 3.2.7, by name."""
 SOLE = 0.05
-"""How far their soles are below their ankles (m): the foot's box in the character file that comes with the clips."""
+"""Height of the ankle above the sole (m), from the foot's box in the character file that comes with the clips."""
 INSTALL = "pip install 'mimesh[motions]', or unpack the wheel of pip download pybullet==3.2.7 --no-deps"
 
 
 class _Joint(NamedTuple):
-    """A joint of ours, where it hangs in metres, and which numbers of a frame turn it; a share of several joints."""
+    """A joint of the skeleton, named as in the shipped body, and the numbers of a frame that define its rotation."""
 
     name: str
     parent: str
     offset: tuple[float, float, float]
+    """Position in the parent's frame at rest (m)."""
     numbers: slice | None
-    share: float = 1.0
+    """A quaternion or a hinge angle; None for a joint that is not rotated."""
+    fraction: float = 1.0
+    """Fraction of that rotation which the joint gets; the rest belongs to other joints."""
 
 
 def _side(side: str, z: float, hip: int, shoulder: int) -> tuple[_Joint, ...]:
-    """Leg and arm of a side; `z` is +1 to the right, `hip` and `shoulder` are where their quaternions begin."""
+    """List the joints of a leg and an arm; z is +1 for the right side, `hip` and `shoulder` index their quaternions."""
     return (
         _Joint(f"{side}UpLeg", "Hips", (0.0, 0.0, 0.084887 * z), slice(hip, hip + 4)),
         _Joint(f"{side}Leg", f"{side}UpLeg", (0.0, -0.421546, 0.0), slice(hip + 4, hip + 5)),
@@ -61,7 +65,7 @@ def _side(side: str, z: float, hip: int, shoulder: int) -> tuple[_Joint, ...]:
     )
 
 
-# One joint of theirs bends the trunk, one the neck; ours share it three by three, the middle one where theirs is.
+# DeepMimic has one joint for the trunk and one for the neck. Three joints of ours share each of these rotations.
 _JOINTS = (
     _Joint("Hips", "", (0.0, 0.0, 0.0), slice(4, 8)),
     _Joint("LowerBack", "Hips", (0.0, 0.236151, 0.0), slice(8, 12), 1 / 3),
@@ -76,7 +80,7 @@ _JOINTS = (
 
 
 def deepmimic_folder(folder: Path | None = None) -> Path:
-    """The folder with the 20 clips: the one given, or that of an installed pybullet.
+    """Find the folder with the 20 clips: `folder`, or that of an installed pybullet.
 
     Raises:
         InputError: a clip is missing there, or no folder is given and pybullet is not installed.
@@ -96,10 +100,10 @@ def deepmimic_folder(folder: Path | None = None) -> Path:
 
 
 def load_deepmimic(path: str | Path, body: RiggedBody, name: str | None = None) -> Motion:
-    """A DeepMimic file's motion on `body`, at the file's frame rate; see `retarget` for what is kept.
+    """Load a DeepMimic file and retarget it to `body`, at the file's frame rate; see `retarget`.
 
-    The floor is the file's own: hips stand over it as high as theirs do, in units of the leg. Who lies on it is as
-    thick as our body is, and may sink in a little.
+    The floor is that of the file: the hips' height above it is kept, in leg lengths. A person who lies on the floor may
+    sink into it a little, because bodies differ in thickness.
 
     Raises:
         InputError: as `read_deepmimic`.
@@ -107,6 +111,7 @@ def load_deepmimic(path: str | Path, body: RiggedBody, name: str | None = None) 
     source = read_deepmimic(path)
     motion = retarget(source, body, name)
     scale = leg_length(body.joints, body.joint_names) / leg_length(source.rest(), source.joint_names)
+    # Height of the hips above the soles of a straight leg.
     legs = -source.rest()[source.joint_names.index("LeftFoot"), 1] + SOLE
     root = motion.root.copy()
     root[:, 1] = (source.root[:, 1] - legs) * scale
@@ -114,24 +119,24 @@ def load_deepmimic(path: str | Path, body: RiggedBody, name: str | None = None) 
 
 
 def read_deepmimic(path: str | Path) -> Bvh:
-    """A DeepMimic file as a skeleton with CMU's joint names, in the file's axes (metres).
+    """Read a DeepMimic file as a skeleton with the shipped body's joint names, in the file's axes (metres).
 
     Raises:
-        InputError: no such file, not such a file, frames that are not a person's, numbers that are no rotations or not
-            finite, or frames without duration.
+        InputError: the file does not exist or is not a DeepMimic file, or its frames are not a human's, are not finite,
+            have no duration or contain quaternions that are no rotations.
     """
     path = Path(path)
     rows = _read_rows(path)
     names = tuple(joint.name for joint in _JOINTS)
     parents = tuple(names.index(joint.parent) if joint.parent else -1 for joint in _JOINTS)
     offsets = np.array([joint.offset for joint in _JOINTS])
-    rotmat = np.stack([_turned(joint, rows, path) for joint in _JOINTS], axis=1)
-    rotmat, root, fps = _at_one_rate(rows[:-1, 0], rotmat, rows[:, 1:4])
+    rotmat = np.stack([_local_rotations(joint, rows, path) for joint in _JOINTS], axis=1)
+    rotmat, root, fps = _at_constant_rate(rows[:-1, 0], rotmat, rows[:, 1:4])
     return Bvh(path.stem, names, parents, offsets, {}, rotmat, root, fps)
 
 
 def _read_rows(path: Path) -> Float[np.ndarray, "T 44"]:
-    """The file's frames, checked."""
+    """Read and check the frames of a file."""
     if not path.is_file():
         raise InputError(f"{path}: expected a DeepMimic motion file, found none; check the name")
     try:
@@ -153,7 +158,7 @@ def _read_rows(path: Path) -> Float[np.ndarray, "T 44"]:
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
         raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; copy the file again")
-    if not (values[:-1, 0] > 0).all():  # that of the last frame is 0 in some files
+    if not (values[:-1, 0] > 0).all():  # the duration of the last frame is 0 in some files
         bad = int(np.flatnonzero(values[:-1, 0] <= 0)[0])
         raise InputError(
             f"{path}: expected frames that last, found {values[bad, 0]:g} s for frame {bad}; delete that frame"
@@ -161,8 +166,8 @@ def _read_rows(path: Path) -> Float[np.ndarray, "T 44"]:
     return values
 
 
-def _turned(joint: _Joint, rows: Float[np.ndarray, "T 44"], path: Path) -> Float[np.ndarray, "T 3 3"]:
-    """Local rotations of one of our joints, in the file's axes."""
+def _local_rotations(joint: _Joint, rows: Float[np.ndarray, "T 44"], path: Path) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the local rotations of a joint, in the file's axes."""
     from scipy.spatial.transform import Rotation
 
     if joint.numbers is None:
@@ -171,29 +176,30 @@ def _turned(joint: _Joint, rows: Float[np.ndarray, "T 44"], path: Path) -> Float
     if numbers.shape[1] == 1:
         return rotvec_to_rotmat(numbers * [0.0, 0.0, 1.0])
     length = np.linalg.norm(numbers, axis=1)
-    if np.abs(length - 1).max() > 0.5:  # interpolated ones in the package itself are 12 % off
+    if np.abs(length - 1).max() > 0.5:  # some quaternions of the package are 12 % off, because they were interpolated
         worst = int(np.abs(length - 1).argmax())
         raise InputError(
             f"{path}: expected quaternions of about unit length, found {length[worst]:.3g} in frame {worst} "
             f"({joint.name}); copy the file again"
         )
     rotmat = Rotation.from_quat(numbers[:, [1, 2, 3, 0]]).as_matrix()
-    return rotmat if joint.share == 1.0 else rotvec_to_rotmat(joint.share * rotmat_to_rotvec(rotmat))
+    return rotmat if joint.fraction == 1.0 else rotvec_to_rotmat(joint.fraction * rotmat_to_rotvec(rotmat))
 
 
-def _at_one_rate(
+def _at_constant_rate(
     seconds: Float[np.ndarray, " N"], rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
 ) -> tuple[Float[np.ndarray, "S J 3 3"], Float[np.ndarray, "S 3"], float]:
-    """Frames that last as given, played at one rate: that of most of them; frames in between by slerp."""
-    each = float(np.median(seconds))
-    if np.abs(seconds - each).max() < 0.01 * each:
-        return rotmat, root, 1.0 / each
+    """Resample frames of given durations at a constant rate, that of the median duration; rotations by slerp."""
+    duration = float(np.median(seconds))
+    if np.abs(seconds - duration).max() < 0.01 * duration:
+        return rotmat, root, 1.0 / duration
+    # Start time of every frame, and the frame before each output time.
     times = np.concatenate([[0.0], np.cumsum(seconds)])
-    at = np.arange(int(np.floor(times[-1] / each + 1e-3)) + 1) * each
+    at = np.arange(int(np.floor(times[-1] / duration + 1e-3)) + 1) * duration
     before = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(seconds) - 1)
-    part = ((at - times[before]) / seconds[before])[:, None]
+    fraction = ((at - times[before]) / seconds[before])[:, None]
     return (
-        slerp(rotmat[before], rotmat[before + 1], part),
-        root[before] + part * (root[before + 1] - root[before]),
-        1.0 / each,
+        slerp(rotmat[before], rotmat[before + 1], fraction),
+        root[before] + fraction * (root[before + 1] - root[before]),
+        1.0 / duration,
     )

@@ -1,7 +1,7 @@
-"""Motion: joint rotations over time, and what can be done to them without a body; `motion_clip` puts one on a body.
+"""Motion: joint rotations over time, operations on them, and clips of a body in motion.
 
-Rotations are local (in the parent's frame) about the world's axes at rest, as `RiggedBody` has them. `root` (metres)
-is added to where the root joint rests, for a body of the mean shape; y up, so y = 0 is the hip height of the T-pose.
+Rotations are local (in the parent's frame) and about the world's axes at rest, as in `RiggedBody`. `root` (metres) is
+the displacement of the root joint from rest for the mean shape; y is up, so y = 0 is the hip height of the T-pose.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
-"""Joints whose bone lengths measure how far a body's steps carry it."""
+"""Joints of the leg whose length scales the root's path from one body to another."""
 _CHUNK = 64
-"""Frames posed at once; bounds the memory of a long clip."""
+"""Frames posed at once, which bounds the memory for a long clip."""
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A body's motion at a constant frame rate; see the module for frames and units."""
+    """Joint rotations and root path at a constant frame rate; see the module for frames and units."""
 
     name: str
     joint_names: tuple[str, ...]
@@ -44,10 +44,10 @@ class Motion:
 
 
 def window(motion: Motion, start: float, stop: float, name: str | None = None) -> Motion:
-    """The frames from `start` up to but without `stop` (seconds).
+    """Select the frames with start <= t < stop (seconds).
 
     Raises:
-        InputError: the window reaches outside the motion, or holds no frame.
+        InputError: the window extends outside the motion, or contains no frame.
     """
     first, last = round(start * motion.fps), round(stop * motion.fps)
     if not 0 <= first < last <= len(motion):
@@ -61,23 +61,24 @@ def window(motion: Motion, start: float, stop: float, name: str | None = None) -
 
 
 def mirror(motion: Motion) -> Motion:
-    """The same motion with left and right exchanged: reflected at the plane x = 0."""
+    """Reflect a motion at the plane x = 0, which exchanges left and right."""
     flip = np.array([-1.0, 1.0, 1.0])
     swap = [motion.joint_names.index(other_side(n, motion.joint_names)) for n in motion.joint_names]
+    # F R F for the reflection F = diag(flip).
     rotmat = motion.rotmat[:, swap] * flip[:, None] * flip
     return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * flip)
 
 
 def other_side(name: str, names: tuple[str, ...]) -> str:
-    """The joint on the other side of the body, or the joint itself where there is none (Left/Right, or L/R)."""
-    for one, two in (("Left", "Right"), ("Right", "Left"), ("L", "R"), ("R", "L")):
-        if name.startswith(one) and two + name[len(one) :] in names:
-            return two + name[len(one) :]
+    """Find the joint on the other side of the body (Left/Right or L/R); a joint without one is its own counterpart."""
+    for side, other in (("Left", "Right"), ("Right", "Left"), ("L", "R"), ("R", "L")):
+        if name.startswith(side) and other + name[len(side) :] in names:
+            return other + name[len(side) :]
     return name
 
 
 def resample(motion: Motion, fps: float) -> Motion:
-    """The motion at another frame rate: rotations by slerp, the root linearly; nothing is smoothed beforehand.
+    """Sample a motion at another frame rate: rotations by slerp, the root linearly, without a low-pass filter.
 
     Raises:
         InputError: `fps` is not positive.
@@ -88,33 +89,34 @@ def resample(motion: Motion, fps: float) -> Motion:
     # The tolerance keeps the last frame when 1/fps came from a rounded "Frame Time: .0083333".
     count = int(np.floor(last / motion.fps * fps + 1e-3)) + 1
     at = np.minimum(np.arange(count) * (motion.fps / fps), last)
+    # Frame indices before and after each output time; a motion of one frame has only index 0.
     before = np.minimum(np.floor(at).astype(int), max(last - 1, 0))
-    after, part = np.minimum(before + 1, last), at - before
-    rotmat = slerp(motion.rotmat[before], motion.rotmat[after], part[:, None])
-    root = motion.root[before] * (1 - part[:, None]) + motion.root[after] * part[:, None]
+    after, fraction = np.minimum(before + 1, last), at - before
+    rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])
+    root = motion.root[before] * (1 - fraction[:, None]) + motion.root[after] * fraction[:, None]
     return dataclasses.replace(motion, rotmat=rotmat, root=root, fps=float(fps))
 
 
 def slerp(
-    start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], part: Float[np.ndarray, "*B 1"]
+    start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], fraction: Float[np.ndarray, "*B 1"]
 ) -> Float[np.ndarray, "*B J 3 3"]:
-    """Rotations `part` (0..1) of the shortest way from `start` to `stop`."""
+    """Interpolate rotations spherically: at `fraction` (0..1) of the smallest rotation from `start` to `stop`."""
     from scipy.spatial.transform import Rotation
 
-    way = Rotation.from_matrix((np.swapaxes(start, -1, -2) @ stop).reshape(-1, 3, 3)).as_rotvec()
-    share = np.broadcast_to(part, start.shape[:-2]).reshape(-1, 1)
-    return start @ Rotation.from_rotvec(way * share).as_matrix().reshape(start.shape)
+    difference = Rotation.from_matrix((np.swapaxes(start, -1, -2) @ stop).reshape(-1, 3, 3)).as_rotvec()
+    fractions = np.broadcast_to(fraction, start.shape[:-2]).reshape(-1, 1)
+    return start @ Rotation.from_rotvec(difference * fractions).as_matrix().reshape(start.shape)
 
 
 def rotmat_to_rotvec(rotmat: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3"]:
-    """Rotation vectors (radians, length at most pi) of rotation matrices."""
+    """Convert rotation matrices to rotation vectors (radians, length at most pi)."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotmat.reshape(-1, 3, 3)).as_rotvec().reshape(rotmat.shape[:-1])
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], joint_names: tuple[str, ...]) -> float:
-    """Length from hip over knee to ankle at rest, in the unit of `joints`."""
+    """Measure the length of the left leg, hip to knee to ankle, at rest, in the unit of `joints`."""
     hip, knee, ankle = (joints[joint_names.index(n)] for n in LEG)
     return float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
 
@@ -122,8 +124,11 @@ def leg_length(joints: Float[np.ndarray, "J 3"], joint_names: tuple[str, ...]) -
 def joint_tracks(
     body: RiggedBody, motion: Motion, shape: Float[np.ndarray, " K"] | None = None
 ) -> tuple[Float[np.ndarray, "T J 3 3"], Float[np.ndarray, "T J 3"]]:
-    """World rotation and position (metres) of every joint in every frame: forward kinematics without the surface."""
-    joints, root = _fitted(body, motion, shape)
+    """Compute world rotation and position (metres) of every joint in every frame, without the surface.
+
+    `shape` are the shape coefficients of the person; None is the mean.
+    """
+    joints, root = _joints_and_path(body, motion, shape)
     rotation, translation = body.skinning_transforms(joints, motion.rotmat, root)
     return rotation, translation + (rotation @ joints[..., None])[..., 0]
 
@@ -131,7 +136,7 @@ def joint_tracks(
 def lowest(
     body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, " T"]:
-    """Height (metres) of the lowest vertex of the mean body in every frame."""
+    """Compute the height (metres) of the lowest vertex of the mean shape in every frame."""
     chunks = _posed_chunks(body, np.zeros(0), rotmat, root)
     return np.concatenate([vertices[..., 1].min(axis=1) for vertices in chunks])
 
@@ -143,16 +148,17 @@ def motion_clip(
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> Clip:
-    """The body with the given shape (None: the mean) in motion: a Clip in metres.
+    """Make a clip (metres) of a body with the given shape (None: the mean) in motion.
 
-    The root's path is scaled by the person's leg length over the mean body's. Feet are not pinned to the floor, and
-    limbs that meet the body of a stout person are not pushed out. Long clips lie on disk (`paging.stored`).
+    The root's path is scaled by the ratio of the person's leg length to the mean shape's. Foot contacts are not
+    enforced, and intersections of limbs with the body are not resolved. The frames of long clips are stored on disk
+    (`core.frame_buffer`).
 
     Raises:
-        InputError: the motion is for another skeleton.
+        InputError: the motion is of another skeleton.
     """
     shape = np.zeros(0) if shape is None else shape
-    _, root = _fitted(body, motion, shape)
+    _, root = _joints_and_path(body, motion, shape)
     frames = chain.from_iterable(_posed_chunks(body, shape, motion.rotmat, root))
     vertices = store_frames(frames, len(motion), len(body.vertices), dtype, progress)
     rest = dataclasses.replace(body.mesh(body.shaped(shape)[0]), name=motion.name)
@@ -160,13 +166,13 @@ def motion_clip(
 
 
 def _posed_chunks(body, shape, rotmat, root):
-    """Vertices of one person in every frame, some frames at a time."""
+    """Iterate over the vertices of one person in all frames, _CHUNK frames at a time."""
     for t in range(0, len(rotmat), _CHUNK):
         yield body.posed(shape, rotmat[t : t + _CHUNK], root[t : t + _CHUNK])
 
 
-def _fitted(body, motion, shape):
-    """Rest joints of the person, and the root's path scaled to the person's legs."""
+def _joints_and_path(body, motion, shape):
+    """Compute the joints of the person at rest, and the root's path scaled to the person's legs."""
     if motion.joint_names != body.joint_names:
         raise InputError(
             f"{motion.name}: expected a motion of the {len(body.joint_names)} joints of {body.name}, "

@@ -1,4 +1,4 @@
-"""Motion files as clips: a BVH file or an AMASS-style archive, played by the shipped body."""
+"""Convert motion files (BVH, AMASS-style archives) to clips of the shipped body."""
 
 from __future__ import annotations
 
@@ -16,21 +16,22 @@ from .motion import Motion, motion_clip, resample
 from .retarget import retarget
 
 BVH = ".bvh"
+"""Suffix of BVH files."""
 
 
 def is_motion_file(path: str | Path) -> bool:
-    """Whether a file holds joints that turn and no points: .bvh, or an archive as AMASS has them."""
+    """Tell whether a file contains a motion of joints and no points: .bvh, or an AMASS-style archive."""
     path = Path(path)
     return path.suffix.lower() == BVH or (path.suffix.lower() == ".npz" and is_amass(archive_names(path)))
 
 
 def motion_joints(path: str | Path) -> int:
-    """How many joints a motion file turns, as far as they are read."""
+    """Count the joints that are read from a motion file."""
     return bvh_joints(path) if Path(path).suffix.lower() == BVH else len(load_amass(path).joint_names)
 
 
 def on_body(source: Bvh, path: str | Path) -> Motion:
-    """A skeleton's motion on the joints of the shipped body, at its frame rate; see `retarget`.
+    """Retarget a skeleton's motion to the shipped body, at its frame rate (see `retarget`); errors name `path`.
 
     Raises:
         InputError: the hips and limbs are not found by name.
@@ -39,7 +40,7 @@ def on_body(source: Bvh, path: str | Path) -> Motion:
 
 
 def motion_of_file(path: str | Path) -> Motion:
-    """A motion file's motion on the joints of the shipped body, at the file's frame rate; see `retarget`.
+    """Load a motion file and retarget it to the shipped body, at the file's frame rate; see `retarget`.
 
     Raises:
         InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
@@ -48,9 +49,9 @@ def motion_of_file(path: str | Path) -> Motion:
 
 
 def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """A motion file played by the shipped body (see `played`).
+    """Load a motion file as a clip of the shipped body (see `played`).
 
-    The frame rate is the file's; another `fps` samples the motion at it (frame k is at k / fps seconds).
+    The frame rate is that of the file, or `fps`: the motion is resampled, so that frame k is at k / fps seconds.
 
     Raises:
         InputError: as `motion_of_file`, or a frame rate that is not positive.
@@ -60,15 +61,14 @@ def motion_file_clip(path: str | Path, fps: float | None = None, progress: Progr
 
 
 def motion_file_mesh(path: str | Path) -> Mesh:
-    """The shipped body in the first frame of a motion file; see `motion_file_clip`."""
+    """Load the first frame of a motion file as a mesh of the shipped body; see `motion_file_clip`."""
     return first_frame(motion_of_file(path))
 
 
 def played(motion: Motion, progress: Progress | None = None) -> Clip:
-    """A motion played by the shipped body of mean shape, in metres, y up, standing on the floor at y = 0.
+    """Make a clip of the shipped body (mean shape) in motion: metres, y up, floor at y = 0, with headings.
 
-    The mesh is that of the first frame. Frames come one by one and lie on disk when they are many; positions are single
-    precision.
+    The mesh is that of the first frame. Positions are single precision; the frames of long clips are stored on disk.
     """
     clip = motion_clip(load_body(), None, motion, progress, np.float32)
     first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64))
@@ -77,7 +77,7 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
 
 
 def first_frame(motion: Motion) -> Mesh:
-    """The shipped body in the first frame of a motion."""
+    """Make a mesh of the shipped body in the first frame of a motion."""
     first = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
     clip = motion_clip(load_body(), None, first)
     return dataclasses.replace(clip.mesh, vertices=clip.vertices[0])

@@ -1,7 +1,7 @@
-"""Motions made up from a seed: splines through random poses, and walks. Motion `i` is a function of (seed, i) alone.
+"""Procedural motions: splines through random poses, and walks. Motion `i` is a function of (seed, i) alone.
 
-Nobody's capture is in them, so there are as many as wanted and they may be used for anything. The root is not drawn:
-it follows from the feet (`planted`), which keeps soles on the floor without sliding.
+They contain no captured data, so their number and use are not limited. The root's path is computed from the feet
+(`planted`), so that soles stay on the floor without sliding.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ..bodies.sampling import JOINT_LIMITS, limits_rotvec, rotvec_to_rotmat
 from .motion import Motion, lowest
 
 SOLE = 0.03
-"""Vertices lower than this at rest (metres) can be what a foot stands on."""
+"""Vertices below this height at rest (metres) are the soles."""
 SOFTNESS = 0.004
-"""Of several soles near the floor, one higher by this (metres) carries e times less of the weight."""
-HANGING = {"LeftArm": (0.0, 0.0, -72.0), "RightArm": (0.0, 0.0, 72.0)}
-"""Rotation vectors (degrees) that let the arms of a T-pose hang."""
+"""Height (metres) by which the weight of a vertex of the soles falls by a factor of e."""
+LOWERED_ARMS = {"LeftArm": (0.0, 0.0, -72.0), "RightArm": (0.0, 0.0, 72.0)}
+"""Rotation vectors (degrees) that lower the arms of a T-pose."""
 
 
 def spline_motion(
@@ -33,11 +33,11 @@ def spline_motion(
     reach: float = 0.6,
     beat: float = 0.6,
 ) -> Motion:
-    """A smooth way through random poses within `JOINT_LIMITS`, on turning feet.
+    """Generate a smooth motion through random poses within `JOINT_LIMITS`, with a random heading.
 
-    Poses lie `reach` (0..1) of the way from standing at ease to a uniform sample of the limits, `beat` seconds apart,
-    and are joined by monotone cubics of the rotation vectors, which stay between the poses and so within the limits.
-    Limbs may pass through the body.
+    Keyframes are `beat` seconds apart. Each is interpolated, by `reach` (0..1), between standing with lowered arms and
+    a uniform sample of the limits. Rotation vectors between keyframes are monotone cubics (PCHIP), which stay within
+    the values of the keyframes and so within the limits. Limbs may intersect the body.
     """
     from scipy.interpolate import PchipInterpolator
 
@@ -45,16 +45,20 @@ def spline_motion(
     at = np.arange(_frames(seconds, fps)) / fps
     keys = np.arange(int(np.ceil(seconds / beat)) + 2) * beat
     low, high = limits_rotvec(body, JOINT_LIMITS)
-    ease = _pose(body, HANGING)
-    poses = ease + reach * (rng.uniform(low, high, (len(keys), *low.shape)) - ease)
+    standing = _pose(body, LOWERED_ARMS)
+    poses = standing + reach * (rng.uniform(low, high, (len(keys), *low.shape)) - standing)
     rotmat = rotvec_to_rotmat(PchipInterpolator(keys, poses)(at))
     heading = PchipInterpolator(keys, rng.uniform(-np.pi, np.pi) + rng.normal(0, 0.5, len(keys)).cumsum())(at)
+    # The heading turns the root about the vertical axis, after its rotation within the limits.
     rotmat[:, 0] = _about(1, heading) @ rotmat[:, 0]
     return Motion(f"spline-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
 
 
 def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0, fps: float = 30.0) -> Motion:
-    """A walk of random pace, stride, bounce, arm swing, stoop and turn; the path follows from the standing foot."""
+    """Generate a walk with random pace, stride, bounce, arm swing, stoop and turn; the planted foot gives the path.
+
+    The pace is in cycles per second, all angles are in degrees.
+    """
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 3]))
     pace, stride, swing = rng.uniform(0.7, 1.1), rng.uniform(16, 30), rng.uniform(5, 35)
     elbow, stoop, lift = rng.uniform(10, 70), rng.uniform(-4, 12), rng.uniform(45, 75)
@@ -64,6 +68,7 @@ def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0
     rotmat = np.tile(np.eye(3), (len(at), len(body.joint_names), 1, 1))
 
     def set_joint(name: str, *turns: tuple[int, Float[np.ndarray, " T"] | float]) -> None:
+        """Apply rotations given as (axis, degrees) to a joint, one after the other."""
         for axis, degrees in turns:
             angle = np.broadcast_to(np.radians(degrees), at.shape)
             rotmat[:, body.joint(name)] = rotmat[:, body.joint(name)] @ _about(axis, angle)
@@ -86,10 +91,10 @@ def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0
 
 
 def gait(phase: Float[np.ndarray, " T"], stride: float, lift: float) -> dict[str, Float[np.ndarray, " T"]]:
-    """Angles (degrees about the left axis) of one leg; phase counts steps of that leg from heel strike.
+    """Compute the joint angles of one leg (degrees about the x axis); `phase` counts its steps from heel strike.
 
-    The shapes are those of gait charts: the knee yields once under the weight and bends to `lift` in the swing, the
-    heel rises over the toes before the foot leaves the ground at 0.6.
+    Sums of smooth bumps approximate charts of human gait: the knee flexes once under load and up to `lift` in swing,
+    and the heel rises before the toes leave the ground at phase 0.6.
     """
     hip = -stride * np.cos(2 * np.pi * phase) - 0.15 * stride
     knee = 4.0 + 12.0 * _bump(phase, 0.14, 0.08) + (lift - 4.0) * _bump(phase, 0.74, 0.10)
@@ -98,37 +103,40 @@ def gait(phase: Float[np.ndarray, " T"], stride: float, lift: float) -> dict[str
 
 
 def planted(body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T 3"]:
-    """The root's path (metres, from x = z = 0) that keeps the sole on the ground where it is.
+    """Compute the root's path (metres, from x = z = 0) on which the planted sole does not slide.
 
-    From frame to frame the root moves against the motion of the soles, weighted towards the lowest; then the lowest
-    vertex of the mean body is put at height 0 in every frame. There is no flight.
+    From frame to frame the root moves against the mean motion of the soles, with the largest weights on the lowest
+    vertices. Then the lowest vertex of the mean shape is placed at height 0 in every frame, so jumps are impossible.
     """
-    under = np.flatnonzero(body.vertices[:, 1] < SOLE)
+    sole = np.flatnonzero(body.vertices[:, 1] < SOLE)
+    # Only the vertices of the soles are posed, with the root at the origin.
     soles = dataclasses.replace(
-        body, vertices=body.vertices[under], components=body.components[:, under], weights=body.weights[under]
+        body, vertices=body.vertices[sole], components=body.components[:, sole], weights=body.weights[sole]
     ).posed(np.zeros(0), rotmat, np.zeros((len(rotmat), 3)))
     height = soles[:-1, :, 1] + soles[1:, :, 1]
+    # A soft minimum over two frames: the sole that is lowest in both carries the body.
     weight = np.exp(-(height - height.min(axis=1, keepdims=True)) / (2 * SOFTNESS))
     moved = np.einsum("tv,tvc->tc", weight / weight.sum(axis=1, keepdims=True), np.diff(soles, axis=0))
     root = np.zeros((len(rotmat), 3))
+    # The root cancels the horizontal motion of the sole that carries the body.
     root[1:, [0, 2]] = -np.cumsum(moved, axis=0)[:, [0, 2]]
     root[:, 1] = -lowest(body, rotmat, np.zeros_like(root))
     return root
 
 
 def _bump(phase: Float[np.ndarray, " T"], centre: float, width: float) -> Float[np.ndarray, " T"]:
-    """A smooth hump of height 1 at `centre` of every cycle."""
-    away = (phase - centre + 0.5) % 1.0 - 0.5
-    return np.exp(-0.5 * (away / width) ** 2)
+    """Compute a periodic Gaussian of height 1 at `centre` (0..1) of every cycle."""
+    offset = (phase - centre + 0.5) % 1.0 - 0.5
+    return np.exp(-0.5 * (offset / width) ** 2)
 
 
 def _about(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Rotations by `angle` (radians) about coordinate axis 0, 1 or 2."""
+    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     return rotvec_to_rotmat(angle[:, None] * np.eye(3)[axis])
 
 
 def _pose(body: RiggedBody, degrees: dict[str, tuple[float, float, float]]) -> Float[np.ndarray, "J 3"]:
-    """Rotation vectors (radians) from a table of joints in degrees."""
+    """Convert a table of rotation vectors by joint (degrees) to all joints' rotation vectors (radians)."""
     pose = np.zeros((len(body.joint_names), 3))
     for name, turn in degrees.items():
         pose[body.joint(name)] = np.radians(turn)
@@ -136,4 +144,5 @@ def _pose(body: RiggedBody, degrees: dict[str, tuple[float, float, float]]) -> F
 
 
 def _frames(seconds: float, fps: float) -> int:
+    """Count the frames of a motion, at least one."""
     return max(round(seconds * fps), 1)

@@ -1,9 +1,12 @@
-"""Skeletons whose rest pose is no pose: how their joints lie on ours, measured from where the joints go in the motion.
+"""Calibrate the joints of a skeleton whose rest pose is not a standing pose, from the joint positions in its motion.
 
-M_j is constant, so every frame tells it: where the joints are says how our joint would be turned, D_j(t), and
-M_j is the rotation nearest to the sum of G_j(t)^T D_j(t). Knees and elbows are hinges, and how they bend tells how
-thigh and shin, upper arm and forearm are rolled; little-bent ones count little. The trunk looks where hips and
-shoulders say, hands follow their forearms, and a head is level and looks ahead on average.
+`retarget` needs the constant rotation M_j between a body joint and the source joint: D_j(t) = G_j(t) M_j, with the
+source's world rotation G_j and the body's D_j. In every frame, joint positions give an estimate of D_j(t); M_j is the
+rotation nearest to the weighted sum of G_j(t)^T D_j(t) over the frames (`geometry.nearest_rotation`).
+
+Estimates: knees and elbows are hinges, so their bending defines the roll of thigh and shin, of upper arm and forearm,
+with little weight while they are straight. Hips and shoulders define where the trunk faces. Hands have the rotation of
+the forearm, and a head is level and faces forward on average.
 """
 
 from __future__ import annotations
@@ -14,145 +17,165 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..core.geometry import nearest_rotation, rotate_between, unit_vectors
 
-MEASURED = 400
-"""Frames that are looked at, at most."""
-UNBENT = 0.01
-"""Weight of the roll that a limb has when it goes the shortest way from the T-pose; a right-angled hinge counts 1."""
+FRAMES = 400
+"""Frames, evenly spread, that are used at most (up to twice as many)."""
+STRAIGHT_WEIGHT = 0.01
+"""Weight of the roll of a straight limb (smallest rotation from the T-pose); a hinge bent by 90 degrees weighs 1."""
 HINGES = (("UpLeg", "Leg", "Foot", (0.0, 0.0, -1.0)), ("Arm", "ForeArm", "Hand", (0.0, 0.5, 0.866)))
-"""Two bones, the end of the second one, and which way it goes from the T-pose when the hinge bends.
+"""Joints of a hinge's two bones, the end of the second bone, and its direction of bending from the T-pose.
 
-Palms of our T-pose look down, so elbows bend to the front and up: 30 degrees, as in the shipped takes.
+Palms of the body's T-pose face down, so elbows bend to the front and up: 30 degrees, as in the shipped takes.
 """
 LEAN = (0.0, 0.97, 0.22)
-"""Way from hips to shoulders in the frame of the hips of who stands upright (mean of the shipped takes)."""
-UPRIGHT = 16
-"""Power of the cosine between trunk and legs by which a frame counts for the hips: bent trunks say little."""
+"""Direction from hips to shoulders of an upright person in the frame of the hips (mean of the shipped takes)."""
+UPRIGHT_POWER = 16
+"""Power of the cosine between trunk and legs that weights a frame for the hips: a bent trunk says little about them."""
 
 
-def axes_from_motion(place: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
-    """Axis rotation that takes the world of a motion to y up: shoulders are above feet most of the time.
+def axes_from_motion(position: Float[np.ndarray, "T J 3"], index: dict[str, int]) -> Float[np.ndarray, "3 3"]:
+    """Compute the axis rotation of a motion's world to y up: on average, shoulders are above feet.
 
-    The heading stays as it is, along one of the axes.
+    The heading is not changed but for axis rotations.
     """
-    above = _middle(place, index, "Arm") - _middle(place, index, "Foot")
+    above = _middle(position, index, "Arm") - _middle(position, index, "Foot")
     mean = unit_vectors(above).mean(axis=0)
     up = np.zeros(3)
     largest = int(np.abs(mean).argmax())
     up[largest] = np.sign(mean[largest])
-    return np.round(turn_between(up, np.array([0.0, 1.0, 0.0])))
+    return np.round(rotation_between(up, np.array([0.0, 1.0, 0.0])))
 
 
-def measured(
+def calibrated_joints(
     rotation: Float[np.ndarray, "T J 3 3"],
-    place: Float[np.ndarray, "T J 3"],
+    position: Float[np.ndarray, "T J 3"],
     rest: Float[np.ndarray, "J 3"],
     index: dict[str, int],
     body: RiggedBody,
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """M_j of each of our joints in `index`, from world rotations and positions with y up.
+    """Measure M_j of each body joint in `index` from world rotations and positions with y up.
 
-    Limb bones, given by `rest` in the frames of the source's joints, are matched exactly.
+    `rest` are the source's joint positions at rest, in the frames of its joints; limb bones match them exactly.
     """
-    some = slice(None, None, max(len(place) // MEASURED, 1))
-    rotation, place = rotation[some], place[some]
-    ours = body.joints[None]
-    own = {joint: body.joint(joint) for joint in index}
-    turns = _trunk_turns(place, index, ours, own)
+    step = slice(None, None, max(len(position) // FRAMES, 1))
+    rotation, position = rotation[step], position[step]
+    body_rest = body.joints[None]
+    body_index = {joint: body.joint(joint) for joint in index}
+    estimates = _trunk_rotations(position, index, body_rest, body_index)
     for side in ("Left", "Right"):
-        for upper, lower, end, way in HINGES:
-            turns |= _hinge_turns(place, index, ours, own, (f"{side}{upper}", f"{side}{lower}", f"{side}{end}"), way,
-                                  turns["Hips" if upper == "UpLeg" else "Spine1"][0])  # fmt: skip
-        turns[f"{side}Hand"] = turns[f"{side}ForeArm"]
-        turns |= _foot_turns(place, index, ours, own, side, turns[f"{side}Leg"])
-    between = {}
+        for upper, lower, end, direction in HINGES:
+            trunk = estimates["Hips" if upper == "UpLeg" else "Spine1"][0]
+            chain = (f"{side}{upper}", f"{side}{lower}", f"{side}{end}")
+            estimates |= _hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk)
+        estimates[f"{side}Hand"] = estimates[f"{side}ForeArm"]
+        estimates |= _foot_rotations(position, index, body_rest, body_index, side, estimates[f"{side}Leg"])
+    measured = {}
     for joint, j in index.items():
-        turn, weight = turns.get(joint, turns["Spine1"])
-        between[joint] = nearest_rotation((weight[:, None, None] * np.swapaxes(rotation[:, j], -1, -2) @ turn).sum(0))
-    return {joint: _exact(joint, found, rest, index, ours[0], own) for joint, found in between.items()}
+        estimate, weight = estimates.get(joint, estimates["Spine1"])
+        total = (weight[:, None, None] * np.swapaxes(rotation[:, j], -1, -2) @ estimate).sum(0)
+        measured[joint] = nearest_rotation(total)
+    return {joint: _with_exact_bone(joint, m, rest, index, body_rest[0], body_index) for joint, m in measured.items()}
 
 
-def turn_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
-    """Smallest rotation matrix that turns direction `old` to `new`."""
-    return turns_between(old, new[None])[0]
+def rotation_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the matrix of the smallest rotation from direction `old` to direction `new`."""
+    return rotations_between(old, new[None])[0]
 
 
-def turns_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
-    """Smallest rotations that turn direction `old` to each of the directions `new`."""
+def rotations_between(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
+    """Compute the matrices of the smallest rotations from direction `old` to each of the directions `new`."""
     olds, news = np.tile(old / np.linalg.norm(old), (3 * len(new), 1)), np.repeat(unit_vectors(new), 3, axis=0)
-    turned = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
-    return np.swapaxes(turned.reshape(-1, 3, 3), -1, -2)
+    # The rotated unit vectors are the columns of the matrices.
+    columns = rotate_between(olds, news, np.tile(np.eye(3), (len(new), 1)))
+    return np.swapaxes(columns.reshape(-1, 3, 3), -1, -2)
 
 
-def _middle(place, index, part):
-    return (place[:, index[f"Left{part}"]] + place[:, index[f"Right{part}"]]) / 2
+def _middle(position, index, part):
+    """Compute the midpoint of the left and right joint of a part."""
+    return (position[:, index[f"Left{part}"]] + position[:, index[f"Right{part}"]]) / 2
 
 
-def _seen(first, second):
-    """Frames (T, 3, 3) whose first column goes along a vector and whose second lies in the plane of both."""
-    one = unit_vectors(first)
-    two = unit_vectors(second - (second * one).sum(axis=-1, keepdims=True) * one)
-    return np.stack([one, two, np.cross(one, two)], axis=-1)
+def _frames(first, second):
+    """Build frames (T, 3, 3) with the first column along a vector and the second in the plane of both vectors."""
+    x = unit_vectors(first)
+    y = unit_vectors(second - (second * x).sum(axis=-1, keepdims=True) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-def _turned(ours, theirs):
-    """Rotations that take the frame of two vectors of ours to that of theirs."""
-    return _seen(*theirs) @ np.swapaxes(_seen(*ours), -1, -2)
+def _rotations(body_vectors, source_vectors):
+    """Compute the rotations from the frame of two vectors of the body at rest to that of two vectors of the source."""
+    return _frames(*source_vectors) @ np.swapaxes(_frames(*body_vectors), -1, -2)
 
 
-def _trunk_turns(place, index, ours, own):
-    """How hips, chest and head are turned in each frame, and how much it counts; other joints go with the chest."""
-    across, trunk = {}, {}
-    for points, names in ((ours, own), (place, index)):
-        mine = points is ours
-        across[mine] = {part: np.subtract(*(points[:, names[f"{side}{part}"]] for side in ("Left", "Right")))
-                        for part in ("UpLeg", "Arm")}  # fmt: skip
-        trunk[mine] = _middle(points, names, "Arm") - _middle(points, names, "UpLeg")
-    legs = _middle(place, index, "UpLeg") - _middle(place, index, "Foot")
-    cosine = (unit_vectors(trunk[False]) * unit_vectors(legs)).sum(axis=-1)
-    upright, always = np.maximum(cosine, UNBENT) ** UPRIGHT, np.ones(len(place))
-    above = np.array([[0.0, 1.0, 0.0]])
-    hips = _turned((across[True]["UpLeg"], np.array([LEAN])), (across[False]["UpLeg"], trunk[False]))
-    chest = _turned((across[True]["Arm"], trunk[True]), (across[False]["Arm"], trunk[False]))
-    head = _turned((above, across[True]["Arm"]), (np.tile(above, (len(place), 1)), across[False]["Arm"]))
-    return {"Hips": (hips, upright), "Spine1": (chest, always), "Head": (head, upright)}
+def _trunk_rotations(position, index, body_rest, body_index):
+    """Estimate rotation and weight of hips, chest and head in each frame; other joints get those of the chest."""
+
+    def left_to_right(points, joints, part):
+        return np.subtract(*(points[:, joints[f"{side}{part}"]] for side in ("Left", "Right")))
+
+    def trunk_of(points, joints):
+        return _middle(points, joints, "Arm") - _middle(points, joints, "UpLeg")
+
+    trunk = trunk_of(position, index)
+    legs = _middle(position, index, "UpLeg") - _middle(position, index, "Foot")
+    cosine = (unit_vectors(trunk) * unit_vectors(legs)).sum(axis=-1)
+    upright, always = np.maximum(cosine, STRAIGHT_WEIGHT) ** UPRIGHT_POWER, np.ones(len(position))
+    up = np.array([[0.0, 1.0, 0.0]])
+    body_hips, hips = left_to_right(body_rest, body_index, "UpLeg"), left_to_right(position, index, "UpLeg")
+    body_arms, arms = left_to_right(body_rest, body_index, "Arm"), left_to_right(position, index, "Arm")
+    return {
+        "Hips": (_rotations((body_hips, np.array([LEAN])), (hips, trunk)), upright),
+        "Spine1": (_rotations((body_arms, trunk_of(body_rest, body_index)), (arms, trunk)), always),
+        "Head": (_rotations((up, body_arms), (np.tile(up, (len(position), 1)), arms)), upright),
+    }
 
 
-def _hinge_turns(place, index, ours, own, chain, way, trunk):
-    """How the two bones beside a knee or an elbow are turned, and how much each frame counts."""
+def _hinge_rotations(position, index, body_rest, body_index, chain, direction, trunk):
+    """Estimate rotation and weight of the two bones at a knee or an elbow in each frame.
+
+    While the hinge is bent, a bone and the other bone define the rotation. The smallest rotation from the trunk's
+    pose, with a small weight, defines the roll of straight limbs.
+    """
     top, hinge, end = chain
-    (first, second), (one, two) = (
-        (points[:, names[hinge]] - points[:, names[top]], points[:, names[end]] - points[:, names[hinge]])
-        for points, names in ((ours, own), (place, index))
-    )
-    bend = np.square(np.linalg.norm(np.cross(unit_vectors(one), unit_vectors(two)), axis=-1))
-    front = np.array([way])
-    found = {}
-    for joint, bone, rest, other, hint in ((top, one, first, two, front), (hinge, two, second, one, -front)):
-        bent = _turned((rest, hint), (bone, other))
-        straight = trunk @ turns_between(rest[0], (np.swapaxes(trunk, -1, -2) @ bone[..., None])[..., 0])
-        # Both are one rotation in the end; mixing them frame by frame keeps the weights with their frames.
-        mixed = nearest_rotation(bend[:, None, None] * bent + UNBENT * straight)
-        found[joint] = (mixed, bend + UNBENT)
-    return found
+
+    def two_bones(points, joints):
+        return points[:, joints[hinge]] - points[:, joints[top]], points[:, joints[end]] - points[:, joints[hinge]]
+
+    (body_upper, body_lower), (upper, lower) = two_bones(body_rest, body_index), two_bones(position, index)
+    # Squared sine of the angle between the bones.
+    bend = np.square(np.linalg.norm(np.cross(unit_vectors(upper), unit_vectors(lower)), axis=-1))
+    front = np.array([direction])
+    estimates = {}
+    # At rest the body's bones are in line, so the direction of bending stands for the other bone.
+    for joint, bone, body_bone, other, body_other in (
+        (top, upper, body_upper, lower, front),
+        (hinge, lower, body_lower, upper, -front),
+    ):
+        bent = _rotations((body_bone, body_other), (bone, other))
+        straight = trunk @ rotations_between(body_bone[0], (np.swapaxes(trunk, -1, -2) @ bone[..., None])[..., 0])
+        # Combined in every frame, so that the weight belongs to one rotation.
+        combined = nearest_rotation(bend[:, None, None] * bent + STRAIGHT_WEIGHT * straight)
+        estimates[joint] = (combined, bend + STRAIGHT_WEIGHT)
+    return estimates
 
 
-def _foot_turns(place, index, ours, own, side, shin):
-    """How foot and toes are turned: the foot's bone and the shin's; as the shin where there are no toes."""
+def _foot_rotations(position, index, body_rest, body_index, side, shin):
+    """Estimate rotation and weight of foot and toes from the foot's bone and the shin; without toes as the shin."""
     foot, toes, knee = f"{side}Foot", f"{side}ToeBase", f"{side}Leg"
     if toes not in index:
         return {foot: shin}
     pairs = [
-        (points[:, names[toes]] - points[:, names[foot]], points[:, names[knee]] - points[:, names[foot]])
-        for points, names in ((ours, own), (place, index))
+        (points[:, joints[toes]] - points[:, joints[foot]], points[:, joints[knee]] - points[:, joints[foot]])
+        for points, joints in ((body_rest, body_index), (position, index))
     ]
-    turn = (_turned(*pairs), np.ones(len(place)))
-    return {foot: turn, toes: turn}
+    estimate = (_rotations(*pairs), np.ones(len(position)))
+    return {foot: estimate, toes: estimate}
 
 
-def _exact(joint, found, rest, index, ours, own):
-    """Turn M_j the smallest way so that the limb bone of this joint lies on the source's."""
+def _with_exact_bone(joint, measured, rest, index, body_rest, body_index):
+    """Correct M_j by the smallest rotation that makes the body's limb bone parallel to the source's at rest."""
+    # Joint at the other end of each limb bone.
     tails = {f"{s}{a}": f"{s}{b}" for s in ("Left", "Right") for h in HINGES for a, b in (h[:2], h[1:3])}
     if joint not in tails:
-        return found
-    bone = ours[own[tails[joint]]] - ours[own[joint]]
-    return turn_between(found @ bone, rest[index[tails[joint]]] - rest[index[joint]]) @ found
+        return measured
+    bone = body_rest[body_index[tails[joint]]] - body_rest[body_index[joint]]
+    return rotation_between(measured @ bone, rest[index[tails[joint]]] - rest[index[joint]]) @ measured

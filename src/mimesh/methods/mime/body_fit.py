@@ -150,7 +150,7 @@ class Prior:
 
     def __call__(self, posed: PosedBody) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
         """Left and right side of the normal equations."""
-        stance, rows = posed.stance, posed.of_joints()
+        stance, rows = posed.state, posed.of_joints()
         held = self.joint * rows.T @ rows + np.diag(self.plain)
         pull = self.joint * rows.T @ (posed.joints - self.joints).reshape(-1)
         pull[self.person] += self.plain[self.person] * np.concatenate([stance.shape, stance.bones])
