@@ -12,7 +12,7 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, weights_path
+from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, weights_path
 from .clip_protocols import ClipPair, clips_aniformer
 from .cross_body import cross_body
 from .measure import GIVEN, measure, measure_clip, summary
@@ -159,7 +159,7 @@ def check_method(method: str) -> None:
         method.endswith(".onnx") and Path(method).is_file()
     ):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
-    check_row(method)
+    check_weights(method)
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:

@@ -63,7 +63,7 @@ class SkinnedMethod(Method, Protocol):
 
 @runtime_checkable
 class QuickPredictor(Protocol):
-    """A method with a cheap prediction, from which wrongly detected axes are corrected (see `pipeline.run.reorient`)."""
+    """A method with a cheap prediction, which corrects wrongly detected axes (see `pipeline.run.reorient`)."""
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict mean entropy (nats) of a normalised mesh's skinning weights, and world rotation of its root joint."""
