@@ -1,7 +1,7 @@
 """Fit the shipped body to a surface, starting from the joints that a network predicts for it.
 
 A prediction is good enough to say which point of the body is near which point of the surface. From such matches, least
-squares find pose, shape and bone lengths more precisely than the network does, which sees a few hundred points once.
+squares find pose, shape and bone lengths more precisely than the network, which gets a few hundred points once.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """mime as an ONNX file: predict the joints of both meshes, fit the shipped body to them, then track each frame.
 
 A prediction is one run of the network on points sampled from a surface. Its inputs are "points", "normals" (1, N, 3) of
-the samples and "vertices", "vertex_normals" (1, V, 3), points of the same mesh whose skinning weights are wanted; its
+the samples and "vertices", "vertex_normals" (1, V, 3), points of the same mesh at which weights are predicted; its
 outputs are "rotation" (1, J, 3, 3) and "joints" (1, J, 3), in the world, and "scores" (1, V, J), whose softmax over the
 joints gives the skinning weights. Any unit and position will do; normals that are not known are zero.
 
