@@ -121,6 +121,7 @@ def blended(
     sums: deque[tuple[Float[np.ndarray, "V 3"], int]] = deque()  # of results and of weights, one pair a frame
     first = remaining = 0  # the frame of sums[0], and how many frames from there on are no padding
     for start, window, count in windows(frames, length, stride):
+        # No later window contains the frames before this one's first: their results are complete.
         for total, weight in [sums.popleft() for _ in range(start - first)]:
             yield total / weight
         first, remaining = start, count

@@ -52,6 +52,7 @@ def heat_weights(
     nearest, distance = nearest_segments(vertices, faces, segments)
     heated = nearest.astype(float) @ (owners[:, None] == np.arange(bones)) > 0  # (V, J): bone j is nearest to vertex v
     rate = vertex_areas(vertices, faces) * HEAT / distance**2
+    # All bones have the same matrix: one factorisation, one right-hand side for each bone.
     system = (cotangent_laplacian(vertices, faces) + diags_array(rate * heated.sum(axis=1))).tocsc()
     weights = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(rate[:, None] * heated)
     weights = np.clip(weights, 0.0, 1.0)  # rounding only: an M-matrix keeps them there

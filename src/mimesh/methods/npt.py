@@ -51,6 +51,8 @@ class NPTMethod:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
         ranked = canonical_order(identity.vertices)
         rest = ranked.merge(identity.vertices)
+        # A network with one pose code for each vertex needs as many driving points as the identity has: where the
+        # driving has fewer, random points of its surface are added, where it has more, each pairing leaves some out.
         pooled = self.pose_code == "global_max"
         points = padded_vertices(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
         count = min(len(points), POOLED_POINTS) if pooled else len(ranked)
@@ -94,6 +96,7 @@ class PatchDistances:
     @classmethod
     def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> PatchDistances:
         """Divide points into at most PATCHES compact patches of equal size, adjacent where an edge joins them."""
+        # Successive points of a spatial order are near each other: equal runs of it are compact patches.
         count, patch = min(PATCHES, len(points)), np.empty(len(points), np.int64)
         patch[spatial_order(points)] = np.arange(len(points)) * count // len(points)
         pairs = np.unique(patch[welded_edges].reshape(-1, 2), axis=0)

@@ -29,7 +29,7 @@ def with_root_motion(
     for vertices in check_size(frames, name):
         result = pose(vertices)
         result = result - bbox_centre(result)
-        scale = radius(result) if scale is None else scale
+        scale = radius(result) if scale is None else scale  # of the first frame: a size that does not change over time
         yield result + bbox_centre(vertices) * scale
 
 

@@ -47,6 +47,7 @@ class SkeletonBaseline:
         rest, weights = ranked.merge(identity.vertices), bind(identity, ranked, thin, identity_fit)
         driving_sample = surface_sampler(driving.mesh, POINTS, np.random.default_rng([self.seed, 0]))
 
+        # One function for each run over the clip, so that a second run starts without a previous fit.
         def pose_function() -> Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]:
             fit: BodyParameters | None = None
 

@@ -36,6 +36,7 @@ def edge_stretch(
     """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges."""
     old, new = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (before, after))
     measured = old > MIN_EDGE * (old.mean() if len(old) else 0.0)
+    # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
     ratio = np.maximum(new[measured] / old[measured], 1e-6)
     return np.maximum(ratio, 1 / ratio)
 

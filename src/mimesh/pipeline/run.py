@@ -116,11 +116,13 @@ def prepare(
     Raises:
         InputError: an axis, the model or its options cannot be used.
     """
+    # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
     options.check(method)
     drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+    # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
     if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive):
         corrected = (
             reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
@@ -156,9 +158,11 @@ def reorient(
         entropy, hips = method.quick_predict(_normalised(mesh, candidate))
         predictions.append((entropy, candidate, hips))
     lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
+    # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
     names = tuple(_nearest_axis(best.rotation.T @ hips[:, k]) for k in (1, 2))
     chosen = Normalization.fit(mesh, *names) if names in allowed else best
     detected = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
+    # A small gain may be noise of the prediction: the detector's axes are then kept.
     if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
         return norm
     return dataclasses.replace(chosen, detected=True, margin=0.0)
@@ -170,6 +174,7 @@ def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
     Methods that work in windows of frames get only frames 0 and t, so their result may differ from that of the clip.
     `MotionOptions` are not applied: they need the whole clip (see `play`).
     """
+    # Frame 0 is needed too: it fixes the position of the whole clip, and the size of results of some methods.
     indices = [0] if t == 0 else [0, t]
     driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in indices)
     refined = _refined(prepared.drive(driving), prepared.refinement, Timer())
@@ -221,9 +226,10 @@ def play(
         frames = prepared.drive(driving) if motion is None else motion.frames()
         shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
-        before = (passes - 1) * len(clip)
+        before = (passes - 1) * len(clip)  # frames counted in the first pass
         for t, vertices in enumerate(frames):
             moved[t] = identity_norm.undo(vertices + shift)
+            # Long results are on disk: pages that have been written need not stay in memory.
             if t % PAGED == 0:
                 release_pages(moved)
             if progress is not None:

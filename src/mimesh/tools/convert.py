@@ -83,11 +83,13 @@ def convert(
         _refuse_options(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
     elif not holds_clip:
         _refuse_options(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
+    # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
     if frame is None and not holds_clip and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         timed = {"--fps": fps is not None, "--animation": animation is not None}
         _refuse_options(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
         mesh = load_mesh(source)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
+    # Reading and writing are half of the progress each.
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
     clip = cut_clip(clip, start, stop, step) if frame is None else _single_frame(clip, frame, source)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:

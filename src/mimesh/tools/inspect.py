@@ -120,6 +120,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     faces = index[mesh.faces]
     # Faces between three distinct positions.
     proper = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    # The topology is that of welded positions: formats split vertices at seams of UVs and normals.
     counts, balance = _edge_use(proper)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material))
@@ -292,6 +293,7 @@ def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"
     """Whether the faces enclose a negative volume; None where more than 5 % of the edges are open."""
     if len(faces) == 0 or (counts == 1).sum() > 0.05 * len(counts):
         return None
+    # Signed volumes of the tetrahedra from the centroid to each face; the centroid makes open edges matter least.
     local = vertices - vertices[faces].mean(axis=(0, 1))
     return bool((local[faces[:, 0]] * face_vectors(local, faces)).sum() < 0)
 

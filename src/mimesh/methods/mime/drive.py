@@ -108,7 +108,9 @@ class MimeMethod:
             rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
             skinned=SkinnedMesh.of(vertices, rig, self.parents),
             follow=follow,
+            # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
+            # Heights of the feet's joints over the ground, by which standing feet are recognised and grounded.
             feet=FootJoints(
                 feet,
                 keyframes.leg,
@@ -188,12 +190,14 @@ class MimeMethod:
         samples = SurfacePoints.of(mesh, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
         best = self._predict_keyframes(samples, frames, denoised, 0)
+        # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if best.confidence.prediction_spread > DISAGREEMENT:
                 other = self._predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
         consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(consensus.joints, self.legs) if self.fits_body else best.leg
         best = dataclasses.replace(best, consensus=consensus, leg=leg, confidence=confidence)
         tracker = PartTracker.of(best.points, consensus.weights, consensus.joints, self.parents)
@@ -249,6 +253,7 @@ class MimeMethod:
             inputs |= {"vertices": batch_of_one(points[chunk]), "vertex_normals": batch_of_one(normals[chunk])}
             outputs = self.session.run(["rotation", "joints", "scores"], inputs)
             rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in outputs)
+            # Softmax; subtracting the largest score first keeps the exponentials finite.
             weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
             weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
         return Rig(rotation, joints, np.concatenate(weights) if queries else np.zeros((0, len(joints))))
