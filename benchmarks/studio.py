@@ -27,7 +27,7 @@ from mimesh.io.atomic import whole_file
 from mimesh.studio import make_session
 from mimesh.studio.session import Item, Session
 from mimesh.studio.state import describe, scene
-from mimesh.tools.demo import played
+from mimesh.tools.demo import driving_clip
 
 ROUNDS = 10
 LIMIT = 2**29
@@ -52,7 +52,7 @@ def main() -> None:
 
 def write_inputs(folder: Path) -> tuple[Path, Path, Path]:
     """Write a character, a motion and its first frames, and return their paths."""
-    clip = played(load_body())
+    clip = driving_clip(load_body())
     save_mesh(character("runner"), folder / "hero.glb")
     save_clip(clip, folder / "jump.glb")
     save_clip(dataclasses.replace(clip, vertices=clip.vertices[:SHORT]), folder / "short.npz")

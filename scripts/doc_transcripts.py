@@ -14,7 +14,7 @@ from trouble_cases import BODY, hero, shield, step
 
 from mimesh import animate, save_clip, save_mesh
 from mimesh.cli import run
-from mimesh.tools.demo import played
+from mimesh.tools.demo import driving_clip
 
 
 class Transcript(NamedTuple):
@@ -55,7 +55,7 @@ def run_command(command: str) -> Transcript:
 
 def _write_inputs() -> None:
     """The files that the commands name."""
-    moving = played(BODY)
+    moving = driving_clip(BODY)
     for mesh, name in ((hero(), "hero.obj"), (hero(), "hero.stl"), (step(), "pose.obj")):
         save_mesh(mesh, name)
     save_clip(moving, "walk")

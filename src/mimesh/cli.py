@@ -1,7 +1,7 @@
-"""The `mimesh` command: one thin function per verb in `commands/`, and how each way of ending looks to the user.
+"""The `mimesh` command: registers the functions of `commands/`, and turns errors into messages and exit codes.
 
-Exit 0 done; 2 the input or the usage is wrong, told in one line; 1 a bug of ours. Nothing here or in `commands/`
-imports NumPy or anything heavier before a command runs, so that `mimesh --help` is quick.
+Exit codes: 0 success; 1 a bug of mimesh; 2 wrong input or usage, with a message of one line; 130 stopped. Nothing here
+or in `commands/` imports NumPy or anything heavier before a command runs, so that `mimesh --help` is quick.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ for _command in COMMANDS:
     app.command(_command.__name__)(_command)
 
 
-def _version(wanted: bool) -> bool:
-    if wanted:
+def _version(requested: bool) -> bool:
+    if requested:
         from . import __version__
 
         typer.echo(f"mimesh {__version__}")
         raise typer.Exit
-    return wanted
+    return requested
 
 
 @app.callback()
@@ -70,15 +70,16 @@ def _options(
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run one command and leave with its exit code."""
-    signal.signal(signal.SIGTERM, _end)
-    if isinstance(sys.stdout, io.TextIOWrapper):  # names of files may hold bytes that are no text; as stderr has it
+    """Run one command and exit with its code."""
+    signal.signal(signal.SIGTERM, _terminate)
+    # File names may contain bytes that are no text: print those escaped, as stderr does.
+    if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     code = run(sys.argv[1:] if arguments is None else arguments)
     try:
         sys.stdout.flush()
     except BrokenPipeError:
-        # `mimesh look ... | head`: keep the interpreter from trying, and complaining, once more at its end.
+        # `mimesh look ... | head`: keep the interpreter from flushing once more at its end, which prints an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     sys.exit(code)
 
@@ -87,52 +88,56 @@ def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
     try:
         code = int(app(arguments, prog_name="mimesh", standalone_mode=False) or 0)
-        return _tell("stopped", code) if code == STOPPED else code
+        return _print_error("stopped", code) if code == STOPPED else code
     except Stop as stop:
         return stop.code
     except SystemExit:
-        # Typer ends so when the reader of our output has gone; there is nobody left to tell.
+        # Typer exits this way when the reader of our output has closed the pipe: no message can reach the user.
         return 0
     except Exception as error:
-        return _failed(error)
+        return _report_error(error)
 
 
-def _end(*_: object) -> None:
-    """Leave by the way of Ctrl-C when told to end, so that temporary files are taken away."""
+def _terminate(*_: object) -> None:
+    """Handle SIGTERM as Ctrl-C, so that temporary files are removed."""
     raise KeyboardInterrupt
 
 
-def _failed(error: Exception) -> int:
-    # Typer's usage errors live in different places in its versions; all of them format their own message.
+def _report_error(error: Exception) -> int:
+    """Print the message of an error and return the exit code."""
     if isinstance(error, typer.Abort):
-        return _tell("stopped", STOPPED)
+        return _print_error("stopped", STOPPED)
+    # Typer's versions define their usage errors in different modules; all of them have `format_message`.
     if hasattr(error, "format_message"):
-        return _usage(error)
+        return _report_usage(error)
     from .core.errors import InputError
 
     if isinstance(error, InputError):
-        return _tell(" ".join(str(error).split()), 2)
-    return _bug(error)
+        return _print_error(" ".join(str(error).split()), 2)
+    return _report_bug(error)
 
 
-def _usage(error) -> int:
+def _report_usage(error) -> int:
     context = getattr(error, "ctx", None)
     command = context.command_path if context else "mimesh"
     message = " ".join(error.format_message().split()).rstrip(".")
     if not message:  # `mimesh` alone: Typer has printed the help
         return 2
-    return _tell(f"{message}; see {command} --help", 2)
+    return _print_error(f"{message}; see {command} --help", 2)
 
 
-def _bug(error: Exception) -> int:
+def _report_bug(error: Exception) -> int:
+    """Print the last lines of the traceback, and where to report them."""
     import traceback
 
     last = traceback.extract_tb(error.__traceback__)[-4:]
     print("".join(traceback.format_list(last)), end="", file=sys.stderr)
     kind = f"{type(error).__name__}: {error}".splitlines()[0]
-    return _tell(f"{kind}\nThis is a bug of mimesh; please report it with the lines above and `mimesh doctor`'s.", 1)
+    return _print_error(
+        f"{kind}\nThis is a bug of mimesh; please report it with the lines above and `mimesh doctor`'s.", 1
+    )
 
 
-def _tell(message: str, code: int) -> int:
+def _print_error(message: str, code: int) -> int:
     print(f"mimesh: {message}", file=sys.stderr)
     return code

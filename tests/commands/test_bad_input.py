@@ -1,4 +1,4 @@
-"""What users get wrong, through the real command: exit 2, one line that helps, no traceback, nothing left behind."""
+"""Wrong input to the command: exit code 2, one line that says what to do, no traceback, no files left."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ def good(tmp_path: Path) -> Path:
 
 
 def check(args: list[str], bad: Path, capsys) -> None:
-    """Run the command; it must end as a user's mistake does and leave the folder as it was."""
+    """Check that a command exits with 2 and one line about the bad file, and leaves the folder unchanged."""
     folder = bad.parent
     before = sorted(folder.rglob("*"))
     assert run(args) == 2
@@ -157,14 +157,14 @@ def test_bad_clip(make: Maker, good: Path, capsys):
 
 
 @pytest.mark.parametrize("make", BAD_MESHES + BAD_CLIPS)
-def test_bad_file_to_look_at_or_draw(make: Maker, good: Path, capsys):
+def test_bad_file_to_look_at_or_render(make: Maker, good: Path, capsys):
     bad = make(good.parent)
     check(["look", str(bad)], bad, capsys)
     check(["render", str(bad), "-o", str(good.parent / "x.png")], bad, capsys)
 
 
 @pytest.mark.parametrize("make", [face_index_out_of_range, truncated_glb, frames_of_different_topology])
-def test_bad_input_in_a_process_of_its_own(make: Maker, good: Path):
+def test_bad_input_in_a_separate_process(make: Maker, good: Path):
     bad = make(good.parent)
     before = sorted(good.parent.rglob("*"))
     done = subprocess.run([MIMESH, "animate", good, bad, "-m", "copy"], capture_output=True, text=True)

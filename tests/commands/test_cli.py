@@ -1,4 +1,4 @@
-"""The `mimesh` command on good input: what it writes, what it prints, and how it ends."""
+"""The `mimesh` command on good input: files, output and exit codes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MIMESH = Path(sys.executable).with_name("mimesh")
 
 @pytest.fixture
 def files(tmp_path: Path) -> Path:
-    """hero.obj, pose.ply and walk/ (three frames) of one topology, in a folder of their own."""
+    """A folder with hero.obj, pose.ply and walk/ (three frames), all of one topology."""
     cube = zoo.cube()
     save_mesh(cube, tmp_path / "hero.obj")
     save_mesh(cube.with_vertices(cube.vertices * [1, 2, 1]), tmp_path / "pose.ply")
@@ -31,7 +31,7 @@ def files(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_help_names_every_command_and_loads_nothing_heavy():
+def test_help_names_every_command_and_imports_nothing_heavy():
     script = (
         "import sys; from mimesh.cli import run; run(['--help']);"
         "heavy = {'numpy', 'scipy', 'PIL', 'torch', 'onnxruntime', 'rich', 'jaxtyping'} & set(sys.modules);"
@@ -53,7 +53,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"mimesh {mimesh.__version__}\n"
 
 
-def test_transfer_names_its_output_and_the_next_command(files, capsys):
+def test_transfer_prints_its_output_and_the_next_command(files, capsys):
     assert run(["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy"]) == 0
     output = files / "hero-pose.obj"
     text = capsys.readouterr()
@@ -64,7 +64,7 @@ def test_transfer_names_its_output_and_the_next_command(files, capsys):
     assert (files / "hero-pose.preview.png").stat().st_size > 1000
 
 
-def test_transfer_json_is_one_object_with_the_promised_keys(files, capsys):
+def test_transfer_json_is_one_object_with_the_documented_keys(files, capsys):
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "--no-preview", "--json"]
     assert run(args) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -78,7 +78,7 @@ def test_transfer_json_is_one_object_with_the_promised_keys(files, capsys):
     assert not list(files.glob("*.preview.*"))
 
 
-def test_transfer_does_what_python_does(files):
+def test_transfer_equals_the_python_function(files):
     output = files / "out.npz"
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(output), "-q"]
     assert run([*args, "--no-preview"]) == 0
@@ -96,7 +96,7 @@ def test_animate_writes_a_glb_a_picture_and_a_page(files, capsys):
     assert text.err == ""
 
 
-def test_open_shows_the_page_in_the_browser(files, capsys, monkeypatch):
+def test_open_opens_the_page_in_the_browser(files, capsys, monkeypatch):
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or len(opened) == 1)
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-q", "--open"]
@@ -129,13 +129,13 @@ def test_animate_takes_a_range_and_writes_folders(files, capsys):
     assert len(load_clip(files / "moved")) == 2
 
 
-def test_quiet_says_nothing(files, capsys):
+def test_quiet_prints_nothing(files, capsys):
     assert run(["animate", str(files / "hero.obj"), str(files / "walk"), "-m", "copy", "-q", "--no-preview"]) == 0
     assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize("output", ["hero.obj", "pose.ply"])
-def test_inputs_are_never_written_over(files, output, capsys):
+def test_inputs_are_not_overwritten(files, output, capsys):
     before = (files / output).read_bytes()
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / output)]
     assert run(args) == 2
@@ -145,7 +145,7 @@ def test_inputs_are_never_written_over(files, output, capsys):
 
 @pytest.mark.parametrize("given", ["--reference", "--markers"])
 @pytest.mark.parametrize("name", ["x.obj", "x.preview.png", "x.preview.html"])
-def test_nor_are_other_files_that_are_read_by_the_result_its_picture_and_its_page(files, given, name, capsys):
+def test_reference_and_markers_are_not_overwritten(files, given, name, capsys):
     (files / name).write_text("0 0\n")
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "deformation-transfer"]
     assert run([*args, given, str(files / name), "-o", str(files / "x.obj")]) == 2
@@ -153,15 +153,15 @@ def test_nor_are_other_files_that_are_read_by_the_result_its_picture_and_its_pag
     assert (files / name).read_text() == "0 0\n"
 
 
-def test_nor_is_an_input_by_another_of_its_names(files, capsys):
+def test_hard_link_to_an_input_is_not_overwritten(files, capsys):
     (files / "other.obj").hardlink_to(files / "hero.obj")
     args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / "other.obj")]
     assert run(args) == 2
     assert "apart from the inputs" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="names are text here")
-def test_names_that_are_no_text_are_printed_all_the_same(files):
+@pytest.mark.skipif(sys.platform != "linux", reason="file names are text on other systems")
+def test_file_names_that_are_no_text_are_printed_escaped(files):
     odd = os.fsdecode(bytes(files) + b"/p\xe9.ply")
     (files / "pose.ply").rename(odd)
     done = subprocess.run([MIMESH, "transfer", files / "hero.obj", odd, "-m", "copy"], capture_output=True, text=True)
@@ -178,7 +178,7 @@ def test_nothing_is_written_into_the_driving_folder(files, output, capsys):
     assert sorted((files / "walk").iterdir()) == before
 
 
-def test_look_tells_the_same_to_people_and_programs(files, capsys):
+def test_look_prints_text_and_json(files, capsys):
     assert run(["look", str(files / "hero.obj"), str(files / "walk")]) == 0
     assert "hero.obj" in capsys.readouterr().out
     assert run(["look", str(files / "hero.obj"), str(files / "walk"), "--json"]) == 0
@@ -210,7 +210,7 @@ def test_render_draws_a_turning_movie(files, capsys):
     assert "turning movie of hero.obj" in capsys.readouterr().out
 
 
-def test_models_lists_all_that_can_be_asked_for(capsys):
+def test_models_lists_all_models(capsys):
     from mimesh.methods.find import MODELS
 
     assert run(["models", "--json"]) == 0
@@ -219,14 +219,14 @@ def test_models_lists_all_that_can_be_asked_for(capsys):
     assert all(name in capsys.readouterr().out for name in ["copy"])
 
 
-def test_doctor_finds_this_installation_well(capsys):
+def test_doctor_passes_on_this_installation(capsys):
     assert run(["doctor", "--json"]) == 0
     facts = json.loads(capsys.readouterr().out)
     assert facts["ok"]
     assert {check["name"] for check in facts["checks"]} >= {"shipped body", "shipped networks", "self check"}
 
 
-def test_doctor_reports_what_is_broken(capsys, monkeypatch):
+def test_doctor_reports_a_failed_check(capsys, monkeypatch):
     monkeypatch.setattr("mimesh.tools.doctor._transfer", lambda: 1 / 0)
     assert run(["doctor"]) == 1
     assert "FAIL  self check          ZeroDivisionError" in capsys.readouterr().out
@@ -257,7 +257,7 @@ def test_evaluate_prints_a_table_or_json(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("args", [["train", "npt"], ["export", "x.safetensors", "-o", "x.onnx"]])
-def test_a_missing_extra_is_one_sentence(args, capsys, monkeypatch):
+def test_missing_extra_is_refused_with_the_install_command(args, capsys, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     assert run(args) == 2
     assert "pip install 'mimesh[train]'" in capsys.readouterr().err
@@ -275,7 +275,7 @@ def test_wrong_usage_is_one_line(args, capsys):
     assert "--help" in text.err
 
 
-def test_a_bug_says_that_it_is_one(files, capsys, monkeypatch):
+def test_bug_is_reported_as_one(files, capsys, monkeypatch):
     def broken(path):
         raise RuntimeError("no luck")
 
@@ -287,7 +287,7 @@ def test_a_bug_says_that_it_is_one(files, capsys, monkeypatch):
     assert len(error.splitlines()) < 15
 
 
-def test_stopping_is_no_bug(files, capsys, monkeypatch):
+def test_interrupt_exits_with_130(files, capsys, monkeypatch):
     def stopped(path):
         raise KeyboardInterrupt
 
@@ -296,19 +296,19 @@ def test_stopping_is_no_bug(files, capsys, monkeypatch):
     assert capsys.readouterr().err == "mimesh: stopped\n"
 
 
-def test_a_reader_that_leaves_is_no_error(files):
+def test_closed_pipe_is_no_error(files):
     many = [str(files / "hero.obj")] * 200
-    looking = subprocess.Popen([MIMESH, "look", *many], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    assert looking.stdout is not None
-    looking.stdout.close()
-    assert looking.stderr is not None
-    with looking.stderr as errors:
+    process = subprocess.Popen([MIMESH, "look", *many], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    with process.stderr as errors:
         assert errors.read() == b""
-    assert looking.wait() == 0
+    assert process.wait() == 0
 
 
 @pytest.mark.slow
-def test_the_wheel_works_in_a_fresh_environment(tmp_path):
+def test_wheel_works_in_a_fresh_environment(tmp_path):
     root = Path(__file__).parents[2]
     subprocess.run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", tmp_path, root], check=True)
     subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)

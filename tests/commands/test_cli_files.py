@@ -1,4 +1,4 @@
-"""The `mimesh` command takes care of others' files, of what a format cannot hold, and of odd arguments."""
+"""The `mimesh` command keeps existing files, notes what a format cannot hold, and refuses odd arguments."""
 
 from __future__ import annotations
 
@@ -33,30 +33,30 @@ def transfer(files, *more):
     return run([*arguments, *map(str, more)])
 
 
-def test_somebody_elses_material_library_is_left_alone(files):
+def test_existing_material_library_is_not_overwritten(files):
     (files / "out.mtl").write_text("newmtl mine\n")
     assert transfer(files, "-o", files / "out.obj") == 0
     assert (files / "out.mtl").read_text() == "newmtl mine\n"
     assert "mtllib out-2.mtl" in (files / "out.obj").read_text()
-    assert transfer(files, "-o", files / "out.obj") == 0  # ours may be written over
+    assert transfer(files, "-o", files / "out.obj") == 0  # our own file may be overwritten
     assert sorted(path.name for path in files.glob("*.mtl")) == ["out-2.mtl", "out.mtl"]
 
 
 @pytest.mark.parametrize("suffix", [".off", ".npz", ".stl", ".ply"])
-def test_what_a_format_cannot_hold_is_said(files, suffix, capsys):
+def test_what_a_format_cannot_hold_is_noted(files, suffix, capsys):
     assert transfer(files, "-o", files / f"out{suffix}", "--json") == 0
     notes = json.loads(capsys.readouterr().out)["report"]["notes"]
     assert any("materials" in note and f"out{suffix}" in note for note in notes)
 
 
-def test_nothing_is_said_where_nothing_is_lost(files, capsys):
+def test_nothing_is_noted_where_nothing_is_lost(files, capsys):
     assert transfer(files, "-o", files / "out.glb", "--json") == 0
     assert not any("left out" in note for note in json.loads(capsys.readouterr().out)["report"]["notes"])
 
 
 @pytest.mark.parametrize("identity", [".", "..", "nowhere"])
 @pytest.mark.parametrize("command", ["transfer", "animate"])
-def test_an_identity_must_be_a_file(files, command, identity, capsys, monkeypatch):
+def test_identity_must_be_a_file(files, command, identity, capsys, monkeypatch):
     monkeypatch.chdir(files)
     assert run([command, identity, "pose.obj"]) == 2
     error = capsys.readouterr().err
@@ -64,12 +64,12 @@ def test_an_identity_must_be_a_file(files, command, identity, capsys, monkeypatc
     assert "expected the file of the mesh to move" in error
 
 
-def test_a_missing_driving_is_missing_whatever_its_name(files, capsys):
+def test_missing_driving_without_suffix_is_refused(files, capsys):
     assert run(["animate", str(files / "hero.glb"), str(files / "nope")]) == 2
     assert "nothing of that name" in capsys.readouterr().err
 
 
-def test_a_range_outside_the_clip_names_the_clip(files, capsys):
+def test_range_outside_the_clip_is_refused(files, capsys):
     (files / "walk").mkdir()
     for t in range(2):
         save_mesh(zoo.cube(), files / "walk" / f"{t}.obj")
@@ -77,26 +77,26 @@ def test_a_range_outside_the_clip_names_the_clip(files, capsys):
     assert "walk: expected --start and --stop within its 2 frames, found 20 to the end" in capsys.readouterr().err
 
 
-def test_a_negative_seed_is_refused(files, capsys):
+def test_negative_seed_is_refused(files, capsys):
     assert transfer(files, "--seed", "-1") == 2
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_look_tells_of_the_good_files_beside_a_bad_one(files, capsys):
+def test_look_prints_the_good_files_beside_a_bad_one(files, capsys):
     (files / "bad.obj").write_text("")
     assert run(["look", str(files / "bad.obj"), str(files / "pose.obj")]) == 2
-    told = capsys.readouterr()
-    assert "pose.obj" in told.out
-    assert "bad.obj: expected a mesh, found an empty file" in told.err
+    text = capsys.readouterr()
+    assert "pose.obj" in text.out
+    assert "bad.obj: expected a mesh, found an empty file" in text.err
 
 
-def test_the_next_step_after_a_movie_is_not_to_look_at_it_as_a_mesh(files, capsys):
+def test_no_next_command_after_a_movie(files, capsys):
     assert run(["convert", str(files / "pose.obj"), str(files / "pose.gif")]) == 0
     assert "next:" not in capsys.readouterr().out
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such signal")
-def test_a_run_that_is_told_to_end_leaves_no_half_file(files, tmp_path):
+def test_terminated_run_leaves_no_partial_file(files, tmp_path):
     save_clip(Clip(zoo.cube(), np.repeat(zoo.cube().vertices[None], 2000, axis=0)), files / "long.npz")
     out = tmp_path / "out"
     command = [sys.executable, "-m", "mimesh", "convert", str(files / "long.npz"), str(out / "frames"), "-q"]
@@ -104,6 +104,6 @@ def test_a_run_that_is_told_to_end_leaves_no_half_file(files, tmp_path):
     while process.poll() is None and not (out.is_dir() and list(out.iterdir())):
         time.sleep(0.001)
     process.terminate()
-    _, said = process.communicate(timeout=60)
-    assert (process.returncode, said.decode().strip()) == (130, "mimesh: stopped")
+    _, error = process.communicate(timeout=60)
+    assert (process.returncode, error.decode().strip()) == (130, "mimesh: stopped")
     assert not list(out.iterdir())

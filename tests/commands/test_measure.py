@@ -1,4 +1,4 @@
-"""Commands that measure, draw and generate, and transfer with the help that deformation transfer needs."""
+"""The commands evaluate, figure and generate, and transfer with the files that deformation transfer needs."""
 
 import json
 
@@ -13,22 +13,22 @@ from mimesh.io import load_mesh, save_mesh
 
 @pytest.fixture
 def people(tmp_path):
-    """identity.obj at rest; driving.obj and reference.obj of another person, posed and at rest; marks.txt."""
+    """identity.obj at rest; driving.obj and reference.obj of another person, posed and at rest; markers.txt."""
     for name, mesh in (("identity", person(0)), ("driving", person(1, pose=3)), ("reference", person(1))):
         save_mesh(mesh, tmp_path / f"{name}.obj")
     vertices = person(0).vertices
-    marks = [vertices[:, k].argmax() for k in range(3)] + [vertices[:, k].argmin() for k in range(3)]
-    (tmp_path / "marks.txt").write_text("# identity driving\n" + "".join(f"{v} {v}\n" for v in marks))
+    markers = [vertices[:, k].argmax() for k in range(3)] + [vertices[:, k].argmin() for k in range(3)]
+    (tmp_path / "markers.txt").write_text("# identity driving\n" + "".join(f"{v} {v}\n" for v in markers))
     return tmp_path
 
 
-@pytest.mark.parametrize("marked", [False, True], ids=["index", "marks"])
+@pytest.mark.parametrize("marked", [False, True], ids=["index", "markers"])
 def test_deformation_transfer_takes_its_third_mesh_and_markers(people, marked, capsys):
     out = people / "moved.obj"
     arguments = ["transfer", str(people / "identity.obj"), str(people / "driving.obj"), "-o", str(out)]
     arguments += ["-m", "deformation-transfer", "--reference", str(people / "reference.obj"), "--no-preview"]
     arguments += ["--up", "y", "--front", "z", "--driving-up", "y", "--driving-front", "z"]
-    assert run([*arguments, *(["--markers", str(people / "marks.txt")] if marked else [])]) == 0
+    assert run([*arguments, *(["--markers", str(people / "markers.txt")] if marked else [])]) == 0
     truth = person(0, pose=3).vertices
     result = load_mesh(out).vertices
     error = np.linalg.norm((result - result.mean(axis=0)) - (truth - truth.mean(axis=0)), axis=1)
@@ -44,7 +44,7 @@ def test_deformation_transfer_takes_its_third_mesh_and_markers(people, marked, c
         (["--reference", "reference.obj", "--markers", "gone.txt"], "gone.txt: expected a file of markers"),
     ],
 )
-def test_what_deformation_transfer_misses_is_told(people, extra, message, capsys, monkeypatch):
+def test_missing_files_of_deformation_transfer_are_refused(people, extra, message, capsys, monkeypatch):
     monkeypatch.chdir(people)
     assert run(["transfer", "identity.obj", "driving.obj", "-m", "deformation-transfer", *extra]) == 2
     error = capsys.readouterr().err
@@ -52,7 +52,7 @@ def test_what_deformation_transfer_misses_is_told(people, extra, message, capsys
     assert error.count("\n") == 1
 
 
-def test_generate_figure_and_evaluate_speak_json(tmp_path, capsys):
+def test_generate_figure_and_evaluate_print_json(tmp_path, capsys):
     network = str(write_network(tmp_path / "tiny.onnx"))
     assert run(["generate", "noise", "-o", str(tmp_path / "meshes"), "--pairs", "1", "--split", "val", "--json"]) == 0
     written = json.loads(capsys.readouterr().out)
@@ -65,7 +65,7 @@ def test_generate_figure_and_evaluate_speak_json(tmp_path, capsys):
     assert len(list((tmp_path / "worst").glob("copy-*.png"))) == 2
 
 
-def test_cross_body_asks_for_its_folder(tmp_path, capsys):
+def test_cross_body_without_its_folder_is_refused(tmp_path, capsys):
     assert run(["evaluate", "cross-body", "-m", "npt"]) == 2
     assert "--data" in capsys.readouterr().err
     assert run(["evaluate", "cross-body", "-m", "npt", "--data", str(tmp_path)]) == 2
@@ -73,6 +73,6 @@ def test_cross_body_asks_for_its_folder(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("arguments", [["table", "npt-9"], ["figure", "npt-1", "-o", "x.png"], ["evaluate", "mnist"]])
-def test_unknown_names_list_the_ones_there_are(arguments, capsys):
+def test_unknown_names_are_refused_with_the_known_ones(arguments, capsys):
     assert run(arguments) == 2
     assert "expected a" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`mimesh studio` as a program: it says its address, answers there, and ends well."""
+"""`mimesh studio` as a program: it prints its address, answers requests, and leaves no files."""
 
 import json
 import os
@@ -16,7 +16,7 @@ from mimesh.cli import run
 
 @pytest.fixture
 def program(tmp_path):
-    """A studio that runs; it is ended whatever happens."""
+    """A running studio, killed after the test."""
     command = [sys.executable, "-m", "mimesh", "studio", "--no-open", "--json"]
     environment = {**os.environ, "TMPDIR": str(tmp_path)}
     program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment)
@@ -25,7 +25,7 @@ def program(tmp_path):
     program.communicate()
 
 
-def test_ends_within_a_second_and_leaves_nothing(program, tmp_path):
+def test_interrupt_ends_the_studio_and_leaves_no_files(program, tmp_path):
     address = json.loads(program.stdout.readline())["address"]
     state = f"{address.partition('?')[0]}api/state"
     request = urllib.request.Request(state, headers={"x-mimesh-token": address.partition("token=")[2]})
@@ -41,15 +41,15 @@ def test_ends_within_a_second_and_leaves_nothing(program, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_killed_studio_left_goes_with_the_next(tmp_path):
+def test_leftovers_of_a_killed_studio_are_removed(tmp_path):
     from mimesh.studio.uploads import remove_leftovers
 
-    gone = subprocess.Popen([sys.executable, "-c", ""])
-    gone.wait()
-    names = [f"mimesh-studio-{gone.pid}-x", f"mimesh-studio-{os.getpid()}-x", "mimesh-studio-old", "other-1-x"]
+    ended = subprocess.Popen([sys.executable, "-c", ""])
+    ended.wait()
+    names = [f"mimesh-studio-{ended.pid}-x", f"mimesh-studio-{os.getpid()}-x", "mimesh-studio-old", "other-1-x"]
     for name in names:
         (tmp_path / name / "uploads").mkdir(parents=True)
-    target = tmp_path / f"mimesh-studio-{gone.pid}-link"
+    target = tmp_path / f"mimesh-studio-{ended.pid}-link"
     target.symlink_to(tmp_path / "other-1-x")
     remove_leftovers(tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names[1:], target.name])
@@ -64,14 +64,14 @@ def test_what_a_killed_studio_left_goes_with_the_next(tmp_path):
         (["-m", "nothing"], "--model: expected one of"),
     ],
 )
-def test_what_is_wrong_is_said(arguments, words, capsys, tmp_path, monkeypatch):
+def test_wrong_arguments_are_refused(arguments, words, capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     assert run(["studio", "--no-open", *arguments]) == 2
-    said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert words in said
+    error = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words in error
 
 
-def test_the_extra_is_named(capsys, monkeypatch):
+def test_missing_extra_is_refused_with_the_install_command(capsys, monkeypatch):
     import importlib.util
 
     find = importlib.util.find_spec
@@ -80,7 +80,7 @@ def test_the_extra_is_named(capsys, monkeypatch):
     assert "pip install 'mimesh[viewer]'" in capsys.readouterr().err
 
 
-def test_files_are_laid_on_the_desk(tmp_path):
+def test_files_of_the_command_are_loaded(tmp_path):
     from mimesh.studio import make_session
 
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

@@ -1,4 +1,4 @@
-"""Windows of a clip: what is read when, how results are blended; an exported AniFormer is found by its file."""
+"""AniFormer at run time: windows of a clip, blending of their results, ensembles, and files that are refused."""
 
 import weakref
 
@@ -13,7 +13,7 @@ from mimesh.core.geometry import edges
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.methods.aniformer import OVERLAP, AniFormerMethod, blended, middles, windows
 from mimesh.methods.find import find_method
-from mimesh.methods.npt import EdgeLengths
+from mimesh.methods.npt import PatchDistances
 from mimesh.pipeline import animate, transfer
 
 HEADS = ["frames", "regression"]
@@ -31,8 +31,8 @@ def network(request, tmp_path):
 
 @pytest.mark.parametrize("count", range(7))
 @pytest.mark.parametrize(("length", "stride"), [(k, s) for k in range(1, 5) for s in range(1, k + 1)])
-def test_what_gives_frames_back_gives_the_clip_back(count, length, stride):
-    """Exactness: a run that returns its input makes both kinds of blending the identity, at any two lengths."""
+def test_blending_of_unchanged_frames_returns_the_clip(count, length, stride):
+    """If the network returns its input, both kinds of blending return the clip, for any clip and window length."""
     frames = numbered(count)
     all_of_window = list(blended(iter(frames), lambda window: window, length, stride))
     middle = list(middles(iter(frames), lambda window: window[length // 2][None], length))
@@ -42,17 +42,17 @@ def test_what_gives_frames_back_gives_the_clip_back(count, length, stride):
 
 
 def test_every_window_of_a_clip_is_run_once():
-    for stride, wanted in {1: [0, 1, 2, 3], 2: [0, 2, 3], 3: [0, 3]}.items():
+    for stride, expected in {1: [0, 1, 2, 3], 2: [0, 2, 3], 3: [0, 3]}.items():
         found = list(windows(iter(numbered(6)), 3, stride))
-        assert [start for start, _, _ in found] == wanted
-        assert [window[0, 0, 0] for _, window, _ in found] == wanted
+        assert [start for start, _, _ in found] == expected
+        assert [window[0, 0, 0] for _, window, _ in found] == expected
     assert [count for _, _, count in windows(iter(numbered(2)), 3, 2)] == [2]
     assert [w[:, 0, 0].tolist() for _, w, _ in windows(iter(numbered(2)), 4, 3)] == [[0, 1, 1, 1]]
 
 
 @pytest.mark.parametrize(("stride", "starts"), [(1, (0, 1, 2, 3)), (2, (0, 2, 3)), (3, (0, 3))])
-def test_blending_is_a_triangle_over_the_window(stride, starts):
-    """Naive twin: the window from s on says 10 s + offset; weights 1, 2, 1, whatever windows there are."""
+def test_blending_weights_are_a_triangle_over_the_window(stride, starts):
+    """Naive implementation: the result of the window from s on is 10 s + offset; weights are 1, 2, 1."""
     runs = iter(starts)
 
     def run(window):
@@ -60,10 +60,10 @@ def test_blending_is_a_triangle_over_the_window(stride, starts):
         return np.stack([np.full((2, 3), 10.0 * s + offset) for offset in range(3)])
 
     found = [result[0, 0] for result in blended(iter(numbered(6)), run, 3, stride)]
-    weights, said = (1, 2, 1), {(s, o): 10 * s + o for s in starts for o in range(3)}
+    weights, results = (1, 2, 1), {(s, o): 10 * s + o for s in starts for o in range(3)}
     for t in range(6):
-        there = [(weights[t - s], said[s, t - s]) for s in starts if 0 <= t - s < 3]
-        assert found[t] == pytest.approx(sum(w * x for w, x in there) / sum(w for w, _ in there))
+        contributions = [(weights[t - s], results[s, t - s]) for s in starts if 0 <= t - s < 3]
+        assert found[t] == pytest.approx(sum(w * x for w, x in contributions) / sum(w for w, _ in contributions))
 
 
 @pytest.mark.parametrize("head", HEADS)
@@ -85,24 +85,24 @@ def test_memory_does_not_grow_with_the_clip(head):
     assert sum(1 for _ in results) == 40
 
 
-def test_the_file_says_which_kind_it_is(network):
+def test_metadata_select_the_method(network):
     method = find_method(network, ensemble=2, seed=3)
     assert isinstance(method, AniFormerMethod)
     assert (method.frames, method.ensemble, method.seed) == (3, 2, 3)
 
 
-def test_permuting_the_driving_clip_changes_no_bit_and_the_identity_only_the_order(network):
+def test_permuted_identity_permutes_the_result_and_permuted_driving_changes_no_bit(network):
     clip, identity = walk(frames=5, faces=600), person(0)
     expected = animate(identity, clip, network).clip.vertices
     order = np.random.default_rng(4).permutation(clip.vertices.shape[1])
     shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
     assert np.array_equal(animate(identity, shuffled, network).clip.vertices, expected)
-    own = np.random.default_rng(5).permutation(len(identity.vertices))
-    result = animate(permute_vertices(identity, own), clip, network).clip.vertices
-    assert np.array_equal(result, expected[:, own])
+    identity_order = np.random.default_rng(5).permutation(len(identity.vertices))
+    result = animate(permute_vertices(identity, identity_order), clip, network).clip.vertices
+    assert np.array_equal(result, expected[:, identity_order])
 
 
-def test_a_single_mesh_is_a_still_clip(network):
+def test_single_mesh_equals_a_still_clip(network):
     driving = person(1, 0)
     single = transfer(person(0), driving, network).vertices
     still = Clip(driving, np.repeat(driving.vertices[None], 3, axis=0))
@@ -110,26 +110,26 @@ def test_a_single_mesh_is_a_still_clip(network):
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4])
-def test_clips_of_any_length_give_as_many_frames(network, count):
+def test_clip_of_any_length_gives_as_many_frames(network, count):
     assert animate(person(0), walk(frames=count), network).clip.vertices.shape[0] == count
 
 
-def test_results_walk_where_the_driving_walks(network):
+def test_root_motion_of_the_driving_is_kept(network):
     forward = animate(person(0), walk(frames=5), network).clip.vertices.mean(axis=1)[:, 2]
     assert (np.diff(forward) > 0.05).all()
 
 
-def test_an_ensemble_is_the_mean_of_its_pairings(network):
+def test_ensemble_is_the_mean_of_its_pairings(network):
     method = find_method(network, ensemble=3)
     assert isinstance(method, AniFormerMethod)
     rng = np.random.default_rng(0)
     identity, window = rng.normal(size=(30, 3)), rng.normal(size=(3, 50, 3))
     pairings = [method._pairing(k, 30, 50) for k in range(3)]
     singles = []
-    for own, theirs in pairings:
-        inputs = {"identity": identity[None, own], "driving": window[None][:, :, theirs]}
+    for identity_order, driving_order in pairings:
+        inputs = {"identity": identity[None, identity_order], "driving": window[None][:, :, driving_order]}
         result = method.session.run(["result"], {k: v.astype(np.float32) for k, v in inputs.items()})[0][0]
-        singles.append(result[:, np.argsort(own)])
+        singles.append(result[:, np.argsort(identity_order)])
     assert np.allclose(method._run(identity, window, pairings), np.mean(singles, axis=0), atol=1e-6)
 
 
@@ -140,19 +140,19 @@ def test_seed_and_ensemble_change_the_result(network):
     assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
 
 
-def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
+def test_result_of_unknown_scale_is_rescaled_to_the_identity(tmp_path):
     pytest.importorskip("onnx")
     method = find_method(str(write_sequence_network(tmp_path / "truth.onnx", target_scale="truth")))
     identity, clip = person(0), walk(frames=4)
     ranked = canonical_order(identity.vertices)
-    still = ranked.merge(identity.vertices)
-    lengths = EdgeLengths.of(still, edges(ranked.group[identity.faces]))
+    rest = ranked.merge(identity.vertices)
+    lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
     results = list(method.prepare(identity, clip)(iter(clip.vertices.astype(float))))
     assert len(results) == 4
-    assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(still)] * 4)
+    assert [lengths.total(ranked.merge(r)) for r in results] == pytest.approx([lengths.total(rest)] * 4)
 
 
-def test_a_frame_that_collapses_is_told_by_its_number(network):
+def test_collapsed_frame_is_refused_with_its_number(network):
     clip = walk(frames=5)
     vertices = clip.vertices.copy()
     vertices[3] = 0.5
@@ -160,7 +160,7 @@ def test_a_frame_that_collapses_is_told_by_its_number(network):
         animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
 
 
-def test_point_clouds_pass(network):
+def test_point_clouds_are_moved(network):
     cloud = Mesh(np.random.default_rng(0).normal(size=(60, 3)), np.zeros((0, 3), int))
     for identity, driving in ((cloud, person(0)), (person(0), cloud)):
         assert np.isfinite(transfer(identity, driving, network).vertices).all()
@@ -169,7 +169,7 @@ def test_point_clouds_pass(network):
 @pytest.mark.parametrize(
     "fact", [{"model": "other"}, {"head": "two"}, {"target_scale": "x"}, {"frames": 0}, {"frames": "3"}]
 )
-def test_unknown_metadata_is_told(tmp_path, fact):
+def test_unknown_metadata_is_refused(tmp_path, fact):
     pytest.importorskip("onnx")
     path = write_sequence_network(tmp_path / "odd.onnx", metadata=fact)
     with pytest.raises(InputError, match=next(iter(fact))):

@@ -1,31 +1,28 @@
-"""Whole people raise no doubts; halves, limbs that lack and chairs do, and the note says why."""
+"""Whole people are recognised without a note; for halves, missing limbs and chairs the note says why."""
 
 import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
+from mimesh.core.rig import descendants
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import Confidence
 from mimesh.pipeline import transfer
 
 BODY = load_body()
 AXES = {"up": "+y", "front": "+z"}
-HELD = BODY.weights.argmax(axis=1)
+STRONGEST = BODY.weights.argmax(axis=1)
 
 
-def below(top):
-    """A joint and all that hang from it."""
-    found = [BODY.joint(top)]
-    for j, parent in enumerate(BODY.parents):
-        if parent in found:
-            found.append(j)
-    return found
+def limb(top):
+    """Mask of the vertices whose strongest joint is `top` or below it."""
+    return np.isin(STRONGEST, descendants([BODY.joint(top)], BODY.parents))
 
 
-def without(kept):
-    """The body's faces whose corners are all kept."""
-    faces = BODY.faces[kept[BODY.faces].all(axis=1)]
+def part_of_body(chosen):
+    """The body's faces whose corners are all chosen."""
+    faces = BODY.faces[chosen[BODY.faces].all(axis=1)]
     used, index = np.unique(faces, return_inverse=True)
     return Mesh(BODY.vertices[used], index.reshape(-1, 3), name="part")
 
@@ -45,36 +42,36 @@ def notes(mesh):
     return " ".join(transfer(mesh, BODY.mesh(), **AXES).notes)
 
 
-def test_a_whole_person_is_none_to_speak_of():
+def test_whole_person_has_no_note():
     assert notes(BODY.mesh()) == ""
 
 
 @pytest.mark.parametrize(
-    ("mesh", "why"),
+    ("mesh", "reason"),
     [
         (chair(), "belongs to no limb in particular"),
-        (without(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])), "belongs to no limb in particular"),
-        (without(~np.isin(HELD, below("Neck1"))), "no whole head"),
-        (without(~np.isin(HELD, below("LeftShoulder"))), "no whole left arm"),
+        (part_of_body(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])), "belongs to no limb in particular"),
+        (part_of_body(~limb("Neck1")), "no whole head"),
+        (part_of_body(~limb("LeftShoulder")), "no whole left arm"),
     ],
     ids=["chair", "upper half", "headless", "one arm"],
 )
-def test_others_are(mesh, why):
-    said = notes(mesh)
-    assert "hardly looks like a whole person" in said
-    assert why in said
+def test_note_names_the_reason(mesh, reason):
+    note = notes(mesh)
+    assert "hardly looks like a whole person" in note
+    assert reason in note
 
 
-def test_every_reason_is_said():
-    doubt = Confidence(40.0, 2.0, {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2})
-    (note,) = doubt.notes("thing")
+def test_note_lists_every_reason():
+    limbs = {"head": 0.0, "left arm": 0.1, "right arm": 0.0, "left leg": 0.2, "right leg": 0.2}
+    (note,) = Confidence(40.0, 2.0, limbs).notes("thing")
     assert "40 degrees" in note
     assert "no limb in particular" in note
     assert "no whole head and no whole right arm" in note
     assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()
 
 
-def test_a_limb_off_the_surface_is_said_where_some_surface_is_left_over():
+def test_unmatched_limb_is_noted_where_surface_is_left_over():
     limbs = {"head": 0.1, "left arm": 0.1, "right arm": 0.1, "left leg": 0.2, "right leg": 0.2}
     (note,) = Confidence(2.0, 0.5, limbs, {"left arm": 0.1}, 0.05).notes("person")
     assert "no surface where the left arm should be" in note
@@ -84,16 +81,16 @@ def test_a_limb_off_the_surface_is_said_where_some_surface_is_left_over():
     assert "no whole left arm" in note
 
 
-def test_holes_are_no_doubt_and_lost_forearms_are():
+def test_missing_forearms_are_noted_and_holes_are_not():
     noise = PROTOCOLS["noise"]
-    for kind, said in (("holes", ()), ("half", ()), ("cropped", ("no whole",))):
+    for kind, expected in (("holes", ()), ("half", ()), ("cropped", ("no whole",))):
         trial = noise.pair("val", kind, 0)
         notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
-        assert all(words in notes for words in said)
-        assert bool(said) == ("whole person" in notes)
+        assert all(words in notes for words in expected)
+        assert bool(expected) == ("whole person" in notes)
 
 
-def test_a_sparse_point_cloud_of_a_person_is_no_doubt():
+def test_sparse_point_cloud_of_a_person_has_no_note():
     points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
-    said = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
-    assert "whole" not in said
+    notes = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
+    assert "whole" not in notes

@@ -1,4 +1,4 @@
-"""What every method must hold: moved, scaled, turned and reordered inputs change nothing but the undone frame."""
+"""Properties of every method: moving, scaling, turning and reordering inputs changes results only accordingly."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ IDENTITY = person(0)
 SAME_COUNT = person(1, pose=0)
 FEWER, MORE = person(1, pose=1, faces=600), person(2, pose=2, faces=1500)
 SLOW = ("skeleton", "deformation-transfer")
-"""Seconds a mesh: held to some of the changes only. Its own tests hold `skeleton` to the same by default."""
+"""Methods that take seconds a mesh: tested with some of the changes; test_skeleton.py has more for `skeleton`."""
 WINDOW = 3
-"""Frames that the network of clips sees at once, and reads before it gives the first."""
+"""Frames in a window of the sequence network, which it reads before it yields the first result."""
 
 
 SLOWEST = pytest.param("skeleton", marks=pytest.mark.slow)
@@ -46,7 +46,7 @@ def model(request, tmp_path_factory):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Trial:
-    """A driving mesh, and what deformation transfer is given besides: its subject at rest like the identity, marks."""
+    """A driving mesh, with a reference (its subject at rest, as the identity) and markers for deformation transfer."""
 
     driving: Mesh
     reference: Mesh
@@ -55,22 +55,22 @@ class Trial:
     def changed(self, **change) -> Trial:
         return Trial(changed(self.driving, **change), changed(self.reference, **change), self.markers)
 
-    def given(self, model: str) -> dict:
+    def options(self, model: str) -> dict:
         return dict(reference=self.reference, markers=self.markers) if model == "deformation-transfer" else {}
 
     def move(self, model: str, identity: Mesh = IDENTITY, **options) -> np.ndarray:
-        return transfer(identity, self.driving, model, **self.given(model), **options).vertices
+        return transfer(identity, self.driving, model, **self.options(model), **options).vertices
 
 
 @functools.cache
 def trials(model: str) -> list[Trial]:
     drivings = {(1, 1000): SAME_COUNT, (1, 600): FEWER, (2, 1500): MORE}
     rests = [person(shape, faces=faces) for shape, faces in drivings]
-    found = [
+    made = [
         Trial(driving, rest, np.stack([extremes(IDENTITY), extremes(rest)], axis=1))
         for driving, rest in zip(drivings.values(), rests, strict=True)
     ]
-    return found[:1] if model == "copy" else found[1:2] if model in SLOW else found
+    return made[:1] if model == "copy" else made[1:2] if model in SLOW else made
 
 
 def extremes(rest: Mesh) -> np.ndarray:
@@ -95,12 +95,12 @@ CHANGES += [dict(rotation=rotation) for rotation in ROTATIONS]
 
 def skip_most_if_slow(model, number):
     if model in SLOW and number not in (3, 17):
-        pytest.skip("seconds a mesh: two changes stand for all")
+        pytest.skip("takes seconds a mesh: tested with two changes only")
 
 
 def skip_copy(model):
     if model == "copy":
-        pytest.skip("copy pairs vertices by index: that is what it is")
+        pytest.skip("copy pairs vertices by index")
 
 
 def size(mesh: Mesh) -> float:
@@ -108,7 +108,7 @@ def size(mesh: Mesh) -> float:
 
 
 @pytest.mark.parametrize("number", range(len(CHANGES)))
-def test_moving_the_identity_moves_the_result_alike(model, number):
+def test_moved_identity_moves_the_result(model, number):
     skip_most_if_slow(model, number)
     expected = changed(dataclasses.replace(IDENTITY, vertices=unchanged(model)[0]), **CHANGES[number])
     identity = changed(IDENTITY, **CHANGES[number])
@@ -117,14 +117,14 @@ def test_moving_the_identity_moves_the_result_alike(model, number):
 
 
 @pytest.mark.parametrize("number", range(len(CHANGES)))
-def test_moving_the_driving_changes_nothing(model, number):
+def test_moved_driving_does_not_change_the_result(model, number):
     skip_most_if_slow(model, number)
     for trial, expected in zip(trials(model), unchanged(model), strict=True):
         result = trial.changed(**CHANGES[number]).move(model)
         assert np.allclose(result, expected, rtol=0, atol=2e-6 * size(IDENTITY))
 
 
-def test_permuting_the_identity_permutes_the_result_and_nothing_else(model):
+def test_permuted_identity_permutes_the_result(model):
     skip_copy(model)
     order = np.random.default_rng(3).permutation(len(IDENTITY.vertices))
     for trial, expected in zip(trials(model), unchanged(model), strict=True):
@@ -133,7 +133,7 @@ def test_permuting_the_identity_permutes_the_result_and_nothing_else(model):
         assert np.array_equal(result, expected[order])
 
 
-def test_permuting_the_driving_changes_no_bit(model):
+def test_permuted_driving_changes_no_bit(model):
     skip_copy(model)
     for trial, expected in zip(trials(model), unchanged(model), strict=True):
         order = np.random.default_rng(4).permutation(len(trial.driving.vertices))
@@ -146,10 +146,10 @@ def test_permuting_the_driving_changes_no_bit(model):
         assert np.array_equal(Trial(driving, reference, markers).move(model), expected)
 
 
-def test_permuting_a_driving_clip_changes_no_bit(model):
+def test_permuted_driving_clip_changes_no_bit(model):
     skip_copy(model)
     if model in SLOW:
-        pytest.skip("their own tests follow clips")
+        pytest.skip("tested in their own files")
     clip = walk(faces=600)
     order = np.random.default_rng(4).permutation(clip.vertices.shape[1])
     shuffled = Clip(permute_vertices(clip.mesh, order), clip.vertices[:, order], clip.fps)
@@ -157,13 +157,13 @@ def test_permuting_a_driving_clip_changes_no_bit(model):
     assert np.array_equal(animate(IDENTITY, shuffled, model).clip.vertices, expected)
 
 
-def test_the_same_call_twice_gives_the_same_bits(model):
+def test_repeated_call_gives_the_same_bits(model):
     trial = trials(model)[0]
     first, second = (trial.move(model, ensemble=2, seed=5) for _ in range(2))
     assert np.array_equal(first, second)
 
 
-def test_arguments_are_left_alone(model):
+def test_arguments_are_not_modified(model):
     trial = trials(model)[0]
     meshes = IDENTITY, trial.driving, trial.reference
     before = [mesh.vertices.copy() for mesh in meshes]
@@ -171,19 +171,19 @@ def test_arguments_are_left_alone(model):
     assert all(np.array_equal(mesh.vertices, old) for mesh, old in zip(meshes, before, strict=True))
 
 
-def test_frames_are_taken_one_at_a_time(model):
-    """Constant memory: the result of a frame is there before the next is asked for, or two windows."""
-    asked, trial = [], trials(model)[0]
+def test_frames_are_read_one_at_a_time(model):
+    """Constant memory: the result of a frame is yielded before the next frame (or two windows further) is read."""
+    read, trial = [], trials(model)[0]
     ahead = 2 * WINDOW - OVERLAP - 1 if model.endswith("sequence.onnx") else 0
 
     def frames():
         for t in range(5 + ahead):
-            asked.append(t)
+            read.append(t)
             yield trial.driving.vertices
 
-    drive = find_method(model, **trial.given(model)).prepare(IDENTITY, Clip.still(trial.driving))
+    drive = find_method(model, **trial.options(model)).prepare(IDENTITY, Clip.still(trial.driving))
     for t, vertices in enumerate(drive(frames())):
-        assert len(asked) <= t + 1 + ahead
+        assert len(read) <= t + 1 + ahead
         assert vertices.shape == IDENTITY.vertices.shape
 
 

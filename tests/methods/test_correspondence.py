@@ -1,4 +1,4 @@
-"""Correspondence from marks: the energies against naive twins, the registration on shapes with a known answer."""
+"""Correspondence: the energies against naive implementations, the registration on shapes with a known answer."""
 
 import numpy as np
 import pytest
@@ -13,8 +13,8 @@ from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import bbox_centre, radius
 from mimesh.methods import correspondence
 from mimesh.methods.correspondence import (
-    REST,
-    STAY,
+    IDENTITY_WEIGHT,
+    REST_WEIGHT,
     closest_valid,
     faces_at_edges,
     match_by_index,
@@ -23,12 +23,12 @@ from mimesh.methods.correspondence import (
     quarter_turn,
     register,
     registration_terms,
-    resized_onto,
-    sound_faces,
+    scale_onto,
     vertex_pairs,
+    well_shaped_faces,
 )
 
-FACED = [make for make in zoo.ZOO if make is not zoo.point_cloud]
+SURFACES = [make for make in zoo.ZOO if make is not zoo.point_cloud]
 
 
 def unknowns(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> np.ndarray:
@@ -37,7 +37,7 @@ def unknowns(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> np.
 
 
 def naive_maps(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> list[np.ndarray]:
-    """T of each triangle as the paper has it: edges and fourth vertex after, times the inverse of those before."""
+    """T of each triangle as the paper has it: deformed edges and fourth vertex times the inverse of those at rest."""
     maps = []
     normals = face_normals(mesh.vertices, mesh.faces)
     for f, (a, b, c) in enumerate(mesh.faces):
@@ -47,25 +47,25 @@ def naive_maps(mesh: Mesh, vertices: np.ndarray, normal_images: np.ndarray) -> l
     return maps
 
 
-@pytest.mark.parametrize("make", FACED)
-def test_terms_are_the_papers_energies(make):
+@pytest.mark.parametrize("make", SURFACES)
+def test_registration_terms_are_the_papers_energies(make):
     mesh, rng = make(), np.random.default_rng(0)
     vertices, images = rng.normal(size=mesh.vertices.shape), rng.normal(size=mesh.faces.shape)
-    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
+    smoothness, identity_maps = registration_terms(mesh.vertices, mesh.faces)
     maps, x = naive_maps(mesh, vertices, images), unknowns(mesh, vertices, images)
-    assert np.allclose((stay @ x).reshape(-1, 3, 3).transpose(0, 2, 1), maps)
+    assert np.allclose((identity_maps @ x).reshape(-1, 3, 3).transpose(0, 2, 1), maps)
     expected = sum(np.square(maps[i] - maps[j]).sum() for i, j in faces_at_edges(mesh.faces))
-    assert np.isclose(np.square(smooth @ x).sum(), expected)
+    assert np.isclose(np.square(smoothness @ x).sum(), expected)
 
 
-@pytest.mark.parametrize("make", FACED)
-def test_one_affine_map_costs_no_smoothness(make):
+@pytest.mark.parametrize("make", SURFACES)
+def test_one_affine_map_has_no_smoothness_energy(make):
     mesh, affine = make(), np.random.default_rng(1).normal(size=(3, 3))
-    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
+    smoothness, identity_maps = registration_terms(mesh.vertices, mesh.faces)
     normals = face_normals(mesh.vertices, mesh.faces)
     x = unknowns(mesh, mesh.vertices @ affine.T + 5, normals @ affine.T)
-    assert np.allclose(smooth @ x, 0, atol=1e-12)
-    assert np.allclose((stay @ x).reshape(-1, 3, 3), affine.T)
+    assert np.allclose(smoothness @ x, 0, atol=1e-12)
+    assert np.allclose((identity_maps @ x).reshape(-1, 3, 3), affine.T)
 
 
 @pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid, zoo.two_parts])
@@ -76,27 +76,29 @@ def test_faces_at_edges_are_those_that_share_two_vertices(make):
     assert found == naive
 
 
-def test_three_faces_at_one_edge_are_chained():
+def test_three_faces_at_one_edge_give_two_pairs():
     faces = np.array([[0, 1, 2], [1, 0, 3], [0, 1, 4]])
     assert faces_at_edges(faces).tolist() == [[0, 1], [1, 2]]
 
 
-def test_the_first_solve_is_the_dense_least_squares(monkeypatch):
-    """Naive twin: the quadratic energy of marks, smoothness, identity and rest, by lstsq."""
-    monkeypatch.setattr(correspondence, "PULLS", ())
+def test_solve_with_markers_is_the_dense_least_squares(monkeypatch):
+    """Naive twin: the quadratic energy of markers, smoothness, identity and rest, by lstsq."""
+    monkeypatch.setattr(correspondence, "CLOSEST_WEIGHTS", ())
     mesh, marked = zoo.cube(), np.array([0, 3, 5])
-    places = mesh.vertices[marked] + np.random.default_rng(0).normal(size=(3, 3)) * 0.2
-    smooth, stay = registration_terms(mesh.vertices, mesh.faces)
-    hold, rest = np.zeros((3, 20)), np.eye(8, 20)
-    hold[np.arange(3), marked] = 1
-    weights = np.sqrt([correspondence.HOLD, STAY, REST])
-    matrix = np.concatenate([smooth.toarray(), weights[0] * hold, weights[1] * stay.toarray(), weights[2] * rest])
+    targets = mesh.vertices[marked] + np.random.default_rng(0).normal(size=(3, 3)) * 0.2
+    smoothness, identity_maps = registration_terms(mesh.vertices, mesh.faces)
+    marker_rows, rest = np.zeros((3, 20)), np.eye(8, 20)
+    marker_rows[np.arange(3), marked] = 1
+    weights = np.sqrt([correspondence.MARKER_WEIGHT, IDENTITY_WEIGHT, REST_WEIGHT])
+    matrix = np.concatenate(
+        [smoothness.toarray(), weights[0] * marker_rows, weights[1] * identity_maps.toarray(), weights[2] * rest]
+    )
     eyes = np.tile(np.eye(3), (12, 1))
     right = np.concatenate(
-        [np.zeros((smooth.shape[0], 3)), weights[0] * places, weights[1] * eyes, weights[2] * mesh.vertices]
+        [np.zeros((smoothness.shape[0], 3)), weights[0] * targets, weights[1] * eyes, weights[2] * mesh.vertices]
     )
     expected = np.linalg.lstsq(matrix, right, rcond=None)[0][:8]
-    result = register(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces], marked, places)
+    result = register(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces], marked, targets)
     assert np.abs(result - expected).max() < 1e-6
 
 
@@ -104,11 +106,11 @@ def test_closest_valid_points_are_those_of_an_exhaustive_search():
     mesh, target = person(0, faces=400), person(1, 2, faces=400)
     points, valid = closest_valid(mesh.vertices, mesh.faces, target.vertices[target.faces])
     normals = correspondence.vertex_normals(mesh.vertices, mesh.faces)
-    theirs = face_normals(target.vertices, target.faces)
+    target_normals = face_normals(target.vertices, target.faces)
     assert valid.mean() > 0.9
     best = []
     for v in np.flatnonzero(valid):
-        facing = target.vertices[target.faces][theirs @ normals[v] > 0]
+        facing = target.vertices[target.faces][target_normals @ normals[v] > 0]
         query = np.repeat(mesh.vertices[v : v + 1], len(facing), axis=0)
         on = np.einsum("gk,gkc->gc", closest_barycentric(query, facing), facing)
         best.append(np.linalg.norm(on - mesh.vertices[v], axis=1).min())
@@ -117,7 +119,7 @@ def test_closest_valid_points_are_those_of_an_exhaustive_search():
     assert np.mean(found < np.array(best) + 1e-9) > 0.9
 
 
-def test_a_sheet_takes_no_point_of_one_that_looks_away():
+def test_points_that_face_the_other_way_are_not_valid():
     sheet = zoo.grid(4)
     back = Mesh(sheet.vertices - [0, 0, 0.1], sheet.faces[:, ::-1])
     far = Mesh(sheet.vertices + [0, 0, 0.3], sheet.faces)
@@ -125,13 +127,13 @@ def test_a_sheet_takes_no_point_of_one_that_looks_away():
     points, valid = closest_valid(sheet.vertices, sheet.faces, both)
     assert valid.all()
     assert np.allclose(points, sheet.vertices + [0, 0, 0.3])
-    match, alike = matching_triangles(sheet.vertices[sheet.faces], both)
-    assert alike.all()
+    match, same_facing = matching_triangles(sheet.vertices[sheet.faces], both)
+    assert same_facing.all()
     assert np.array_equal(match, len(sheet.faces) + np.arange(len(sheet.faces)))
     alone = back.vertices[back.faces]
     assert not closest_valid(sheet.vertices, sheet.faces, alone)[1].any()
-    match, alike = matching_triangles(sheet.vertices[sheet.faces], alone)
-    assert not alike.any()
+    match, same_facing = matching_triangles(sheet.vertices[sheet.faces], alone)
+    assert not same_facing.any()
     assert np.array_equal(match, np.arange(len(sheet.faces)))
 
 
@@ -148,7 +150,7 @@ def test_registration_finds_a_bent_copy():
     assert np.linalg.norm(result - bent, axis=1).mean() < 0.03
 
 
-def test_a_part_that_no_mark_holds_is_fitted_all_the_same():
+def test_component_without_a_marker_is_registered():
     parts = Mesh(zoo.two_parts().vertices / 4, zoo.two_parts().faces)
     target = parts.vertices * 1.1 + [0.01, 0.02, 0]
     marked = np.arange(4)
@@ -160,39 +162,45 @@ def test_a_part_that_no_mark_holds_is_fitted_all_the_same():
     assert np.linalg.norm(points - result, axis=1).max() < np.abs(parts.vertices[4:] - target[4:]).max() / 5
 
 
-def test_matches_of_a_person_are_near_the_true_ones():
+def test_matches_of_people_are_near_the_true_ones():
     identity, reference = person(0, 3), person(1, 3)
     rest = person(0).vertices
     marked = np.array([rest[:, 1].argmax(), rest[:, 0].argmax(), rest[:, 0].argmin(), rest[:, 1].argmin()])
     size = radius(identity.vertices - bbox_centre(identity.vertices))
     identity = Mesh(identity.vertices / size, identity.faces)
-    own, theirs = match_by_markers(identity, reference, reference, np.stack([marked, marked], axis=1))
+    identity_corners, reference_corners = match_by_markers(
+        identity, reference, reference, np.stack([marked, marked], axis=1)
+    )
     found, all_of_it = (
         [{tuple(sorted(face)) for face in corners.tolist()} for corners in pair]
-        for pair in ((own, theirs), (sound_faces(identity), sound_faces(reference)))
+        for pair in ((identity_corners, reference_corners), (well_shaped_faces(identity), well_shaped_faces(reference)))
     )
     assert found[0] == all_of_it[0]
     assert found[1] <= all_of_it[1]
     assert len(found[1]) > 0.95 * len(all_of_it[1])
-    true, found = (reference.vertices[corners].mean(axis=1) for corners in (own, theirs))
+    true, found = (reference.vertices[corners].mean(axis=1) for corners in (identity_corners, reference_corners))
     assert np.linalg.norm(true - found, axis=1).mean() < 0.02
-    assert np.mean((np.sort(own) == np.sort(theirs)).all(axis=1)) > 0.5
+    assert np.mean((np.sort(identity_corners) == np.sort(reference_corners)).all(axis=1)) > 0.5
 
 
-def test_a_part_of_the_reference_that_the_identity_has_not_is_matched_with_nothing():
-    """A sheet beside a sheet that lies far off, and one that lies near and looks the other way."""
+def test_reference_part_without_counterpart_is_not_matched():
+    """The reference has another sheet far away, and one nearby that faces the other way."""
     sheet = zoo.grid(4)
     far, back = sheet.vertices + [0, 0, 0.2], sheet.vertices - [0, 0, 0.01]
     faces = [sheet.faces, sheet.faces + 16, sheet.faces[:, ::-1] + 32]
     reference = Mesh(np.concatenate([sheet.vertices, far, back]), np.concatenate(faces))
     corners = np.array([0, 3, 12, 15])
-    own, theirs = match_by_markers(sheet, reference, reference, np.stack([corners, corners], axis=1))
-    assert {tuple(sorted(face)) for face in own.tolist()} == {tuple(sorted(face)) for face in sheet.faces.tolist()}
-    assert np.array_equal(own, theirs)
+    identity_corners, reference_corners = match_by_markers(
+        sheet, reference, reference, np.stack([corners, corners], axis=1)
+    )
+    assert {tuple(sorted(face)) for face in identity_corners.tolist()} == {
+        tuple(sorted(face)) for face in sheet.faces.tolist()
+    }
+    assert np.array_equal(identity_corners, reference_corners)
 
 
 @pytest.mark.parametrize("degrees", [0, 90, 180, 270])
-def test_a_quarter_turn_is_found_and_undone_exactly(degrees):
+def test_quarter_turn_is_found_exactly(degrees):
     mesh, other = person(0, 3), person(1, 3)
     turn = np.round(Rotation.from_euler("y", degrees, degrees=True).as_matrix())
     found = quarter_turn(other.vertices @ turn.T * 3 + [1, 2, 3], mesh.vertices)
@@ -201,7 +209,7 @@ def test_a_quarter_turn_is_found_and_undone_exactly(degrees):
     assert np.array_equal(quarter_turn((other.vertices @ turn.T)[order], mesh.vertices[order]), found)
 
 
-def test_points_that_all_turns_suit_alike_are_not_turned():
+def test_smallest_of_equally_good_turns_is_taken():
     ring = np.array([[1, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1.0]])
     for points in (ring * [0, 1, 0], ring * [1, 1, 0] + [0, 1, 0]):
         assert np.array_equal(quarter_turn(points, ring[[0, 0, 2, 2]] * [0, 1, 0]), np.eye(3))
@@ -209,8 +217,8 @@ def test_points_that_all_turns_suit_alike_are_not_turned():
     assert np.array_equal(quarter_turn(middle, ring), np.eye(3))
 
 
-def test_a_part_with_slivers_that_no_mark_holds_stays_where_it_is(monkeypatch):
-    monkeypatch.setattr(correspondence, "PULLS", ())
+def test_component_with_slivers_and_no_marker_stays(monkeypatch):
+    monkeypatch.setattr(correspondence, "CLOSEST_WEIGHTS", ())
     sheet, small = zoo.grid(5), zoo.grid(4)
     sliver = small.vertices.copy()
     sliver[1::4] = sliver[::4] + 2e-4 * (sliver[1::4] - sliver[::4])
@@ -219,27 +227,27 @@ def test_a_part_with_slivers_that_no_mark_holds_stays_where_it_is(monkeypatch):
         np.concatenate([sheet.faces, small.faces + len(sheet.vertices)]),
     )
     marked = np.array([0, 4, 20, 24])
-    places = mesh.vertices[marked] * 1.1
-    result = register(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces], marked, places)
-    assert np.abs(result[marked] - places).max() < 1e-3
+    targets = mesh.vertices[marked] * 1.1
+    result = register(mesh.vertices, mesh.faces, mesh.vertices[mesh.faces], marked, targets)
+    assert np.abs(result[marked] - targets).max() < 1e-3
     assert np.abs(result - mesh.vertices)[25:].max() < 1e-9
 
 
-def test_index_matches_are_the_faces_themselves():
+def test_matches_by_index_are_the_faces_themselves():
     identity, reference = person(0, 3), person(1, 3)
     flat = reference.vertices.copy()
     flat[reference.faces[10, 1]] = flat[reference.faces[10, 0]]
-    own, theirs = match_by_index(identity, Mesh(flat, reference.faces), reference)
-    sound = {tuple(sorted(face)) for face in sound_faces(Mesh(flat, reference.faces)).tolist()}
-    for mine, match in zip(own.tolist(), theirs.tolist(), strict=True):
-        assert tuple(sorted(match)) in sound
-        assert match == mine or tuple(sorted(mine)) not in sound
-    assert 1 <= np.sum((own != theirs).any(axis=1)) < 10
+    identity_corners, reference_corners = match_by_index(identity, Mesh(flat, reference.faces), reference)
+    well_shaped = {tuple(sorted(face)) for face in well_shaped_faces(Mesh(flat, reference.faces)).tolist()}
+    for face, match in zip(identity_corners.tolist(), reference_corners.tolist(), strict=True):
+        assert tuple(sorted(match)) in well_shaped
+        assert match == face or tuple(sorted(face)) not in well_shaped
+    assert 1 <= np.sum((identity_corners != reference_corners).any(axis=1)) < 10
 
 
-def test_resizing_undoes_a_scaling_and_a_shift():
+def test_scale_onto_undoes_scaling_and_shift():
     cube = zoo.cube().vertices
-    assert np.allclose(resized_onto(cube * 7 + [1, 2, 3], cube[:4] * 7 + [1, 2, 3], cube[:4]), cube)
+    assert np.allclose(scale_onto(cube * 7 + [1, 2, 3], cube[:4] * 7 + [1, 2, 3], cube[:4]), cube)
 
 
 def test_canonical_faces_do_not_depend_on_order_or_first_corner():
@@ -251,7 +259,7 @@ def test_canonical_faces_do_not_depend_on_order_or_first_corner():
     assert (rank[expected].argmin(axis=1) == 0).all()
 
 
-def test_a_later_rank_breaks_ties():
+def test_later_rank_breaks_ties_of_canonical_faces():
     faces, doubled = np.array([[3, 4, 5], [0, 1, 2]]), np.array([0, 1, 2, 0, 1, 2])
     assert canonical_faces(faces, doubled, np.arange(6)).tolist() == [[0, 1, 2], [3, 4, 5]]
 
@@ -259,11 +267,11 @@ def test_a_later_rank_breaks_ties():
 def test_thin_faces_are_left_out():
     turn = Rotation.from_euler("y", 30, degrees=True).as_matrix()
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-5, 0], [0.5, 1e-3, 0]]) @ turn.T
-    assert sound_faces(Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 0, 1]]))).tolist() == [[0, 1, 3]]
+    assert well_shaped_faces(Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 0, 1]]))).tolist() == [[0, 1, 3]]
 
 
 @pytest.mark.parametrize(
-    ("markers", "said"),
+    ("markers", "message"),
     [
         ([[0, 0], [1, 1], [8, 2]], "found 8"),
         ([[0, 0], [1, -1], [2, 2]], "found -1"),
@@ -272,7 +280,7 @@ def test_thin_faces_are_left_out():
         ([[0, 0], [1, 1], [2, 1]], "3 or more places"),
     ],
 )
-def test_unusable_markers_are_told(markers, said):
+def test_unusable_markers_are_refused(markers, message):
     cube = zoo.cube()
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         vertex_pairs(cube, cube, np.array(markers))

@@ -1,4 +1,4 @@
-"""Deformation transfer: exact where the answer is known, the papers' accuracy on people, and every door's error."""
+"""Deformation transfer is exact where the answer is known, accurate on people, and refuses bad input."""
 
 import dataclasses
 import functools
@@ -18,13 +18,13 @@ from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.methods.base import Method
 from mimesh.methods.deformation_transfer import (
     DeformationTransfer,
-    component_ties,
-    components,
-    follower,
+    component_labels,
+    deformation_solver,
+    spanning_ties,
     triangle_frames,
 )
 
-SEEN, UNSEEN = 3, 5
+SEEN_POSE, UNSEEN_POSE = 3, 5
 TURN = Rotation.from_euler("xyz", [20, 70, -130], degrees=True).as_matrix()
 
 
@@ -35,16 +35,16 @@ def normalised(mesh: Mesh) -> Mesh:
 
 @functools.cache
 def trio(faces: int = 1000) -> tuple[Mesh, Mesh, Mesh, np.ndarray]:
-    """Identity, reference and driving as the method sees them, and the truth in metres."""
-    identity, truth = person(0, SEEN, faces), person(0, UNSEEN, faces).vertices
-    reference, driving = person(1, SEEN, faces), person(1, UNSEEN, faces)
+    """Identity, reference and driving as the method gets them, and the truth in metres."""
+    identity, truth = person(0, SEEN_POSE, faces), person(0, UNSEEN_POSE, faces).vertices
+    reference, driving = person(1, SEEN_POSE, faces), person(1, UNSEEN_POSE, faces)
     size = radius(driving.vertices - bbox_centre(driving.vertices))
     reference = moved(reference, (reference.vertices - bbox_centre(driving.vertices)) / size)
     return normalised(identity), reference, normalised(driving), truth
 
 
 @functools.cache
-def marks(faces: int = 1000) -> np.ndarray:
+def markers_of(faces: int = 1000) -> np.ndarray:
     """Head, hands and feet, by position at rest."""
     vertices = person(0, None, faces).vertices
     toes = [np.where(side * vertices[:, 0] > 0, vertices[:, 2] - 3 * vertices[:, 1], -9).argmax() for side in (1, -1)]
@@ -74,18 +74,18 @@ def joined(*meshes: Mesh) -> Mesh:
     return Mesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces))
 
 
-WITH_AND_WITHOUT = pytest.mark.parametrize("markers", [None, pairs_of(marks())], ids=["index", "marks"])
+WITH_AND_WITHOUT = pytest.mark.parametrize("markers", [None, pairs_of(markers_of())], ids=["index", "markers"])
 
 
 @WITH_AND_WITHOUT
-def test_the_same_pose_gives_the_identity_back(markers):
+def test_same_pose_returns_the_identity(markers):
     identity, _, driving, _ = trio()
     assert np.abs(run(identity, driving, driving, markers) - identity.vertices).max() < 1e-6
 
 
 @WITH_AND_WITHOUT
 @pytest.mark.parametrize("scale", [1.0, 0.3, 4.0])
-def test_a_rigid_motion_and_a_scaling_come_out_as_they_went_in(markers, scale):
+def test_rigid_motion_and_scaling_are_reproduced(markers, scale):
     identity, _, driving, _ = trio()
     motion = driving.vertices @ TURN.T * scale + [3, -2, 1]
     result = run(identity, driving, moved(driving, motion), markers)
@@ -93,54 +93,54 @@ def test_a_rigid_motion_and_a_scaling_come_out_as_they_went_in(markers, scale):
 
 
 @pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid, zoo.two_parts, zoo.bow_tie])
-def test_closed_open_parted_and_non_manifold_meshes_follow_a_rigid_motion(make):
+def test_meshes_of_any_topology_follow_a_rigid_motion(make):
     identity, reference = normalised(make()), normalised(make())
     stretched = moved(identity, identity.vertices * [1.0, 1.3, 0.8])
     result = run(stretched, reference, moved(reference, reference.vertices @ TURN.T + 1))
     assert np.abs(centred(result) - centred(stretched.vertices @ TURN.T)).max() < 1e-6
 
 
-def test_the_driving_subject_itself_comes_out_as_the_driving():
+def test_identity_that_is_the_reference_becomes_the_driving():
     _, reference, driving, _ = trio()
     assert np.abs(centred(run(reference, reference, driving)) - centred(driving.vertices)).max() < 1e-6
 
 
 @WITH_AND_WITHOUT
-def test_an_unseen_pose_is_nearer_than_the_papers_figure_and_than_the_driving_itself(markers):
+def test_error_on_an_unseen_pose_is_below_the_papers_and_the_drivings(markers):
     identity, reference, driving, truth = trio()
     result = pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth)
     assert result < 6.7e-4
     assert result < pmd_of_pair(resized(driving.vertices, truth), truth) / 2
 
 
-def test_marks_join_meshes_of_different_counts():
+def test_markers_match_meshes_of_different_counts():
     identity, _, _, truth = trio()
     _, reference, driving, _ = trio(1500)
-    markers = np.stack([marks(), marks(1500)], axis=1)
+    markers = np.stack([markers_of(), markers_of(1500)], axis=1)
     assert pmd_of_pair(resized(run(identity, reference, driving, markers), truth), truth) < 6.7e-4
 
 
-def test_permuting_the_identity_permutes_the_result_to_the_last_bit():
+def test_permuted_identity_permutes_the_result_to_the_last_bit():
     identity, reference, driving, _ = trio()
     order = np.random.default_rng(0).permutation(len(identity.vertices))
-    markers = pairs_of(marks())
+    markers = pairs_of(markers_of())
     expected = run(identity, reference, driving, markers)[order]
     markers = np.stack([np.argsort(order)[markers[:, 0]], markers[:, 1]], axis=1)
     result = run(shuffled_faces(permute_vertices(identity, order)), reference, driving, markers[::-1])
     assert np.array_equal(result, expected)
 
 
-def test_permuting_driving_and_reference_changes_no_bit():
+def test_permuted_driving_and_reference_change_no_bit():
     identity, reference, driving, _ = trio()
     order = np.random.default_rng(1).permutation(len(driving.vertices))
-    markers = pairs_of(marks())
+    markers = pairs_of(markers_of())
     expected = run(identity, reference, driving, markers)
     reference, driving = (shuffled_faces(permute_vertices(mesh, order)) for mesh in (reference, driving))
     markers = np.stack([markers[:, 0], np.argsort(order)[markers[:, 1]]], axis=1)
     assert np.array_equal(run(identity, reference, driving, markers), expected)
 
 
-def test_permuting_all_three_meshes_alike_permutes_the_result_to_the_last_bit():
+def test_permuted_meshes_permute_the_result_to_the_last_bit():
     meshes = trio()[:3]
     order = np.random.default_rng(2).permutation(len(meshes[0].vertices))
     result = run(*(shuffled_faces(permute_vertices(mesh, order)) for mesh in meshes))
@@ -166,12 +166,12 @@ def test_seams_do_not_tear(markers):
     assert len(weld(result)[0]) == len(weld(meshes[0].vertices)[0])
 
 
-def test_a_part_of_its_own_goes_with_the_limb_it_is_nearest_to():
-    """A bracelet that the driving subject has not: it turns with the hand and keeps its distance."""
+def test_separate_component_moves_with_the_nearest_limb():
+    """A bracelet that only the identity has turns with the hand and keeps its distance."""
     identity, reference, driving, _ = trio()
-    hand, size = marks()[1], 0.02
+    hand, size = markers_of()[1], 0.02
     bracelet = Mesh(zoo.cube().vertices * size + identity.vertices[hand] + [size, 0, 0], zoo.cube().faces)
-    markers = pairs_of(marks())
+    markers = pairs_of(markers_of())
     result = run(joined(identity, bracelet), reference, driving, markers)
     count = len(identity.vertices)
     assert np.abs(centred(result[:count]) - centred(run(identity, reference, driving, markers))).max() < 1e-3
@@ -180,8 +180,8 @@ def test_a_part_of_its_own_goes_with_the_limb_it_is_nearest_to():
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.7])
-def test_parts_that_touch_come_apart_as_the_drivings_do(scale):
-    """A hand at the hip, each a part of its own, moves away and turns; the ties between them are no glue."""
+def test_touching_components_separate_as_the_drivings_do(scale):
+    """A hand at the hip, each a component, moves away and turns: ties do not hold it back."""
     hip, hand = zoo.grid(), Mesh(zoo.cube().vertices * 0.3 + [0.35, 0.35, 0.05], zoo.cube().faces)
     identity = normalised(joined(hip, hand))
     reference = moved(identity, identity.vertices * scale)
@@ -191,16 +191,16 @@ def test_parts_that_touch_come_apart_as_the_drivings_do(scale):
     assert np.abs(centred(result) - centred(driving) / scale).max() < 1e-6
 
 
-def test_ties_join_the_nearest_parts_and_no_more_than_needed():
+def test_ties_join_the_nearest_components_in_a_tree():
     line = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], float)
     points = np.concatenate([line, line + [10, 0, 0], line + [12.5, 0, 0], line + [0, 30, 0], [[1.0, 0.5, 0.5]]])
-    ties = component_ties(points, edges(np.arange(12).reshape(-1, 3)))
+    ties = spanning_ties(points, edges(np.arange(12).reshape(-1, 3)))
     assert {tuple(sorted(pair)) for pair in ties.tolist()} == {(1, 12), (4, 6), (1, 3), (2, 9)}
 
 
 def naive_ties(points: np.ndarray, links: np.ndarray) -> list[tuple[int, int]]:
     """Kruskal's tree over all pairs of points, shortest first."""
-    label, ties = components(links, len(points)), []
+    label, ties = component_labels(links, len(points)), []
     distance = np.linalg.norm(points[:, None] - points, axis=-1)
     for pair in np.argsort(distance, axis=None, kind="stable"):
         i, j = divmod(int(pair), len(points))
@@ -211,26 +211,26 @@ def naive_ties(points: np.ndarray, links: np.ndarray) -> list[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 40])
-def test_ties_are_the_shortest_that_join_all_parts(size):
+def test_ties_are_a_minimum_spanning_tree(size):
     rng = np.random.default_rng(size)
     points = rng.normal(size=(160, 3)) + np.repeat(rng.normal(size=(160 // size + 1, 3)) * 3, size, axis=0)[:160]
     part = np.arange(160) // size
     links = np.stack([np.arange(159), np.arange(1, 160)], axis=1)[part[1:] == part[:-1]]
-    found = component_ties(points, links)
+    found = spanning_ties(points, links)
     assert len(found) == part.max()
     assert {frozenset(pair) for pair in found.tolist()} == {frozenset(pair) for pair in naive_ties(points, links)}
 
 
-def test_parts_at_equal_distances_are_tied_into_a_tree():
+def test_components_at_equal_distances_are_tied_into_a_tree():
     lattice = np.stack(np.meshgrid(*[np.arange(4.0)] * 3), axis=-1).reshape(-1, 3)
-    ties = component_ties(lattice, np.zeros((0, 2), np.int64))
+    ties = spanning_ties(lattice, np.zeros((0, 2), np.int64))
     assert len(ties) == 63
-    assert not components(ties, 64).any()
+    assert not component_labels(ties, 64).any()
     assert np.allclose(np.linalg.norm(lattice[ties[:, 0]] - lattice[ties[:, 1]], axis=1), 1)
 
 
-def test_many_parts_take_few_trees(monkeypatch):
-    """One for each of 200 parts would be slow: they are told apart by 8 bits, two trees a bit, in rounds that halve."""
+def test_many_components_need_few_kd_trees(monkeypatch):
+    """One for each of 200 components would be slow: their labels have 8 bits, two trees a bit, in rounds that halve."""
     trees = []
 
     class Counted(scipy.spatial.KDTree):
@@ -240,28 +240,28 @@ def test_many_parts_take_few_trees(monkeypatch):
 
     monkeypatch.setattr(scipy.spatial, "KDTree", Counted)
     points = np.random.default_rng(0).normal(size=(600, 3))
-    assert len(component_ties(points, edges(np.arange(600).reshape(-1, 3)))) == 199
+    assert len(spanning_ties(points, edges(np.arange(600).reshape(-1, 3)))) == 199
     assert 0 < len(trees) <= 2 * sum(range(1, 9))
 
 
-def test_thin_faces_and_loose_vertices_are_carried_along():
+def test_thin_faces_and_loose_vertices_follow_their_neighbours():
     identity, reference, driving, _ = trio()
     expected, count = run(identity, reference, driving), len(identity.vertices)
 
-    def worse(mesh):
+    def with_thin_faces(mesh):
         a, b, c = mesh.faces[10]
         extra = [[a, a, b], [a, b, count], [count + 1, count + 1, count + 1]]
         added = [(mesh.vertices[a] + mesh.vertices[b]) / 2, mesh.vertices[c] * 1.01]
         return Mesh(np.concatenate([mesh.vertices, added]), np.concatenate([mesh.faces, extra]))
 
-    result = run(*map(worse, (identity, reference, driving)))
+    result = run(*map(with_thin_faces, (identity, reference, driving)))
     assert np.isfinite(result).all()
     assert np.abs(result[:count] - expected).max() < 1e-4
     a, b, _ = identity.faces[10]
     assert np.linalg.norm(result[count] - (result[a] + result[b]) / 2) < 0.02
 
 
-def test_a_triangle_without_area_in_the_reference_or_in_a_frame_gives_numbers():
+def test_triangle_without_area_changes_the_result_little():
     identity, reference, driving, _ = trio()
     expected = run(identity, reference, driving)
     flat = reference.vertices.copy()
@@ -273,13 +273,13 @@ def test_a_triangle_without_area_in_the_reference_or_in_a_frame_gives_numbers():
 
 
 @pytest.mark.parametrize("make", [zoo.tetrahedron, zoo.cube, zoo.grid])
-def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
-    """Naive twin: dense lstsq over vertices and fourth vertices, nine equations a triangle weighed by area."""
+def test_solver_is_the_papers_least_squares_with_fourth_vertices(make):
+    """Naive twin: dense lstsq over vertices and fourth vertices, nine equations a triangle weighted by area."""
     mesh, rng = make(), np.random.default_rng(0)
     rest, triangles = rng.normal(size=(2, len(mesh.faces), 3, 3))
-    wanted = triangle_frames(triangles) @ np.linalg.inv(triangle_frames(rest))
+    gradients = triangle_frames(triangles) @ np.linalg.inv(triangle_frames(rest))
     count = len(mesh.vertices)
-    matrix, right = np.zeros((3 * len(wanted), count + len(wanted))), np.zeros((3 * len(wanted), 3))
+    matrix, right = np.zeros((3 * len(gradients), count + len(gradients))), np.zeros((3 * len(gradients), 3))
     areas = face_areas(mesh.vertices, mesh.faces)
     for f, (a, b, c) in enumerate(mesh.faces):
         inverse = np.linalg.inv(triangle_frames(mesh.vertices[mesh.faces[f : f + 1]])[0])
@@ -287,26 +287,26 @@ def test_the_solve_is_the_papers_least_squares_with_its_fourth_vertices(make):
         for column, vertex in enumerate((b, c, count + f)):
             matrix[rows, vertex] += weight * inverse[column]
             matrix[rows, a] -= weight * inverse[column]
-        right[rows] = weight * wanted[f].T
+        right[rows] = weight * gradients[f].T
     expected = np.linalg.lstsq(matrix, right, rcond=None)[0][:count]
-    result = follower(mesh.vertices, mesh.faces, rest)(triangles)
+    result = deformation_solver(mesh.vertices, mesh.faces, rest)(triangles)
     assert np.abs(centred(result) - centred(expected)).max() < 1e-9
 
 
 @pytest.mark.parametrize("make", [zoo.cube, zoo.grid, zoo.two_parts])
-def test_a_face_counts_by_its_area_however_many_triangles_it_follows(make):
+def test_face_is_weighted_by_area_whatever_its_number_of_matches(make):
     mesh, rng = make(), np.random.default_rng(0)
     rest, triangles = rng.normal(size=(2, len(mesh.faces), 3, 3))
-    often = np.concatenate([np.arange(len(mesh.faces)), np.repeat(3, 100)])
-    expected = follower(mesh.vertices, mesh.faces, rest)(triangles)
-    result = follower(mesh.vertices, mesh.faces[often], rest[often])(triangles[often])
+    repeated = np.concatenate([np.arange(len(mesh.faces)), np.repeat(3, 100)])
+    expected = deformation_solver(mesh.vertices, mesh.faces, rest)(triangles)
+    result = deformation_solver(mesh.vertices, mesh.faces[repeated], rest[repeated])(triangles[repeated])
     assert np.abs(centred(result) - centred(expected)).max() < 1e-6
 
 
-def test_parts_stand_alike_whatever_the_number_of_triangles_that_drive_them():
+def test_offset_of_components_does_not_depend_on_driving_resolution():
     """Two sheets of few triangles driven by two of many: the offset between them has the identity's size."""
-    few, many = zoo.grid(3), zoo.grid(17)
-    identity, reference = (joined(mesh, Mesh(mesh.vertices + [0, 0, 0.5], mesh.faces)) for mesh in (few, many))
+    coarse, fine = zoo.grid(3), zoo.grid(17)
+    identity, reference = (joined(mesh, Mesh(mesh.vertices + [0, 0, 0.5], mesh.faces)) for mesh in (coarse, fine))
     corners = [np.array([0, n - 1, n * n - n, n * n - 1]) for n in (3, 17)]
     markers = np.stack([np.concatenate([c, c + n * n]) for c, n in zip(corners, (3, 17), strict=True)], axis=1)
     driving = reference.vertices.copy()
@@ -318,14 +318,14 @@ def test_parts_stand_alike_whatever_the_number_of_triangles_that_drive_them():
 
 @WITH_AND_WITHOUT
 @pytest.mark.parametrize("degrees", [90, 180, 270])
-def test_a_reference_that_faces_another_way_gives_the_same_result(markers, degrees):
+def test_heading_of_the_reference_does_not_matter(markers, degrees):
     identity, reference, driving, _ = trio()
     turn = np.round(Rotation.from_euler("y", degrees, degrees=True).as_matrix())
     result = run(identity, moved(reference, reference.vertices @ turn.T), driving, markers)
     assert np.array_equal(result, run(identity, reference, driving, markers))
 
 
-def test_frames_give_what_single_meshes_give_and_walk_as_the_driving():
+def test_clip_frames_equal_single_poses_and_have_root_motion():
     identity, reference, driving, _ = trio()
     drive = DeformationTransfer(reference).prepare(identity, Clip.still(driving))
     first, second = drive([driving.vertices, driving.vertices + [0, 0, 0.5]])
@@ -335,27 +335,27 @@ def test_frames_give_what_single_meshes_give_and_walk_as_the_driving():
     assert step[0, 2] == pytest.approx(0.5 * radius(first - bbox_centre(first)))
 
 
-def test_arguments_are_left_alone():
+def test_arguments_are_not_modified():
     meshes = trio()[:3]
-    before, markers = [mesh.vertices.copy() for mesh in meshes], pairs_of(marks())
+    before, markers = [mesh.vertices.copy() for mesh in meshes], pairs_of(markers_of())
     run(*meshes, markers)
     assert all(np.array_equal(mesh.vertices, vertices) for mesh, vertices in zip(meshes, before, strict=True))
-    assert np.array_equal(markers, pairs_of(marks()))
+    assert np.array_equal(markers, pairs_of(markers_of()))
 
 
-def test_it_is_a_method():
+def test_deformation_transfer_is_a_method():
     assert isinstance(DeformationTransfer(None), Method)
     assert DeformationTransfer(None).name == "deformation-transfer"
 
 
-def test_a_missing_reference_is_told():
+def test_missing_reference_is_refused():
     identity, _, driving, _ = trio()
     with pytest.raises(InputError, match="--reference"):
         run(identity, None, driving)
 
 
 @pytest.mark.parametrize("change", ["count", "faces"])
-def test_a_reference_of_another_topology_is_told(change):
+def test_reference_of_another_topology_is_refused(change):
     identity, reference, driving, _ = trio()
     other = trio(1500)[1] if change == "count" else dataclasses.replace(reference, faces=reference.faces[:, [1, 2, 0]])
     with pytest.raises(InputError, match="export both poses from one file"):
@@ -363,21 +363,21 @@ def test_a_reference_of_another_topology_is_told(change):
 
 
 @pytest.mark.parametrize("factor", [100.0, 0.01])
-def test_a_reference_in_another_unit_is_told(factor):
+def test_reference_in_another_unit_is_refused(factor):
     identity, reference, driving, _ = trio()
     with pytest.raises(InputError, match="times the driving's size; export both poses from one file, in one unit"):
         run(identity, moved(reference, reference.vertices * factor), driving)
 
 
 @pytest.mark.parametrize("change", ["count", "faces"])
-def test_another_topology_without_markers_is_told(change):
+def test_other_topology_without_markers_is_refused(change):
     identity, reference, driving, _ = trio()
     other = trio(1500)[0] if change == "count" else dataclasses.replace(identity, faces=identity.faces[::-1])
     with pytest.raises(InputError, match="--markers FILE"):
         run(other, reference, driving)
 
 
-def test_a_point_cloud_is_told():
+def test_point_cloud_is_refused():
     cloud = zoo.point_cloud()
     with pytest.raises(InputError, match="give a surface mesh"):
         run(cloud, cloud, cloud)

@@ -1,4 +1,4 @@
-"""Heat weights: what must hold on any mesh, then a dense twin."""
+"""Heat weights: properties on any mesh, and a naive dense implementation."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ OWNERS = np.array([0, 1])
 
 
 def tube(rings: int = 21, around: int = 12, radius: float = 0.1) -> Mesh:
-    """A closed cylinder along x from 0 to 2, outward faces."""
+    """A closed cylinder along x from 0 to 2 with outward faces."""
     angle = np.linspace(0, 2 * np.pi, around, endpoint=False)
     ring = np.stack([0 * angle, np.cos(angle), np.sin(angle)], axis=1) * radius
     vertices = np.concatenate([*(ring + [x, 0, 0] for x in np.linspace(0, 2, rings)), [[0.0, 0, 0], [2, 0, 0]]])
@@ -42,10 +42,10 @@ def test_rows_sum_to_one_and_lie_between_0_and_1(make):
     assert np.allclose(weights.sum(axis=1), 1, rtol=0, atol=1e-12)
     assert weights.min() >= 0
     assert weights.max() <= 1
-    assert not weights[:, 2].any()  # a bone without segments warms nothing
+    assert not weights[:, 2].any()  # a bone without segments has no heat
 
 
-def test_far_along_a_bone_its_weight_is_one_and_half_at_the_joint():
+def test_weight_is_one_far_along_a_bone_and_half_at_the_joint():
     mesh = tube()
     weights = heat_weights(mesh.vertices, mesh.faces, BONES, OWNERS, 2)
     x = mesh.vertices[:, 0]
@@ -63,7 +63,7 @@ def elbow(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return turned, np.array([[[0.0, 0, 0], [1, 0, 0]], [[1, 0, 0], [1, 1, 0]]])
 
 
-def test_outside_a_bend_both_bones_are_nearest_and_heat_evenly():
+def test_both_bones_have_equal_weights_outside_a_bend():
     mesh = tube(around=16)
     vertices, bones = elbow(mesh.vertices)
     wedge = (vertices[:, 0] >= 1) & (vertices[:, 1] <= 0)
@@ -76,7 +76,7 @@ def test_outside_a_bend_both_bones_are_nearest_and_heat_evenly():
     assert np.allclose(weights, [[0.5, 0.5], [0.5, 0.5], [1, 0]], rtol=0, atol=1e-12)
 
 
-def test_noise_of_rounding_chooses_no_bone():
+def test_rounding_errors_do_not_choose_a_bone():
     mesh, rng = tube(around=16), np.random.default_rng(0)
     vertices, bones = elbow(mesh.vertices)
     expected = heat_weights(vertices, mesh.faces, bones, OWNERS, 2)
@@ -87,7 +87,7 @@ def test_noise_of_rounding_chooses_no_bone():
         assert np.allclose(weights, expected, rtol=0, atol=1e-5)
 
 
-def test_bones_of_one_owner_share_as_one():
+def test_segments_of_one_owner_share_as_one_bone():
     """Three segments from one joint, two of one owner: two bones, not three."""
     bones = np.array([[[0.0, 0, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]], [[0, 0, 0], [0, 0, 1]]])
     points = np.array([[-0.5, -0.5, -0.5], [0.5, -0.1, -0.1]])
@@ -96,25 +96,25 @@ def test_bones_of_one_owner_share_as_one():
 
 
 def test_k_equal_bones_heat_k_times_as_fast():
-    """A bone given twice, to two owners: both together have what one with twice the heat would have."""
+    """Two owners of one bone together have the weights of one bone with twice the heat."""
     mesh = tube(rings=9, around=6)
     area, stiffness = vertex_areas(mesh.vertices, mesh.faces), cotangent_laplacian(mesh.vertices, mesh.faces)
     twice = heat_weights(mesh.vertices, mesh.faces, BONES[[0, 0, 1]], np.arange(3), 3)
     nearest, distance = nearest_segments(mesh.vertices, mesh.faces, BONES)
     rate = area * HEAT * (nearest @ [2, 1]) / distance**2
-    warm = nearest * [2, 1] / (nearest @ [2, 1])[:, None]
-    expected = np.linalg.solve(stiffness.toarray() + np.diag(rate), rate[:, None] * warm)
+    heated = nearest * [2, 1] / (nearest @ [2, 1])[:, None]
+    expected = np.linalg.solve(stiffness.toarray() + np.diag(rate), rate[:, None] * heated)
     assert np.allclose(twice[:, 0], twice[:, 1], rtol=0, atol=1e-12)
     assert np.allclose(twice[:, :2].sum(axis=1), expected[:, 0], rtol=0, atol=1e-10)
 
 
-def test_segments_of_one_owner_are_one_bone():
+def test_single_owner_of_all_segments_has_all_weight():
     mesh = tube()
     whole = heat_weights(mesh.vertices, mesh.faces, BONES, np.array([0, 0]), 1)
     assert np.allclose(whole, 1, rtol=0, atol=1e-12)
 
 
-def test_weights_are_those_of_a_dense_twin():
+def test_weights_equal_a_naive_dense_solve():
     mesh = tube(rings=5, around=5)
     vertices, n = mesh.vertices, len(mesh.vertices)
     stiffness, area = np.zeros((n, n)), np.zeros(n)
@@ -135,27 +135,27 @@ def test_weights_are_those_of_a_dense_twin():
     assert np.allclose(heat_weights(vertices, mesh.faces, BONES, OWNERS, 2), expected, rtol=0, atol=1e-10)
 
 
-def test_scale_changes_no_weight():
+def test_weights_do_not_depend_on_scale():
     mesh = tube()
     expected = heat_weights(mesh.vertices, mesh.faces, BONES, OWNERS, 2)
     scaled = heat_weights(100 * mesh.vertices, mesh.faces, 100 * BONES, OWNERS, 2)
     assert np.allclose(scaled, expected, rtol=0, atol=1e-9)
 
 
-def test_a_bone_in_front_of_the_surface_is_not_seen():
+def test_bone_in_front_of_the_surface_is_ignored():
     """Two tubes side by side: the second bone is the nearer one for none of the first tube's vertices."""
     mesh = tube()
-    thin_neighbour = np.array([[[0.0, 0, 0], [2, 0, 0]], [[0, 0.15, 0], [2, 0.15, 0]]])
-    nearest, distance = nearest_segments(mesh.vertices, mesh.faces, thin_neighbour)
+    bones = np.array([[[0.0, 0, 0], [2, 0, 0]], [[0, 0.15, 0], [2, 0.15, 0]]])
+    nearest, distance = nearest_segments(mesh.vertices, mesh.faces, bones)
     side = np.isclose(mesh.vertices[:, 1], 0.1)
     assert side.any()
     assert (nearest[side] == [True, False]).all()
     assert np.allclose(distance[side & (mesh.vertices[:, 0] > 0)], 0.1)
-    cloud = nearest_segments(mesh.vertices, mesh.faces[:0], thin_neighbour)[0]
-    assert (cloud[side] == [False, True]).all()  # it sees through itself
+    cloud = nearest_segments(mesh.vertices, mesh.faces[:0], bones)[0]
+    assert (cloud[side] == [False, True]).all()  # without faces nothing is in front
 
 
-def test_an_inside_out_mesh_gets_the_same_weights():
+def test_inverted_mesh_has_the_same_weights():
     mesh = tube()
     expected = heat_weights(mesh.vertices, mesh.faces, BONES, OWNERS, 2)
     turned = heat_weights(mesh.vertices, mesh.faces[:, [0, 2, 1]], BONES, OWNERS, 2)
@@ -168,7 +168,7 @@ def test_points_without_faces_follow_the_nearest_bone():
     assert np.allclose(weights, [[1, 0], [0, 1], [0, 1]])
 
 
-def test_a_sliver_and_a_face_without_area_do_no_harm():
+def test_weights_with_degenerate_faces_sum_to_one():
     mesh = tube()
     faces = np.concatenate([mesh.faces, [[0, 0, 1], [0, 12, 24]]])
     weights = heat_weights(mesh.vertices, faces, BONES, OWNERS, 2)
@@ -176,12 +176,12 @@ def test_a_sliver_and_a_face_without_area_do_no_harm():
     assert np.allclose(weights.sum(axis=1), 1)
 
 
-def test_areas_sum_to_the_surface():
+def test_vertex_areas_sum_to_the_surface_area():
     mesh = tube()
     assert np.isclose(vertex_areas(mesh.vertices, mesh.faces).sum(), face_areas(mesh.vertices, mesh.faces).sum())
 
 
-def test_normals_look_outward_whatever_the_winding():
+def test_normals_point_outward_for_any_winding():
     mesh = tube()
     around = mesh.vertices * [0, 1, 1]
     sides = (np.abs(mesh.vertices[:, 0] - 1) < 0.95) & around.any(axis=1)
@@ -189,7 +189,7 @@ def test_normals_look_outward_whatever_the_winding():
         assert np.allclose(outward_normals(mesh.vertices, faces)[sides], around[sides] / 0.1, rtol=0, atol=1e-9)
 
 
-def test_one_inside_out_part_among_others_is_turned():
+def test_normals_of_one_inverted_component_are_flipped():
     mesh = tube()
     count = len(mesh.vertices)
     vertices = np.concatenate([mesh.vertices, mesh.vertices + [0, 1, 0]])
@@ -201,10 +201,12 @@ def test_one_inside_out_part_among_others_is_turned():
     assert np.allclose(expected[:count], outward_normals(mesh.vertices, mesh.faces), rtol=0, atol=1e-12)
 
 
-def test_where_both_windings_cancel_there_is_no_outside_and_every_bone_is_seen():
+def test_cancelling_faces_have_no_normal_and_ignore_no_bone():
     mesh = tube()
     both = np.concatenate([mesh.faces, np.roll(mesh.faces[:, ::-1], 1, axis=1)])
-    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]  # the sums are off zero by rounding
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[
+        0
+    ]  # so that rounding makes the sums differ from zero
     assert not outward_normals(mesh.vertices @ turn, both).any()
     bones = np.concatenate([BONES[:1], [[[0.0, 0.15, 0], [2, 0.15, 0]]]])
     nearest, _ = nearest_segments(mesh.vertices @ turn, both, bones @ turn)
@@ -212,7 +214,7 @@ def test_where_both_windings_cancel_there_is_no_outside_and_every_bone_is_seen()
     assert np.array_equal(nearest, cloud)
 
 
-def test_a_bone_in_the_surface_is_not_in_front_of_it():
+def test_bone_in_the_surface_is_not_in_front_of_it():
     sheet = grid()
     middle = sheet.vertices[:, :1].mean()
     low, high = sheet.vertices.min(axis=0), sheet.vertices.max(axis=0)
@@ -223,7 +225,7 @@ def test_a_bone_in_the_surface_is_not_in_front_of_it():
         assert nearest[:, 0].all()
 
 
-def test_closest_on_segment_is_that_of_dense_sampling():
+def test_closest_on_segment_equals_dense_sampling():
     rng = np.random.default_rng(0)
     points, start, end = rng.normal(size=(20, 3)), rng.normal(size=3), rng.normal(size=3)
     dense = start + np.linspace(0, 1, 20001)[:, None] * (end - start)

@@ -1,3 +1,5 @@
+"""NPT at run time: seams, order, root motion, ensembles, unknown scale, and files that are refused."""
+
 import json
 from pathlib import Path
 
@@ -14,7 +16,7 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import ROTATIONS
 from mimesh.core.surface_points import padded_vertices
 from mimesh.methods.find import SHIPPED_NETWORKS, find_method
-from mimesh.methods.npt import POOLED_POINTS, EdgeLengths
+from mimesh.methods.npt import POOLED_POINTS, PatchDistances
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline import animate, transfer
 
@@ -27,11 +29,11 @@ def network(tmp_path):
 
 
 def split_everywhere(mesh: Mesh) -> Mesh:
-    """Every face with vertices of its own, as flat-shaded GLB files have it."""
+    """Give every face its own vertices, as in flat-shaded GLB files."""
     return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3))
 
 
-def test_a_seam_does_not_tear_and_does_not_matter(network):
+def test_seams_stay_closed_and_do_not_matter(network):
     whole, split = person(0), split_everywhere(person(0))
     expected = transfer(whole, person(1, 0), network).vertices[whole.faces.ravel()]
     assert np.allclose(transfer(split, person(1, 0), network).vertices, expected, atol=1e-6)
@@ -43,13 +45,13 @@ def test_split_driving_vertices_do_not_matter(network):
     assert np.allclose(transfer(person(0), split_everywhere(driving), network).vertices, expected, atol=1e-6)
 
 
-def test_a_retriangulated_driving_gives_nearly_the_same_from_a_pooled_pose(tmp_path):
+def test_pooled_pose_hardly_depends_on_the_driving_triangulation(tmp_path):
     pooled = str(write_network(tmp_path / "pooled.onnx", "global_max"))
     results = [transfer(person(0), person(1, 3, faces=faces), pooled).vertices for faces in (1200, 2400)]
     assert np.abs(results[0] - results[1]).max() < 0.1
 
 
-def test_jumps_and_turns_survive_the_centring_of_each_frame(network):
+def test_root_motion_of_the_driving_is_kept(network):
     clip, identity = walk(frames=4), person(0)
     forward = animate(identity, clip, network).clip.vertices.mean(axis=1)[:, 2]
     still = Clip(clip.mesh, np.repeat(clip.vertices[:1], 4, axis=0), clip.fps)
@@ -60,24 +62,24 @@ def test_jumps_and_turns_survive_the_centring_of_each_frame(network):
     assert np.isclose(height[2], height[0], atol=1e-6)
 
 
-def test_a_larger_identity_takes_larger_steps(network):
+def test_root_motion_scales_with_the_identity(network):
     clip, identity = walk(frames=2), person(0)
     giant = Mesh(identity.vertices * 3, identity.faces)
-    steps = [np.diff(animate(who, clip, network).clip.vertices.mean(axis=1), axis=0) for who in (identity, giant)]
+    steps = [np.diff(animate(mesh, clip, network).clip.vertices.mean(axis=1), axis=0) for mesh in (identity, giant)]
     assert np.allclose(steps[0] * 3, steps[1], atol=1e-4)
 
 
-def test_an_ensemble_is_the_mean_of_its_pairings(network):
-    """Naive twin: the mean of single pairings, each run by hand."""
+def test_ensemble_is_the_mean_of_its_pairings(network):
+    """Naive implementation: the mean of single pairings, each run on its own."""
     identity, driving = person(0), person(1, 0)
     method = load_network(Path(network), name="tiny", ensemble=3)
     points = padded_vertices(driving, len(identity.vertices), np.random.default_rng(0))
     at = points.at(driving.vertices).astype(np.float32)
     ranked = canonical_order(identity.vertices)
-    still = ranked.merge(identity.vertices).astype(np.float32)[None]
+    rest = ranked.merge(identity.vertices).astype(np.float32)[None]
     pairings = [np.random.default_rng(k).permutation(len(at)) for k in range(3)]
-    singles = [method.session.run(["result"], {"identity": still, "driving": at[p][None]})[0][0] for p in pairings]
-    assert np.allclose(method._run(still[0], at, pairings), np.mean(singles, axis=0), atol=1e-6)
+    singles = [method.session.run(["result"], {"identity": rest, "driving": at[p][None]})[0][0] for p in pairings]
+    assert np.allclose(method._run(rest[0], at, pairings), np.mean(singles, axis=0), atol=1e-6)
 
 
 def test_seed_and_ensemble_change_the_result(network):
@@ -87,21 +89,21 @@ def test_seed_and_ensemble_change_the_result(network):
     assert not np.array_equal(base, transfer(identity, driving, network, ensemble=4).vertices)
 
 
-def test_the_truths_scale_is_brought_back_to_the_identitys_lengths(tmp_path):
+def test_result_of_unknown_scale_is_rescaled_to_the_identity(tmp_path):
     truth = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     identity = person(0)
-    lengths = EdgeLengths.of(identity.vertices, edges(identity.faces))
+    lengths = PatchDistances.of(identity.vertices, edges(identity.faces))
     result = transfer(identity, person(1, 0), truth, refine=False).vertices
     assert np.isclose(lengths.total(result), lengths.total(identity.vertices), rtol=0.02)
 
 
-def test_a_rough_surface_is_hardly_longer_between_patches():
-    """Its edges are: a size taken from them would shrink every rough result."""
+def test_patch_distances_hardly_depend_on_roughness():
+    """Edge lengths do: a size taken from them would shrink every rough result."""
     mesh = person(0, faces=13776)
     rough = mesh.vertices + np.random.default_rng(0).normal(0, 0.01, mesh.vertices.shape)
-    patches, single = EdgeLengths.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
+    patches, pairs = PatchDistances.of(mesh.vertices, edges(mesh.faces)), edges(mesh.faces)
     assert patches.total(rough) == pytest.approx(patches.total(mesh.vertices), rel=0.02)
-    assert edge_length(rough, single) > 1.3 * edge_length(mesh.vertices, single)
+    assert edge_length(rough, pairs) > 1.3 * edge_length(mesh.vertices, pairs)
     assert patches.total(3 * mesh.vertices) == pytest.approx(3 * patches.total(mesh.vertices))
 
 
@@ -110,7 +112,7 @@ def edge_length(vertices, pairs):
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
-def test_point_clouds_and_several_parts_pass(tmp_path, pose_code):
+def test_point_clouds_and_several_components_are_moved(tmp_path, pose_code):
     network = str(write_network(tmp_path / "n.onnx", pose_code))
     for identity, driving in ((point_cloud(), person(0)), (person(0), point_cloud()), (two_parts(), point_cloud())):
         result = transfer(identity, driving, network)
@@ -118,13 +120,13 @@ def test_point_clouds_and_several_parts_pass(tmp_path, pose_code):
         assert np.isfinite(result.vertices).all()
 
 
-def test_a_dense_driving_is_thinned_for_a_pooling_network(tmp_path):
+def test_dense_driving_is_subsampled_for_a_pooling_network(tmp_path):
     network = str(write_network(tmp_path / "n.onnx", "global_max"))
     dense = Mesh(np.random.default_rng(0).normal(size=(POOLED_POINTS + 500, 3)), np.zeros((0, 3), int))
     assert transfer(person(0), dense, network).vertices.shape == person(0).vertices.shape
 
 
-def test_driving_vertices_that_meet_at_first_do_not_depend_on_their_order():
+def test_order_of_coincident_driving_vertices_does_not_matter():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 0, 0], [1, 0, 0]], float)
     later = np.array([[0, 0, 0], [1, 0.1, 0], [1, 0.2, 0], [1, 0.7, 0]])
     order = [3, 1, 0, 2]
@@ -140,7 +142,7 @@ def test_added_points_lie_on_the_surface_in_every_frame():
     assert np.allclose(points.at(driving.vertices * 2 + 1), points.at(driving.vertices) * 2 + 1)
 
 
-def test_a_frame_that_collapses_is_told(network):
+def test_collapsed_frame_is_refused(network):
     clip = walk(frames=3)
     vertices = clip.vertices.copy()
     vertices[1] = 0.5
@@ -148,24 +150,24 @@ def test_a_frame_that_collapses_is_told(network):
         animate(person(0), Clip(clip.mesh, vertices, clip.fps), network)
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="found no file"):
         find_method(str(tmp_path / "none.onnx"))
 
 
-def test_a_file_that_is_no_network_is_told(tmp_path):
+def test_file_that_is_no_network_is_refused(tmp_path):
     (tmp_path / "text.onnx").write_text("hello")
     with pytest.raises(InputError, match="ONNX format"):
         find_method(str(tmp_path / "text.onnx"))
 
 
-def test_a_network_of_others_is_told(tmp_path):
+def test_network_without_metadata_is_refused(tmp_path):
     with pytest.raises(InputError, match="no such metadata"):
         find_method(str(write_network(tmp_path / "other.onnx", metadata=False)))
 
 
 @pytest.mark.parametrize("key", ["pose_code", "target_scale"])
-def test_unknown_metadata_is_told(tmp_path, key):
+def test_unknown_metadata_is_refused(tmp_path, key):
     model = onnx.load(write_network(tmp_path / "tiny.onnx"))
     card = json.loads(model.metadata_props[0].value) | {key: "other"}
     model.metadata_props[0].value = json.dumps(card)
@@ -175,7 +177,7 @@ def test_unknown_metadata_is_told(tmp_path, key):
 
 
 @pytest.mark.parametrize("name", sorted(SHIPPED_NETWORKS))
-def test_shipped_networks_bring_a_turned_driving_to_the_same_result(name):
+def test_axes_unit_and_position_of_the_driving_do_not_matter(name):
     identity, driving = person(0, faces=400), person(1, 0, faces=300)
     turned = Mesh(driving.vertices @ ROTATIONS[5].T * 3 + 1, driving.faces)
     expected = transfer(identity, driving, name).vertices
@@ -183,11 +185,11 @@ def test_shipped_networks_bring_a_turned_driving_to_the_same_result(name):
     assert np.allclose(transfer(identity, turned, name).vertices, expected, atol=1e-4)
 
 
-def test_an_unknown_model_lists_the_known_ones():
+def test_unknown_model_lists_the_known_ones():
     with pytest.raises(InputError, match=r"copy, .*npt, npt-maxpool"):
         find_method("mimic")
 
 
-def test_a_wrong_ensemble_is_told():
+def test_ensemble_below_one_is_refused():
     with pytest.raises(InputError, match="--ensemble"):
         find_method("copy", ensemble=0)

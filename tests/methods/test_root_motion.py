@@ -1,4 +1,4 @@
-"""Results walk where the driving walks, in the identity's size."""
+"""Results have the displacement of the driving, in the identity's size."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from mimesh.methods.root_motion import with_root_motion
 SHAPE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 2, 0]])
 
 
-def test_boxes_are_centred_where_the_drivings_are_scaled_by_the_first_result():
+def test_bounding_boxes_follow_the_drivings_scaled_by_the_first_result():
     frames = [SHAPE + [t, 0, 0] for t in range(3)]
     results = list(with_root_motion(iter(frames), lambda vertices: 2 * SHAPE + vertices[0], "walk"))
     steps = np.diff([result.mean(axis=0) for result in results], axis=0)
@@ -17,10 +17,10 @@ def test_boxes_are_centred_where_the_drivings_are_scaled_by_the_first_result():
     assert np.allclose(steps, [[np.linalg.norm([1, 2]), 0, 0]] * 2, rtol=0, atol=1e-12)
 
 
-def test_a_frame_without_size_is_told_by_its_number():
+def test_frame_without_size_is_refused_with_its_number():
     frames = [SHAPE, SHAPE, 0 * SHAPE + 3]
-    told = (
+    message = (
         "walk: expected some size in frame 2 of those taken.*repair that frame, or end the clip before it with --stop"
     )
-    with pytest.raises(InputError, match=told):
+    with pytest.raises(InputError, match=message):
         list(with_root_motion(frames, lambda vertices: vertices, "walk"))

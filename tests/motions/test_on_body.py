@@ -150,7 +150,7 @@ def test_frames_of_long_takes_are_stored_on_disk(body, motion, tmp_path, monkeyp
 
 def test_inspection_reports_a_motion(body, motion, tmp_path):
     facts = inspect_file(write_bvh(tmp_path / "a.bvh", body, motion))
-    assert facts.details == (("motion", "31 joints, played on the shipped body, which is what is told here"),)
+    assert facts.details == (("motion", "31 joints, played on the shipped body, which these facts describe"),)
     assert facts.details[0][1] in facts.text()
     assert (facts.frames, facts.format, facts.unit_guess) == (len(motion), "bvh", "m")
     assert is_motion_file(tmp_path / "b.BVH")

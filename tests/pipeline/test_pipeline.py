@@ -1,3 +1,5 @@
+"""transfer and animate: position, range, notes, report, timing and checks of their arguments."""
+
 import dataclasses
 
 import numpy as np
@@ -13,23 +15,23 @@ from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.report import edge_stretch, flipped_share, quality
 
 
-def stand(vertices):
+def ground_point(vertices):
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
 
 
-def test_the_result_stands_where_the_identity_stood():
+def test_result_has_the_position_of_the_identity():
     identity = dataclasses.replace(person(0), vertices=person(0).vertices + [4, 1, -3])
     result = transfer(identity, person(1, 2), "copy")
-    assert np.allclose(stand(result.vertices), stand(identity.vertices), atol=1e-9)
+    assert np.allclose(ground_point(result.vertices), ground_point(identity.vertices), atol=1e-9)
 
 
-def test_the_identity_driven_by_itself_is_itself():
+def test_identity_driven_by_itself_is_unchanged():
     identity = person(0, 1)
     assert np.allclose(transfer(identity, identity, "copy").vertices, identity.vertices, atol=1e-9)
 
 
-def test_a_rigid_motion_of_the_identity_comes_out():
+def test_rigid_motion_is_reproduced():
     identity = person(0)
     angle = np.radians(20)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
@@ -47,30 +49,30 @@ def test_transfer_is_animate_with_one_frame():
     assert np.allclose(animate(identity, still, "copy").clip.vertices[0], expected, atol=1e-6)
 
 
-def test_frames_are_cut_and_the_speed_is_kept():
+def test_range_of_frames_is_taken_at_the_same_speed():
     identity, clip = person(0), walk(frames=6)
-    seen = []
-    result = animate(identity, clip, "copy", start=1, step=2, progress=lambda done, total: seen.append((done, total)))
+    calls = []
+    result = animate(identity, clip, "copy", start=1, step=2, progress=lambda done, total: calls.append((done, total)))
     assert len(result.clip) == 3
     assert result.fps == clip.fps / 2
-    assert seen == [(1, 3), (2, 3), (3, 3)]
+    assert calls == [(1, 3), (2, 3), (3, 3)]
     assert animate(identity, clip, "copy", stop=2, fps=50.0).fps == 50.0
 
 
 @pytest.mark.parametrize(
     ("options", "message"), [({"step": 0}, "--step"), ({"start": 99}, "--start"), ({"fps": -1.0}, "--fps")]
 )
-def test_wrong_ranges_are_told(options, message):
+def test_wrong_ranges_are_refused(options, message):
     with pytest.raises(InputError, match=message):
         animate(person(0), walk(), "copy", **options)
 
 
-def test_different_counts_are_told_for_copy():
+def test_copy_refuses_different_vertex_counts():
     with pytest.raises(InputError, match="expected 4 vertices"):
         transfer(tetrahedron(), cube(), "copy")
 
 
-def test_arrays_are_checked_at_the_door():
+def test_arrays_with_nan_are_refused():
     broken = dataclasses.replace(person(0), vertices=person(0).vertices * np.nan)
     for pair in ((broken, person(0)), (person(0), broken)):
         with pytest.raises(InputError, match="NaN"):
@@ -79,7 +81,7 @@ def test_arrays_are_checked_at_the_door():
         animate(person(0), Clip(person(0), broken.vertices[None]), "copy")
 
 
-def test_an_uncertain_facing_is_noted_and_a_given_one_is_not():
+def test_uncertain_facing_is_noted_and_a_given_one_is_not():
     unsure = transfer(cube(), cube(), "copy", front=None)
     assert [note.split(";")[1] for note in unsure.notes] == [" give --front", " give --driving-front"]
     sure = transfer(cube(), cube(), "copy", up="y", front="z", driving_up="y", driving_front="z")
@@ -88,7 +90,7 @@ def test_an_uncertain_facing_is_noted_and_a_given_one_is_not():
     assert sure.report["identity"] == {"up": "+y", "front": "+z", "detected": False, "margin": 1.0}
 
 
-def test_the_notes_of_the_identitys_file_are_passed_on():
+def test_notes_of_the_identitys_file_are_passed_on():
     class Source:
         suffix, notes = ".glb", ("its skin was dropped",)
 
@@ -104,7 +106,7 @@ def test_every_step_is_timed():
     assert result.seconds["drive"] > 0
 
 
-def test_files_give_what_meshes_give(tmp_path):
+def test_files_and_meshes_give_the_same_result(tmp_path):
     io = pytest.importorskip("mimesh.io")
     if not hasattr(io, "save_mesh"):
         pytest.skip("no readers yet")
@@ -130,12 +132,12 @@ def test_quality_of_known_changes():
     assert quality(Mesh(mesh.vertices, np.zeros((0, 3), int)), mesh.vertices[None]) == {}
 
 
-def test_edges_without_length_are_left_out():
+def test_stretch_leaves_out_edges_without_length():
     points = np.array([[0, 0, 0], [0, 0, 0], [1, 0, 0]], float)
     assert edge_stretch(points, points * 3, np.array([[0, 1], [1, 2]])).tolist() == [3.0]
 
 
-def test_a_pushed_in_corner_flips_its_triangles():
+def test_pushed_in_corner_flips_its_triangles():
     from zoo import grid
 
     mesh = grid(5)
@@ -145,7 +147,7 @@ def test_a_pushed_in_corner_flips_its_triangles():
     assert flipped_share(mesh.faces, mesh.vertices, folded) > 0
 
 
-def test_a_clip_of_one_frame_says_so():
+def test_clip_of_one_frame_is_noted():
     pose = person(1, 2)
     result = animate(person(0), Clip(pose, pose.vertices[None].astype(np.float32)), "copy")
     assert any("one frame" in note for note in result.notes)
@@ -163,22 +165,22 @@ def test_a_clip_of_one_frame_says_so():
         ([], "float64 (0,)"),
     ],
 )
-def test_unusable_markers_are_told(markers, found):
+def test_unusable_markers_are_refused(markers, found):
     message = (
         f"markers: expected whole numbers of shape (M, 2), found {found}; rows are (identity vertex, driving vertex)"
     )
     mesh = person(0)
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as error:
         transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=markers)
-    assert str(told.value) == message
+    assert str(error.value) == message
 
 
 @pytest.mark.parametrize("row", [[1000, 0], [0, 1000], [-1, 0]])
-def test_markers_out_of_range_are_told_in_one_line(row):
+def test_markers_out_of_range_are_refused_in_one_line(row):
     mesh = person(0)
-    with pytest.raises(InputError, match=r"expected vertices of person0 in 0\.\.") as told:
+    with pytest.raises(InputError, match=r"expected vertices of person0 in 0\.\.") as error:
         transfer(mesh, mesh, "deformation-transfer", reference=mesh, markers=[[1, 1], [2, 2], [3, 3], row])
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(error.value)
 
 
 def test_markers_may_be_a_list_of_pairs():
@@ -193,7 +195,7 @@ def test_markers_may_be_a_list_of_pairs():
     assert np.array_equal(results[0], results[2])
 
 
-def test_a_driving_that_walks_off_to_the_side_of_its_reference_changes_nothing():
+def test_heading_of_the_clip_against_its_reference_does_not_matter():
     """The reference faces +z, the clip +x from its first frame on: the result faces +z and walks there."""
     identity, reference, clip = person(0), person(1), walk(1, 3)
     aside = np.stack([clip.vertices[..., 2], clip.vertices[..., 1], -clip.vertices[..., 0]], axis=-1)
@@ -206,8 +208,8 @@ def test_a_driving_that_walks_off_to_the_side_of_its_reference_changes_nothing()
     assert (steps[:, 2] > 3 * np.abs(steps[:, 0])).all()
 
 
-def test_refining_is_the_models_choice_and_the_users(tmp_path):
-    """`copy` is not refined unless it is asked for; a vertex network is, unless it is not."""
+def test_refinement_is_the_models_default_or_the_users_choice(tmp_path):
+    """By default `copy` is not refined and a vertex network is; the option changes both."""
     rough = dataclasses.replace(person(0), vertices=person(0).vertices + 0.01 * np.sin(1e4 * person(0).vertices))
     plain, refined = (transfer(person(0), rough, "copy", refine=refine) for refine in (None, True))
     assert np.array_equal(plain.vertices, transfer(person(0), rough, "copy", refine=False).vertices)
@@ -216,14 +218,14 @@ def test_refining_is_the_models_choice_and_the_users(tmp_path):
     assert all(value >= 0 for value in refined.seconds.values())
     pytest.importorskip("onnx")
     network = str(write_network(tmp_path / "npt.onnx"))
-    given, kept, smooth = (
+    default, unrefined, refined = (
         transfer(person(0), rough, network, refine=refine).vertices for refine in (None, False, True)
     )
-    assert np.array_equal(given, smooth)
-    assert not np.array_equal(given, kept)
+    assert np.array_equal(default, refined)
+    assert not np.array_equal(default, unrefined)
 
 
-def test_a_clip_cannot_begin_with_a_collapsed_frame():
+def test_collapsed_first_frame_is_refused():
     clip = walk(faces=600)
     vertices = clip.vertices.copy()
     vertices[2] = 0.0
@@ -231,13 +233,13 @@ def test_a_clip_cannot_begin_with_a_collapsed_frame():
         animate(person(0), dataclasses.replace(clip, vertices=vertices), "copy", start=2)
 
 
-def test_a_single_triangle_is_no_crash():
+def test_single_triangle_gives_a_finite_result():
     triangle = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), name="triangle")
     assert np.isfinite(transfer(triangle, person(0)).vertices).all()
 
 
-def test_a_method_of_ones_own_does_what_its_name_does():
+def test_method_object_equals_the_method_of_its_name():
     identity, driving = person(0), person(1, 2)
-    own, named = transfer(identity, driving, CopyMethod()), transfer(identity, driving, "copy")
-    assert np.array_equal(own.vertices, named.vertices)
-    assert own.model == animate(identity, walk(), CopyMethod()).model == "copy"
+    from_object, from_name = transfer(identity, driving, CopyMethod()), transfer(identity, driving, "copy")
+    assert np.array_equal(from_object.vertices, from_name.vertices)
+    assert from_object.model == animate(identity, walk(), CopyMethod()).model == "copy"

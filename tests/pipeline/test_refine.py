@@ -1,4 +1,4 @@
-"""Refinement: rigid motions and the rest are left alone, noise is smoothed, any surface will do."""
+"""Refinement keeps rigid motions, smooths noise, and accepts any surface."""
 
 import dataclasses
 
@@ -17,7 +17,7 @@ from mimesh.pipeline.report import edge_stretch
 IDENTITY, POSED = person(0), person(0, pose=2)
 
 
-def test_the_identity_and_its_rigid_motions_are_left_alone():
+def test_rigid_motions_of_the_identity_are_kept():
     refine = Refinement.of(IDENTITY)
     turn = Rotation.from_rotvec([0.4, 1.3, -0.2]).as_matrix()
     for moved in (IDENTITY.vertices, 3 + IDENTITY.vertices @ turn.T):
@@ -36,7 +36,7 @@ def test_noise_is_smoothed_and_the_pose_is_kept():
     assert pmd_of_pair(clean, POSED.vertices) < 1e-4
 
 
-def test_order_does_not_matter():
+def test_vertex_order_does_not_matter():
     order = np.random.default_rng(1).permutation(len(IDENTITY.vertices))
     mixed = dataclasses.replace(IDENTITY, vertices=IDENTITY.vertices[order], faces=np.argsort(order)[IDENTITY.faces])
     expected = Refinement.of(IDENTITY)(POSED.vertices)
@@ -44,7 +44,7 @@ def test_order_does_not_matter():
 
 
 @pytest.mark.parametrize("make", zoo.ZOO, ids=lambda make: make.__name__)
-def test_any_surface_will_do(make):
+def test_refined_vertices_of_any_mesh_are_finite(make):
     mesh = make()
     refine = Refinement.of(mesh)
     moved = mesh.vertices + 0.01 * np.random.default_rng(2).normal(size=mesh.vertices.shape)
@@ -57,7 +57,7 @@ def test_any_surface_will_do(make):
     assert np.allclose(refine(moved)[loose], moved[loose], atol=1e-9) or len(loose) == 0
 
 
-def test_a_point_cloud_has_nothing_to_refine():
+def test_point_cloud_is_not_refined():
     assert Refinement.of(Mesh(IDENTITY.vertices, np.zeros((0, 3), int))) is None
 
 

@@ -1,4 +1,4 @@
-"""Axes by the model that has to read a mesh: mended where it hardly knows it, left alone otherwise."""
+"""Detected axes are corrected if the model does not recognise the mesh, and kept otherwise."""
 
 import dataclasses
 
@@ -13,35 +13,35 @@ from mimesh.pipeline.run import reorient
 
 MESH = person(0, pose=3)
 MIME = find_method("mime")
-LOST = Confidence(40.0, 2.0, {})
+NOT_RECOGNISED = Confidence(40.0, 2.0, {})
 
 
-def wrong(mesh, up, front):
+def detected_norm(mesh, up, front):
     return dataclasses.replace(Normalization.fit(mesh, up, front), detected=True)
 
 
 @pytest.mark.parametrize("axes", [("-y", "+z"), ("-y", "+x"), ("+z", "+y"), ("+x", "-z")])
-def test_wrong_axes_are_mended(axes):
-    found = reorient(MIME, MESH, wrong(MESH, *axes), (None, None), LOST)
-    assert (found.up, found.front) == ("+y", "+z")
-    assert found.unsure
+def test_wrong_axes_are_corrected(axes):
+    corrected = reorient(MIME, MESH, detected_norm(MESH, *axes), (None, None), NOT_RECOGNISED)
+    assert (corrected.up, corrected.front) == ("+y", "+z")
+    assert corrected.unsure
 
 
-def test_what_the_user_says_stands():
-    asked = Normalization.fit(MESH, "-y", "+z")
-    assert reorient(MIME, MESH, asked, ("-y", "+z"), LOST) is asked
-    half = reorient(MIME, MESH, wrong(MESH, "-y", "+x"), ("-y", None), LOST)
-    assert half.up == "-y"
+def test_axes_of_the_user_are_kept():
+    given = Normalization.fit(MESH, "-y", "+z")
+    assert reorient(MIME, MESH, given, ("-y", "+z"), NOT_RECOGNISED) is given
+    partly_given = reorient(MIME, MESH, detected_norm(MESH, "-y", "+x"), ("-y", None), NOT_RECOGNISED)
+    assert partly_given.up == "-y"
 
 
-def test_what_the_model_knows_stands():
-    frame = wrong(MESH, "-y", "+z")
-    assert reorient(MIME, MESH, frame, (None, None), Confidence(2.0, 0.5, {})) is frame
+def test_axes_of_a_recognised_mesh_are_kept():
+    norm = detected_norm(MESH, "-y", "+z")
+    assert reorient(MIME, MESH, norm, (None, None), Confidence(2.0, 0.5, {})) is norm
 
 
-def test_what_no_axes_make_better_stands():
+def test_axes_are_kept_where_no_others_are_better():
     cloud = dataclasses.replace(MESH, vertices=np.random.default_rng(0).normal(size=MESH.vertices.shape))
-    frame = Normalization.fit(cloud)
+    norm = Normalization.fit(cloud)
     _, hips = MIME.quick_predict(cloud)
     assert np.allclose(hips @ hips.T, np.eye(3), atol=1e-5)
-    assert reorient(MIME, cloud, frame, (None, None), Confidence(40.0, 0.5, {})) is frame
+    assert reorient(MIME, cloud, norm, (None, None), Confidence(40.0, 0.5, {})) is norm

@@ -1,4 +1,4 @@
-"""Any format into any other: frames, faces and rates stay; what cannot stay is said."""
+"""Conversion between all formats keeps frames, faces and rates; notes say what is lost."""
 
 import dataclasses
 import itertools
@@ -25,28 +25,28 @@ def clip(frames: int = 4) -> Clip:
 
 
 @pytest.mark.parametrize(("first", "second"), [*itertools.product(CLIPS, CLIPS)])
-def test_clips_stay_what_they_are(first, second, tmp_path):
+def test_clips_are_kept(first, second, tmp_path):
     save_clip(clip(), tmp_path / f"a{first}")
-    done = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
-    assert (done.frames, done.fps, done.vertices) == (4, 30.0, 8)
-    back = load_clip(tmp_path / f"b{second}")
-    np.testing.assert_allclose(back.vertices, clip().vertices, atol=1e-6)
-    np.testing.assert_array_equal(back.mesh.faces, clip().mesh.faces)
-    assert back.fps == 30
+    written = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
+    assert (written.frames, written.fps, written.vertices) == (4, 30.0, 8)
+    loaded = load_clip(tmp_path / f"b{second}")
+    np.testing.assert_allclose(loaded.vertices, clip().vertices, atol=1e-6)
+    np.testing.assert_array_equal(loaded.mesh.faces, clip().mesh.faces)
+    assert loaded.fps == 30
 
 
 @pytest.mark.parametrize(("first", "second"), [*itertools.product(MESHES, MESHES)])
-def test_meshes_stay_what_they_are(first, second, tmp_path):
+def test_meshes_are_kept(first, second, tmp_path):
     save_mesh(zoo.cube(), tmp_path / f"a{first}")
-    done = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
-    assert (done.frames, done.fps) == (1, None)
-    back = load_mesh(tmp_path / f"b{second}")
+    written = convert(tmp_path / f"a{first}", tmp_path / f"b{second}")
+    assert (written.frames, written.fps) == (1, None)
+    loaded = load_mesh(tmp_path / f"b{second}")
     corners = zoo.cube().vertices[zoo.cube().faces]
-    np.testing.assert_allclose(back.vertices[back.faces], corners, atol=1e-6)
+    np.testing.assert_allclose(loaded.vertices[loaded.faces], corners, atol=1e-6)
 
 
 @pytest.mark.parametrize("suffix", CLIPS)
-def test_a_clip_becomes_a_mesh(suffix, tmp_path):
+def test_clip_becomes_a_mesh(suffix, tmp_path):
     save_clip(clip(), tmp_path / f"a{suffix}")
     convert(tmp_path / f"a{suffix}", tmp_path / "first.off")
     np.testing.assert_allclose(load_mesh(tmp_path / "first.off").vertices, clip().vertices[0], atol=1e-6)
@@ -57,22 +57,22 @@ def test_a_clip_becomes_a_mesh(suffix, tmp_path):
         convert(tmp_path / f"a{suffix}", tmp_path / "b.off", frame=9)
 
 
-def test_some_frames_of_a_clip(tmp_path):
+def test_range_of_frames_is_converted(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
     assert convert(tmp_path / "a.npz", tmp_path / "b.npz", start=1, step=2).fps == 15
     np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, clip().vertices[1::2])
 
 
 @pytest.mark.parametrize("suffix", MOVIES)
-def test_a_movie_of_it(suffix, tmp_path):
+def test_movie_of_a_clip_is_written(suffix, tmp_path):
     save_clip(clip(3), tmp_path / "a.npz")
-    told = []
-    convert(tmp_path / "a.npz", tmp_path / f"b{suffix}", progress=lambda *done: told.append(done))
+    calls = []
+    convert(tmp_path / "a.npz", tmp_path / f"b{suffix}", progress=lambda *done: calls.append(done))
     assert (tmp_path / f"b{suffix}").stat().st_size > 1000
-    assert told == [(k, 6) for k in range(1, 7)]
+    assert calls == [(k, 6) for k in range(1, 7)]
 
 
-def test_the_frames_of_a_movie(tmp_path):
+def test_movie_has_all_frames(tmp_path):
     import av
 
     save_clip(clip(), tmp_path / "a.npz")
@@ -85,7 +85,7 @@ def test_the_frames_of_a_movie(tmp_path):
     assert np.abs(pictures[0].astype(int) - pictures[-1]).max() > 50
 
 
-def test_what_is_lost_is_said(tmp_path):
+def test_notes_name_what_is_lost(tmp_path):
     save_clip(clip(), tmp_path / "a.npz")
     assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", frame=None).notes[-1]
     with pytest.raises(InputError, match="--blendshapes"):
@@ -97,7 +97,7 @@ def test_what_is_lost_is_said(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", MESHES)
-def test_colours_of_vertices_stay_or_are_said_to_be_lost(suffix, tmp_path):
+def test_vertex_colours_are_kept_or_noted_as_lost(suffix, tmp_path):
     colored = dataclasses.replace(zoo.cube(), vertex_colors=np.full((8, 4), [0.2, 0.4, 0.6, 1.0]))
     save_mesh(colored, tmp_path / "a.ply")
     notes = convert(tmp_path / "a.ply", tmp_path / f"b{suffix}").notes
@@ -107,12 +107,12 @@ def test_colours_of_vertices_stay_or_are_said_to_be_lost(suffix, tmp_path):
 @pytest.mark.parametrize("suffix", CLIPS)
 def test_progress_reaches_the_end_once(suffix, tmp_path):
     save_clip(clip(), tmp_path / "a.mdd")
-    told = []
-    convert(tmp_path / "a.mdd", tmp_path / f"b{suffix}", progress=lambda *done: told.append(done))
-    assert told == [(k, 8) for k in range(1, 9)]
+    calls = []
+    convert(tmp_path / "a.mdd", tmp_path / f"b{suffix}", progress=lambda *done: calls.append(done))
+    assert calls == [(k, 8) for k in range(1, 9)]
 
 
-def test_options_that_would_change_nothing_are_refused(tmp_path):
+def test_options_without_effect_are_refused(tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
     save_mesh(zoo.cube(), tmp_path / "a.ply")
     mesh, frames = tmp_path / "b.obj", tmp_path / "b.npz"
@@ -128,32 +128,32 @@ def test_options_that_would_change_nothing_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["b.pc2", "b.npy", "b"])
-def test_a_lost_frame_rate_is_said(name, tmp_path):
+def test_lost_frame_rate_is_noted(name, tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
-    done = convert(tmp_path / "a.glb", tmp_path / name, fps=24.0)
-    assert f"read {name} with --fps 24" in " ".join(done.notes)
+    written = convert(tmp_path / "a.glb", tmp_path / name, fps=24.0)
+    assert f"read {name} with --fps 24" in " ".join(written.notes)
     assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
     assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, fps=30.0).notes)
 
 
-def test_a_frame_rate_that_nobody_named_is_said(tmp_path):
+def test_assumed_frame_rate_is_noted(tmp_path):
     moving = clip()
     assert "--fps" in taken_rate_note(moving, tmp_path)[0]
     assert "--fps" in taken_rate_note(moving, tmp_path / "a.pc2")[0]
     assert taken_rate_note(moving, tmp_path / "a.glb") == taken_rate_note(Clip.still(moving.mesh), tmp_path) == ()
 
 
-def test_large_files_say_how_they_get_smaller(tmp_path):
+def test_large_files_are_noted(tmp_path):
     for name in ("a.glb", "a.abc"):
         with (tmp_path / name).open("wb") as file:
-            file.truncate(LARGE)  # a hole: it takes no room
+            file.truncate(LARGE)  # a sparse file: it takes no space on disk
     assert "256 MiB: --step takes fewer frames, and --skinned" in size_note(tmp_path / "a.glb")[0]
     assert "--skinned" not in size_note(tmp_path / "a.abc")[0]
     (tmp_path / "b.glb").write_bytes(b"small")
     assert size_note(tmp_path / "b.glb") == size_note(tmp_path) == ()
 
 
-def test_the_rest_of_what_moves_is_said(tmp_path):
+def test_pose_of_a_mesh_from_a_clip_is_noted(tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
     assert convert(tmp_path / "a.glb", tmp_path / "b.obj").notes == (
         "b.obj is the mesh at rest; --frame takes a pose of its animation",
@@ -161,7 +161,7 @@ def test_the_rest_of_what_moves_is_said(tmp_path):
     assert convert(tmp_path / "a.glb", tmp_path / "c.obj", frame=2).notes == ()
 
 
-def test_suffixes_that_are_not_written_are_told_as_outputs(tmp_path):
+def test_unknown_suffixes_are_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"expected an output in one of .*\.glb.*, found '.fbx'; name another"):
         convert(tmp_path / "a.obj", tmp_path / "b.fbx")
@@ -171,7 +171,7 @@ def test_suffixes_that_are_not_written_are_told_as_outputs(tmp_path):
 
 
 @pytest.mark.parametrize("fps", [float("inf"), 1e9])
-def test_frame_rates_of_a_slip_are_refused(fps, tmp_path):
+def test_impossible_frame_rates_are_refused(fps, tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
     with pytest.raises(InputError, match="expected a frame rate of 10,000 or less"):
         load_clip(tmp_path / "a.glb", fps=fps)

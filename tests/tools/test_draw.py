@@ -1,4 +1,4 @@
-"""`mimesh render` from end to end: what suits which files, every option, and movies read back."""
+"""`mimesh render` from end to end: the kind of picture for each file, all options, and movies read back."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from mimesh.io import save_clip, save_mesh
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    """A cube, the same a fifth taller, and a clip of six frames in which it grows and walks."""
+    """A cube, a cube 20 % taller, and a clip of six frames in which the cube grows and moves."""
     cube = zoo.cube()
     save_mesh(cube, tmp_path / "cube.obj")
     save_mesh(cube.with_vertices(cube.vertices * [1, 1.2, 1]), tmp_path / "tall.obj")
@@ -55,19 +55,19 @@ def frames(path):
         (["grow", "--truth", "grow.glb", "--track", "-o", "x.webp"], "heat movie"),
     ],
 )
-def test_every_file_gets_what_suits_it(files, args, kind, capsys):
+def test_kind_of_picture_follows_from_files_and_options(files, args, kind, capsys):
     assert draw(capsys, *args) == kind
     assert (files / args[-1]).stat().st_size > 100
     assert frames(args[-1]) == (6 if args[-1].endswith(("gif", "webp")) else 1)
 
 
-def test_a_mesh_as_a_movie_turns(files, capsys, monkeypatch):
+def test_movie_of_a_mesh_turns(files, capsys, monkeypatch):
     monkeypatch.setattr("mimesh.tools.draw.TURN", 3)
     assert draw(capsys, "cube.obj", "-o", "x.gif") == "turning movie"
     assert frames("x.gif") == 3
 
 
-def test_an_mp4_comes_back_with_its_frames_size_and_rate(files, capsys):
+def test_mp4_has_the_frames_size_and_rate(files, capsys):
     av = pytest.importorskip("av")
     assert draw(capsys, "grow", "cube.obj", "--fps", "10", "--track", "-o", "x.mp4") == "movie"
     with av.open("x.mp4") as container:
@@ -88,7 +88,7 @@ def test_frames_are_chosen_by_start_stop_and_step(files, capsys):
     assert "within its 6 frames" in capsys.readouterr().err
 
 
-def test_the_truth_is_cut_as_the_clip_is(files, capsys):
+def test_truth_is_cut_as_the_clip_is(files, capsys):
     for name in ("x.gif", "x.png"):
         draw(capsys, "grow.glb", "--truth", "grow.glb", "--start", "2", "--step", "2", "-o", name)
     assert frames("x.gif") == 2
@@ -97,13 +97,13 @@ def test_the_truth_is_cut_as_the_clip_is(files, capsys):
     assert (clip["stream"], clip["fps"], clip["centre"]) == (truth["stream"], truth["fps"], truth["centre"])
 
 
-def test_an_animation_is_named_as_convert_has_it(files, capsys):
+def test_animation_is_chosen_by_number_and_refused_for_a_mesh(files, capsys):
     assert draw(capsys, "grow.glb", "--animation", "0", "-o", "x.png") == "strip"
     assert run(["render", "cube.obj", "--animation", "Run", "-o", "x.png"]) == 2
     assert "--animation" in capsys.readouterr().err
 
 
-def test_nothing_behind_the_subject(files, capsys):
+def test_background_none_is_transparent(files, capsys):
     draw(capsys, "cube.obj", "--background", "none", "-o", "x.png")
     found = pixels("x.png")
     assert found.shape[2] == 4
@@ -117,7 +117,7 @@ def test_backgrounds_labels_and_width(files, capsys):
     assert image.shape == (40, 64, 3)
     assert image[0, 0].tolist() == [0x20, 0x40, 0x60]
     draw(capsys, "cube.obj", "--background", "dark", "-o", "x.png")
-    assert pixels("x.png")[41:].max() > 120  # letters are light on dark paper
+    assert pixels("x.png")[41:].max() > 120  # captions are light on a dark background
 
 
 @pytest.mark.parametrize(
@@ -134,9 +134,9 @@ def test_backgrounds_labels_and_width(files, capsys):
         (["-o", "x.png", "--stretch", "other.obj"], "expected the reference to have 8 vertices, found 4"),
     ],
 )
-def test_what_cannot_be_drawn_is_said_in_one_line(files, args, message, capsys):
+def test_what_cannot_be_drawn_is_refused_in_one_line(files, args, message, capsys):
     save_mesh(zoo.tetrahedron(), files / "other.obj")
     assert run(["render", "cube.obj", *args, "--size", "40"]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert re.search(message, said)
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(message, error)

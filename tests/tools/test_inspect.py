@@ -1,4 +1,4 @@
-"""Golden facts of the zoo, and each warning made to fire."""
+"""Facts of the test meshes, and a mesh for each warning."""
 
 import dataclasses
 import json
@@ -23,7 +23,7 @@ GOLDEN = {
 
 
 def split(mesh):
-    """The same surface with three vertices of its own for every face."""
+    """Give every face its own three vertices."""
     return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3), name=mesh.name)
 
 
@@ -60,12 +60,12 @@ def test_order_and_split_vertices_do_not_matter(make):
     whole = dataclasses.asdict(facts_of(mesh))
     shuffled = dataclasses.replace(mesh, faces=np.roll(rng.permutation(mesh.faces), 1, axis=1))
     assert dataclasses.asdict(facts_of(shuffled)) == whole
-    parted = dataclasses.asdict(facts_of(split(mesh)))
-    different = {key for key in whole if parted[key] != whole[key]}
+    split_facts = dataclasses.asdict(facts_of(split(mesh)))
+    different = {key for key in whole if split_facts[key] != whole[key]}
     assert different <= {"vertices"}
 
 
-def test_faces_that_look_inwards_are_told():
+def test_inverted_faces_are_warned_of():
     cube = zoo.cube()
     facts = facts_of(dataclasses.replace(cube, faces=cube.faces[:, ::-1]))
     assert facts.inside_out
@@ -73,7 +73,7 @@ def test_faces_that_look_inwards_are_told():
     assert "warning" in facts.text()
 
 
-def test_mixed_winding_is_told():
+def test_mixed_winding_is_warned_of():
     cube = zoo.cube()
     faces = cube.faces.copy()
     faces[0] = faces[0, ::-1]
@@ -84,7 +84,7 @@ def test_mixed_winding_is_told():
     assert "recalculate the winding" in facts.warnings()[0]
 
 
-def test_a_mostly_closed_mesh_still_has_an_inside():
+def test_mostly_closed_mesh_has_an_inside():
     n = 24
     angle = np.arange(n) * 2 * np.pi / n
     rings = [np.stack([np.cos(angle), np.full(n, y), -np.sin(angle)], axis=1) for y in np.linspace(0, 4, 30)]
@@ -96,7 +96,7 @@ def test_a_mostly_closed_mesh_still_has_an_inside():
     assert facts_of(dataclasses.replace(tube, faces=faces[:, ::-1])).inside_out is True
 
 
-def test_degenerate_duplicate_and_loose_are_counted():
+def test_degenerate_duplicate_and_loose_elements_are_counted():
     cube = zoo.cube()
     vertices = np.concatenate([cube.vertices, [[9.0, 9, 9], [0.5, 0.0, 0.0], [0.25, 0.0, 0.0]]])
     faces = np.concatenate([cube.faces, cube.faces[:1, [1, 2, 0]], [[0, 9, 10], [3, 3, 4]]])
@@ -113,7 +113,7 @@ def test_degenerate_duplicate_and_loose_are_counted():
     ("height", "unit"),
     [(1.75, "m"), (17.5, "dm"), (175.0, "cm"), (1750.0, "mm"), (68.9, "inch"), (1.0, None), (5.0, None)],
 )
-def test_the_unit_is_guessed_from_the_longest_side(height, unit):
+def test_unit_is_guessed_from_the_longest_side(height, unit):
     cube = zoo.cube()
     facts = facts_of(cube.with_vertices(cube.vertices * [0.5 * height, height, 0.2 * height]))
     assert facts.unit_guess == unit
@@ -121,7 +121,7 @@ def test_the_unit_is_guessed_from_the_longest_side(height, unit):
     assert (f"if the unit is {unit}" in facts.text()) == (unit is not None)
 
 
-def test_looks_parts_and_materials_are_listed():
+def test_attributes_parts_and_materials_are_listed():
     cube = zoo.cube()
     paint = Material("paint", texture=b"png")
     mesh = dataclasses.replace(
@@ -136,7 +136,7 @@ def test_looks_parts_and_materials_are_listed():
     assert "3: head, body, rest" in facts.text()
 
 
-def test_materials_of_one_name_count_each():
+def test_materials_of_one_name_are_counted_each():
     parts = (Part("a", 0, 4, Material("skin", texture=b"one")), Part("b", 4, 12, Material("skin", texture=b"two")))
     facts = facts_of(dataclasses.replace(zoo.cube(), parts=parts))
     assert (facts.materials, facts.textures) == (("skin", "skin"), 2)
@@ -147,7 +147,7 @@ def test_long_lists_of_names_are_cut():
     assert "12: p0, p1, p2, p3, p4, p5 and 6 more" in facts_of(dataclasses.replace(zoo.cube(), parts=parts)).text()
 
 
-def test_a_clip_has_frames_and_seconds_and_a_still_has_none(tmp_path):
+def test_clip_has_frames_and_seconds_and_a_mesh_has_none(tmp_path):
     mesh = zoo.cube()
     clip = Clip(mesh, np.repeat(mesh.vertices[None], 48, axis=0), 24.0)
     facts = facts_of(mesh, clip, tmp_path)
@@ -158,7 +158,7 @@ def test_a_clip_has_frames_and_seconds_and_a_still_has_none(tmp_path):
     assert "fps" not in still.text()
 
 
-def test_a_file_is_read_and_its_polygons_are_counted(tmp_path):
+def test_polygons_of_a_file_are_counted(tmp_path):
     path = tmp_path / "house.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nv 0.5 2 0\nf 1 2 3 4\nf 4 3 5\n")
     facts = inspect_file(path)
@@ -168,7 +168,7 @@ def test_a_file_is_read_and_its_polygons_are_counted(tmp_path):
         inspect_file(tmp_path / "nothing.obj")
 
 
-def test_what_a_source_says_is_lost_is_passed_on():
+def test_notes_of_the_file_are_passed_on():
     class Source:
         suffix = ".glb"
         notes = ("dropped 1 skin",)

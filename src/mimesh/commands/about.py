@@ -1,4 +1,4 @@
-"""`mimesh demo`, `mimesh models` and `mimesh doctor`."""
+"""The commands `mimesh demo`, `mimesh models` and `mimesh doctor`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def demo(
 
 
 def models(json: Json = False) -> None:
-    """List what -m takes, with figures."""
+    """List the models that -m takes, with figures."""
     from ..methods.find import MODELS, SHIPPED_NETWORKS
     from ..zoo import cards
 
@@ -46,25 +46,26 @@ def models(json: Json = False) -> None:
         print_json({"models": [shipped.get(name, {"name": name}) for name in MODELS]})
         return
     for name in MODELS:
-        print(f"{name:<22}{WHAT[name]}")
+        print(f"{name:<22}{DESCRIPTIONS[name]}")
         if name in SHIPPED_NETWORKS:
             print(f"{'':<22}{_describe(shipped[name]) if name in shipped else MISSING}")
     print_next("evaluate", "human-npt", "-m", "mime,npt,copy")
 
 
-WHAT = {
-    "copy": "the driving vertices themselves, as they are: what every method must beat",
+DESCRIPTIONS = {
+    "copy": "the driving vertices themselves: the baseline that every method must beat",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
-    "skeleton": "the shipped body fitted to both meshes, its bones turned, the identity skinned to them; slow",
-    "mime": "ours, the default: reads the joints of both meshes, fits a person to each, skins one to the other's turns",
-    "npt": "Neural Pose Transfer, trained on endless people and poses",
+    "skeleton": "fits the shipped body to both meshes and skins the identity to its bones; slow",
+    "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity",
+    "npt": "Neural Pose Transfer, trained on generated people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
-    "aniformer": "AniFormer: three frames at once, trained on endless people and motions",
+    "aniformer": "AniFormer: three frames at once, trained on generated people and motions",
 }
 MISSING = "its weights are missing here; install mimesh again"
 
 
 def _describe(card: dict[str, Any]) -> str:
+    """Return size, licence and errors of a shipped network in one line."""
     test = card.get("metrics", {}).get("test", {})
     figures = ", ".join(
         f"{kind} {test[f'{kind}_pmd_e4']:.3g}" for kind in ("seen", "unseen") if f"{kind}_pmd_e4" in test

@@ -1,4 +1,4 @@
-"""`mimesh train` and `mimesh export`."""
+"""The commands `mimesh train` and `mimesh export`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mimesh evaluate`, `mimesh table`, `mimesh figure` and `mimesh generate`."""
+"""The commands `mimesh evaluate`, `mimesh table`, `mimesh figure` and `mimesh generate`."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Protocol = Annotated[
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
 Pairs = Annotated[int, typer.Option(help="Pairs of each kind; 0 for all the protocol has.", min=0)]
-Kept = Annotated[
+Figures = Annotated[
     Path | None,
     typer.Option("--output", "-o", help="Keep the figures as JSON; stopped, the same command goes on where it was."),
 ]
@@ -31,7 +31,7 @@ Data = Annotated[
 def evaluate(
     protocol: Protocol,
     model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "mime,copy",
-    output: Kept = None,
+    output: Figures = None,
     split: Split = "test",
     pairs: Pairs = 0,
     ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
@@ -60,7 +60,7 @@ def evaluate(
 
 def table(
     name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2.")],
-    output: Kept = None,
+    output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,
     json: Json = False,

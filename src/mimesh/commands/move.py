@@ -1,4 +1,4 @@
-"""`mimesh transfer` and `mimesh animate`."""
+"""The commands `mimesh transfer` and `mimesh animate`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,6 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..core.mesh import Mesh
     from ..pipeline.result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
@@ -98,16 +97,8 @@ def transfer(
     )
     result.seconds["load"] += seconds
     result.save(output)
-    _finish(
-        result,
-        output,
-        _show(result, output, preview, open_it),
-        json,
-        quiet,
-        vertices=len(meshes[0].vertices),
-        frames=1,
-        fps=None,
-    )
+    shown = _write_preview(result, output, preview, open_it)
+    _print_result(result, output, shown, json, quiet)
 
 
 def animate(
@@ -145,17 +136,13 @@ def animate(
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
-    from ..core.errors import InputError
-    from ..io import clip_suffixes, load_clip, load_mesh
+    from ..io import load_clip, load_mesh
     from ..pipeline import animate as run
-    from ..render.movie import MOVIES
     from ..tools.convert import animations_note, taken_rate_note
 
     output = output or output_beside(identity, driving, ".glb")
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
-    if skinned and blendshapes:
-        raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
-    _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
+    _check_clip_output(output, skinned, blendshapes)
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
         result = run(
@@ -183,44 +170,34 @@ def animate(
     result.seconds["load"] += seconds
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
-    _finish(
-        result,
-        output,
-        _show(result, output, preview, open_it),
-        json,
-        quiet,
-        vertices=len(mesh.vertices),
-        frames=len(result.clip),
-        fps=result.fps,
-        further=(
-            *(animations_note(clip.mesh, driving) if animation is None else ()),
-            *(taken_rate_note(clip, driving) if fps is None else ()),
-        ),
-    )
+    notes = animations_note(clip.mesh, driving) if animation is None else ()
+    notes += taken_rate_note(clip, driving) if fps is None else ()
+    shown = _write_preview(result, output, preview, open_it)
+    _print_result(result, output, shown, json, quiet, notes)
 
 
-def _finish(
+def _print_result(
     result: Result | ClipResult,
     output: Path,
     shown: dict[str, Any],
     json: bool,
     quiet: bool,
-    *,
-    vertices: int,
-    frames: int,
-    fps: float | None,
-    further: tuple[str, ...] = (),
+    driving_notes: tuple[str, ...] = (),
 ) -> None:
+    """Print the report as JSON, or a summary with all notes; `shown` are the paths of the preview."""
+    from ..pipeline.result import Result
     from ..tools.convert import blend_note, not_kept, rate_note, size_note
 
+    mesh = result.moved.mesh
+    fps = None if isinstance(result, Result) else result.fps
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
-    notes = [*result.notes, *not_kept(_mesh(result), output), *rate, *blended, *further]
+    notes = [*result.notes, *not_kept(mesh, output), *rate, *blended, *driving_notes]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,
-        "vertices": vertices,
-        "frames": frames,
+        "vertices": len(mesh.vertices),
+        "frames": len(result.moved),
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": {**result.report, "notes": notes, **shown},
@@ -231,13 +208,8 @@ def _finish(
         _print_summary(facts)
 
 
-def _mesh(result: Result | ClipResult) -> Mesh:
-    from ..pipeline.result import Result
-
-    return result.mesh if isinstance(result, Result) else result.clip.mesh
-
-
 def _print_summary(facts: dict[str, Any]) -> None:
+    """Print the output, its notes and previews, and a command for the next step."""
     from ..render.movie import MOVIES
     from ..tools.convert import frames_at
 
@@ -258,8 +230,8 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
 
 
-def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
-    """Write the picture and the page beside the output, if wanted, and open the page; their paths for the report."""
+def _write_preview(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
+    """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths."""
     from ..tools.preview import beside
 
     if not preview:
@@ -271,7 +243,7 @@ def _show(result: Result | ClipResult, output: Path, preview: bool, open_it: boo
 
 
 def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None) -> None:
-    """Refuse to write over what is read, and to open a page that is not written."""
+    """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
     from ..tools.preview import names_beside
 
@@ -281,8 +253,19 @@ def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | N
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
 
 
+def _check_clip_output(output: Path, skinned: bool, blendshapes: int | None) -> None:
+    """Check that the format of the output can hold a clip, or joints or morph targets."""
+    from ..core.errors import InputError
+    from ..io import clip_suffixes
+    from ..render.movie import MOVIES
+
+    if skinned and blendshapes:
+        raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
+    _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
+
+
 def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
-    """Refuse a format that cannot be written before the work is done, not after it."""
+    """Check that a format can be written, before the work is done."""
     from ..core.errors import InputError
 
     if output.suffix.lower() not in suffixes:
@@ -293,6 +276,7 @@ def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
 
 
 def _timed(work):
+    """Call a function; return its result and the wall time in seconds."""
     import time
 
     begin = time.perf_counter()

@@ -1,4 +1,4 @@
-"""`mimesh look` and `mimesh render`."""
+"""The commands `mimesh look`, `mimesh render` and `mimesh convert`."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, cl
 
 
 def look(files: Files, json: Json = False) -> None:
-    """Tell what mesh files hold and what may spoil a transfer."""
+    """Show what mesh files contain, and problems that may spoil a transfer."""
     from ..core.errors import InputError
-    from ..tools.inspect import inspect_file as examine
+    from ..tools.inspect import inspect_file
 
     facts, errors = {}, []
     for path in files:
         try:
-            facts[path] = examine(path)
+            facts[path] = inspect_file(path)
         except InputError as error:
             errors.append(error)
     if json:
@@ -78,16 +78,16 @@ def render(
     """
     from ..tools.draw import RenderOptions, draw
 
-    wanted = RenderOptions(
+    options = RenderOptions(
         *(sheet, strip, turntable, truth, stretch, view, size, width, clay, up, front, track, labels, background),
         cut=(start, stop, step),
     )
-    wanted.check(output)
+    options.check(output)
     refuse_inputs(output, *files, truth, stretch)
     clips = _cut(files, fps, animation, start, stop, step)
     names = [path.name for path in files]
     with progress("frames", quiet or json) as advance:
-        kind = draw(wanted, names, clips, output, advance)
+        kind = draw(options, names, clips, output, advance)
     if json:
         print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
     elif not quiet:
@@ -98,13 +98,13 @@ def render(
 def _cut(
     files: list[Path], fps: float | None, animation: str | None, start: int, stop: int | None, step: int
 ) -> list[Clip]:
-    """The clips, each cut alike; a file of one mesh stays whole beside one that moves."""
+    """Load clips and cut all of them alike; a file of one mesh is not cut if another file moves."""
     from ..core.mesh import cut_clip
     from ..io import load_clip
 
     clips = [load_clip(path, fps, animation) for path in files]
-    alone = all(len(clip) == 1 for clip in clips)
-    return [cut_clip(clip, start, stop, step) if len(clip) > 1 or alone else clip for clip in clips]
+    still = all(len(clip) == 1 for clip in clips)
+    return [cut_clip(clip, start, stop, step) if len(clip) > 1 or still else clip for clip in clips]
 
 
 def convert(
@@ -123,15 +123,15 @@ def convert(
 ) -> None:
     """Write a mesh or clip in another format.
 
-    What moves stays moving where OUT can; .gif, .webp and .mp4 are pictures of it. Formats: see docs/formats.md.
+    Clips stay clips where the format of OUT allows; .gif, .webp and .mp4 are movies. Formats: see docs/formats.md.
     """
     from ..render.movie import MOVIES
-    from ..tools.convert import convert as run
+    from ..tools.convert import convert as convert_file
     from ..tools.convert import frames_at
 
     refuse_inputs(target, source)
     with progress("frames", quiet or json) as advance:
-        done = run(
+        written = convert_file(
             source,
             target,
             fps=fps,
@@ -144,12 +144,12 @@ def convert(
             blendshapes=blendshapes,
             progress=advance,
         )
-    facts = {"output": str(target), "vertices": done.vertices, "frames": done.frames, "fps": done.fps}
+    facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}
     if json:
-        print_json({**facts, "notes": list(done.notes)})
+        print_json({**facts, "notes": list(written.notes)})
     elif not quiet:
-        length = "" if done.fps is None else f", {frames_at(done.frames, done.fps)}"
-        print(f"{target}: {done.vertices} vertices{length}")
-        print("".join(f"note: {note}\n" for note in done.notes), end="")
+        length = "" if written.fps is None else f", {frames_at(written.frames, written.fps)}"
+        print(f"{target}: {written.vertices} vertices{length}")
+        print("".join(f"note: {note}\n" for note in written.notes), end="")
         if target.suffix.lower() not in MOVIES:
             print_next("look", target)

@@ -1,4 +1,4 @@
-"""`mimesh studio`."""
+"""The command `mimesh studio`."""
 
 from __future__ import annotations
 
@@ -42,11 +42,19 @@ def studio(
             file=sys.stderr,
         )
 
-    def said(address: str) -> None:
+    def announce(address: str) -> None:
         if json:
             print_json({"address": address})
         else:
             print(f"studio: {address}" if quiet else f"studio: {address}\nCtrl-C ends it")
         sys.stdout.flush()
 
-    serve(files or [], host=host, port=port, limit=limit * 2**20, model=model, open_browser=opened, report_address=said)
+    serve(
+        files or [],
+        host=host,
+        port=port,
+        limit=limit * 2**20,
+        model=model,
+        open_browser=opened,
+        report_address=announce,
+    )

@@ -1,4 +1,4 @@
-"""What the commands share: options with one meaning everywhere, printing, progress, and names of outputs."""
+"""Shared by all commands: common options, printing, progress bars, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ BlendShapes = Annotated[
 
 
 def open_page(page: str | Path) -> None:
-    """Show a page of ours in the browser, or say where it is if there is none."""
+    """Open a page in the browser, or print its path if there is no browser."""
     import webbrowser
 
     if not webbrowser.open(Path(page).resolve().as_uri()):
@@ -39,7 +39,7 @@ def open_page(page: str | Path) -> None:
 
 
 class Stop(Exception):
-    """Ends a command with an exit code after it has said all there is to say."""
+    """Raised to end a command with an exit code and no further message."""
 
     def __init__(self, code: int) -> None:
         super().__init__(code)
@@ -47,18 +47,18 @@ class Stop(Exception):
 
 
 def print_json(value: dict[str, Any]) -> None:
-    """One JSON object on one line of stdout; NaN never leaves, because JSON has none."""
+    """Print one JSON object on one line of stdout; NaN and infinity, which JSON has not, become null."""
     print(json.dumps(_finite(value), allow_nan=False, default=_plain))
 
 
 def print_next(*words: str | Path) -> None:
-    """The command that a user may want now, ready to paste."""
+    """Print the command that a user may want to run next, quoted for the shell."""
     print("next: " + shlex.join(["mimesh", *map(str, words)]))
 
 
 @contextlib.contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | None]:
-    """Yield a function of (done, in all) that draws a bar on a terminal, or None where nobody watches."""
+    """Yield a function of (done, total) that draws a bar, or None if stderr is not a terminal."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -72,7 +72,7 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
 
 
 def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
-    """`<identity>-<driving><suffix>` in the identity's folder.
+    """Return the default output, `<identity>-<driving><suffix>` in the identity's folder.
 
     Raises:
         InputError: the identity is not a file.
@@ -82,12 +82,12 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     if not identity.is_file():
         found = "a folder" if identity.is_dir() else "nothing of that name"
         raise InputError(f"{identity}: expected the file of the mesh to move, found {found}; check the path")
-    played = driving.resolve()
-    return identity.with_name(f"{identity.stem}-{played.name if played.is_dir() else played.stem}{suffix}")
+    resolved = driving.resolve()  # a driving folder may be given as "." or "walk/"
+    return identity.with_name(f"{identity.stem}-{resolved.name if resolved.is_dir() else resolved.stem}{suffix}")
 
 
 def refuse_inputs(output: Path, *inputs: Path | None) -> None:
-    """Stop before an input file, or a folder of input frames, would be written over; None is no input.
+    """Check that an output would not overwrite an input file or a file in a folder of input frames; None is no input.
 
     Raises:
         InputError: the output is one of the inputs or lies in a folder that is one.
@@ -95,19 +95,19 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
     from ..core.errors import InputError
 
     target = output.resolve()
-    for given in filter(None, inputs):
-        source = given.resolve()
-        # The same file has other names where letters count alike in both cases.
+    for path in filter(None, inputs):
+        source = path.resolve()
+        # On file systems that ignore case one file has several names: compare the files too.
         same = target == source or (target.exists() and source.exists() and target.samefile(source))
         if same or (source.is_dir() and source in target.parents):
-            raise InputError(f"{output}: expected an output apart from the inputs, found {given}; give another with -o")
+            raise InputError(f"{output}: expected an output apart from the inputs, found {path}; give another with -o")
 
 
 def require(extra: str, *modules: str) -> None:
-    """Stop with the install command if a module of an optional extra is missing.
+    """Check that the modules of an optional extra are installed.
 
     Raises:
-        InputError: names the first missing module and the extra.
+        InputError: one is missing; the message has the install command.
     """
     from importlib.util import find_spec
 
@@ -121,15 +121,16 @@ def require(extra: str, *modules: str) -> None:
 
 
 def _finite(value):
+    """Replace floats that are not finite by None, in nested dictionaries and lists."""
     if isinstance(value, dict):
         return {str(key): _finite(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
         return [_finite(entry) for entry in value]
-    if isinstance(value, float) and value - value != 0:
+    if isinstance(value, float) and value - value != 0:  # NaN or infinite
         return None
     return value
 
 
 def _plain(value):
-    """NumPy numbers and paths, which json does not know."""
+    """Convert NumPy numbers and paths, which json cannot write."""
     return str(value) if isinstance(value, Path) else _finite(value.item())

@@ -13,7 +13,7 @@ from typing import Any
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_row, find_method, weights_path
+from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, find_method, weights_path
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
@@ -191,7 +191,7 @@ def check_method(method: str) -> None:
         method.endswith(".onnx") and Path(method).is_file()
     ):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
-    check_row(method)
+    check_weights(method)
 
 
 def provenance(config: dict[str, Any]) -> dict[str, Any]:

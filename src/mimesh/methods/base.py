@@ -1,7 +1,7 @@
-"""The protocols of methods: what `prepare` gets and what it returns.
+"""Interfaces of methods: `Method`, and what its `prepare` takes and returns.
 
-A method gets normalised meshes only: the identity in its own normalisation, the driving frames in the clip's (y up, +z
-front, bounding box of the first frame centred, largest distance from there 1).
+Methods work on normalised meshes only: y up, +z front, bounding box centred, largest distance from its centre 1.
+The identity has a normalisation of its own; all frames of the driving have that of its first frame.
 """
 
 from __future__ import annotations
@@ -21,46 +21,52 @@ from .confidence import Confidence
 from .root_motion import check_size
 
 Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray, "V 3"]]]
-"""Takes the driving frames one at a time and gives the identity's vertices for each, in constant memory."""
+"""Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
 
 
 @runtime_checkable
 class Method(Protocol):
-    """A way to move an identity."""
+    """A way to give an identity the motion of a driving mesh."""
 
     rough: ClassVar[bool]
-    """Whether its results are refined unless the user says otherwise (see `pipeline.refine`)."""
+    """Whether results have an uneven surface and are refined by default (see `pipeline.refine`)."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the method in messages and reports."""
+        ...
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """All work that is done once; it may depend on the identity and on keyframes of the driving.
+        """Do all work that is done once, and return the function that moves the identity.
 
-        These are a few frames, evenly spread. The first of them is the clip's first frame, in which `driving.mesh`
-        is.
+        Args:
+            identity: the mesh to move, normalised.
+            driving: keyframes of the driving clip, normalised: a few frames, evenly spread, the clip's first one first.
+                Its `mesh` has the vertices of that first frame.
         """
         ...
 
 
 @runtime_checkable
 class SkinnedMethod(Method, Protocol):
-    """A method that moves joints: `--skinned`, `--root`, `--ground` and `--smooth` are for these."""
+    """A method that moves joints. Only these support `--skinned`, `--root`, `--ground` and `--smooth`."""
 
     skinned: ClassVar[bool]
-    """True; methods without joints lack the attribute."""
+    """True. Methods without joints do not have this attribute."""
 
-    def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive: ...
+    def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
+        """As `Method.prepare`; the function that is returned also gives the motion of the joints."""
+        ...
 
 
 @runtime_checkable
 class QuickPredictor(Protocol):
-    """A method that can say at little cost how well it recognises a mesh: it then decides which way the mesh faces."""
+    """A method with a cheap prediction, which corrects wrongly detected axes (see `pipeline.run.reorient`)."""
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
-        """Mean entropy (nats) of a normalised mesh's skinning weights, and the world rotation of its root joint."""
+        """Predict mean entropy (nats) of a normalised mesh's skinning weights, and world rotation of its root joint."""
         ...
 
 
@@ -69,47 +75,50 @@ class SkinnedDrive:
     """An identity with joints, ready to be driven: a `Drive` that also gives the motion of its joints."""
 
     joints: tuple[str, ...]
-    """Their names."""
+    """Names of the joints."""
     rig: Rig
-    """Of all vertices, in the identity's normalisation."""
+    """Joints, and skinning weights of all V vertices, in the identity's normalisation."""
     skinned: SkinnedMesh
-    """Of the identity's distinct positions."""
+    """The identity's distinct positions (W <= V), skinned."""
     follow: Callable[[Float[np.ndarray, "U 3"]], Pose]
-    """From the vertices of a driving frame to the pose of its joints."""
+    """Maps the vertices of a driving frame to the pose of the driving's joints."""
     stride: float
-    """The identity's displacement over the driving's, in the normalisation of each: the ratio of leg lengths."""
+    """The identity's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
     feet: FootJoints
     group: Int[np.ndarray, " V"]
     """Index of each vertex among the distinct positions."""
     name: str
-    """Of the driving, for errors."""
+    """Name of the driving, for error messages."""
     confidence: tuple[Confidence, Confidence]
-    """In the identity and in the driving."""
+    """Confidence of the predictions for the identity and for the driving."""
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        return (self.posed(rotation, self.stride * places[0]) for rotation, places in self._poses(frames))
+        """Yield the identity's vertices for every driving frame."""
+        return (self.posed(rotation, self.stride * positions[0]) for rotation, positions in self._poses(frames))
 
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
-        """Motion of the driving's joints in all frames."""
+        """Return the motion of the driving's joints over all frames."""
         rotation, positions = (np.stack(arrays) for arrays in zip(*self._poses(frames), strict=True))
         return JointTrack(rotation, positions, fps)
 
     def path(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> Float[np.ndarray, "T 3"]:
-        """Positions of the identity's root joint.
+        """Return the positions of the identity's root joint in all frames.
 
         Args:
-            across: displacement over the ground, in multiples of the driving's; None scales it by leg length.
+            track: motion of the driving's joints.
+            across: scale from the driving's displacement over the ground (x and z) to the identity's; None is `stride`.
             in_place: no displacement over the ground.
             ground: correct the path so that planted feet stand still on the ground.
         """
         path = root_path(track, self.stride if across is None else across, self.stride, in_place)
         if not ground:
             return path
+        # With `in_place` only the height is corrected.
         corrected = grounded_path(track, path, self.skinned, self.feet, self.stride)
         return np.where([in_place, False, in_place], path, corrected)
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
-        """All vertices of the identity where its joints have these world rotations and the root joint is at `root`."""
+        """Return the identity's vertices for world rotations of the joints and a position of the root joint."""
         return self.skinned.posed(rotation, root)[self.group]
 
     def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:

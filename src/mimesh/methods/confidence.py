@@ -1,7 +1,7 @@
-"""How well a method recognised an input: figures for the report, and notes for the user where they are bad.
+"""Measure how well a method recognised a mesh: figures for the report, and notes for the user where they are bad.
 
-A mesh that is not a whole person is predicted differently from every sample of its points, its skinning weights are
-spread over many joints, and a body fitted to it leaves parts of itself or of the surface unmatched.
+Predictions for a mesh that is not a whole person differ between samples of its points, its skinning weights are spread
+over many joints, and a body fitted to it leaves parts of itself or of the surface unmatched.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ LIMBS = {
     "left leg": "LeftUpLeg",
     "right leg": "RightUpLeg",
 }
-"""Limb -> its first joint."""
+"""Limb -> name of its first joint."""
 
-# Thresholds, tuned on meshes of whole people and of things that are none (docs/LOG.md).
+# Thresholds, tuned on meshes of whole people and of other things (docs/LOG.md).
 MAX_SPREAD = 15.0
-"""Degrees: predictions of a whole person differ by less."""
+"""Largest spread (degrees) of the predictions for a whole person."""
 MAX_ENTROPY = 0.81
-"""Nats: skinning weights of a whole person have less."""
+"""Largest mean entropy (nats) of a whole person's skinning weights."""
 MIN_SHARE = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, "right leg": 0.12}
-"""Smallest share of the surface that each limb of a person has."""
+"""Smallest share of a whole person's surface for each limb."""
 MIN_SYMMETRY = 0.45
-"""A limb with less than this part of the surface of its counterpart on the other side is not whole."""
+"""Smallest share of a whole limb, in those of its counterpart on the other side."""
 MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
-"""A limb was not found if more than the first share of it is far from the surface while more than the second share of
-the surface is far from the body. Only the first holds where a mesh has holes, only the second under clothes and hair.
+"""A limb was not found if more than the first share of it is far from the surface, and more than the second share of
+the surface is far from the body. Holes in a mesh exceed only the first, clothes and hair only the second.
 """
 MISSING_LIMB = 0.4
-"""A limb is missing if more than this share of it is far from the surface; in one-sided scans it is 0.3."""
+"""A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Confidence:
         joints: tuple[str, ...],
         parents: tuple[int, ...],
     ) -> Confidence:
-        """From skinning weights of points that are spread evenly over the surface."""
+        """Compute entropy and limb shares from skinning weights of points that are spread evenly over the surface."""
         entropy = -(weights * np.log(np.maximum(weights, 1e-12))).sum(axis=1).mean()
         share = weights.mean(axis=0)
         tops = {limb: joints.index(top) for limb, top in LIMBS.items() if top in joints}
@@ -76,8 +76,8 @@ class Confidence:
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
 
     def facts(self) -> dict[str, Any]:
-        """The figures as they stand in reports."""
-        limbs, astray = (
+        """Return the figures under the keys that reports have."""
+        limbs, unmatched = (
             {limb: round(share, 3) for limb, share in d.items()} for d in (self.limbs, self.unmatched_body)
         )
         facts: dict[str, Any] = {
@@ -85,39 +85,41 @@ class Confidence:
             "undecided": round(self.weight_entropy, 3),
             "limbs": limbs,
         }
-        return facts | ({"astray": astray, "bare": round(self.unmatched_surface, 4)} if astray else {})
+        return facts | ({"astray": unmatched, "bare": round(self.unmatched_surface, 4)} if unmatched else {})
 
     def notes(self, name: str) -> tuple[str, ...]:
-        """A note for the user if the mesh `name` does not look like a whole person, and why."""
-        lacking = [limb for limb in MIN_SHARE if self._lacks(limb)]
+        """Return a note for the user if the mesh `name` does not look like a whole person, with the reasons."""
+        incomplete = [limb for limb in MIN_SHARE if self._incomplete(limb)]
         uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
-        lost = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
-        why = []
+        unmatched = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
+        reasons = []
         if self.prediction_spread > MAX_SPREAD:
-            why.append(f"readings of it differ by {self.prediction_spread:.0f} degrees")
+            reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
         if self.weight_entropy > MAX_ENTROPY:
-            why.append("much of its surface belongs to no limb in particular")
-        if lacking:
-            why.append(f"{_listed('no whole', lacking)} was found")
-        if lost and not lacking:
-            why.append(f"there is no surface where {_listed('the', lost)} should be")
-        return (f"{name} hardly looks like a whole person: {'; '.join(why)}; do not trust the result",) if why else ()
+            reasons.append("much of its surface belongs to no limb in particular")
+        if incomplete:
+            reasons.append(f"{_listed('no whole', incomplete)} was found")
+        if unmatched and not incomplete:
+            reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
+        if not reasons:
+            return ()
+        return (f"{name} hardly looks like a whole person: {'; '.join(reasons)}; do not trust the result",)
 
-    def _lacks(self, limb: str) -> bool:
-        """Whether a limb has too little of the surface, or too little of it is near the surface."""
+    def _incomplete(self, limb: str) -> bool:
+        """Whether a limb has too small a share of the surface, or too much of it is far from the surface."""
         side, _, kind = limb.partition(" ")
         counterpart = self.limbs.get(f"{'right' if side == 'left' else 'left'} {kind}", 0.0)
         least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart)
         return self.limbs.get(limb, 1.0) < least or self.unmatched_body.get(limb, 0.0) > MISSING_LIMB
 
 
-def mean_angle(one: Rig, other: Rig) -> float:
-    """Mean angle (degrees) between the joint rotations of two predictions."""
-    cosine = (np.einsum("jab,jab->j", one.rotation, other.rotation) - 1) / 2
+def mean_angle(first: Rig, second: Rig) -> float:
+    """Return the mean angle (degrees) between the joint rotations of two predictions."""
+    cosine = (np.einsum("jab,jab->j", first.rotation, second.rotation) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 
 def _listed(article: str, limbs: list[str]) -> str:
-    """Limbs as a sentence lists them: the head, the left arm and the right arm."""
+    """List limbs with an article each: "the head, the left arm and the right arm"."""
     *others, last = (f"{article} {limb}" for limb in limbs)
     return f"{', '.join(others)} and {last}" if others else last

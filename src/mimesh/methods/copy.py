@@ -1,4 +1,4 @@
-"""The baseline that every table needs: the driving vertices themselves, where both meshes share one topology."""
+"""The baseline `copy`: the driving vertices themselves, where both meshes have one topology."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .base import Drive
 
 @dataclass(frozen=True)
 class CopyMethod:
-    """Gives back the driving vertices; vertex i of the driving is taken for vertex i of the identity."""
+    """The method `copy`: vertex i of the result is vertex i of the driving."""
 
     rough: ClassVar[bool] = False
     name: str = "copy"
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """Check that the counts agree; nothing else can be checked.
+        """Check that the vertex counts agree, which is all that can be checked, and return the driving frames.
 
         Raises:
             InputError: the vertex counts differ.

@@ -1,4 +1,4 @@
-"""The names of all methods, and the method of a name."""
+"""Names of all methods, and `find_method`, which opens a method by name."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from ..core.errors import InputError
 from ..core.mesh import Mesh
 from .base import Method
 
+# Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 TABLE_MODELS = (
     *("mime-table", "npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
@@ -20,20 +21,25 @@ TABLE_MODELS = (
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed."""
 WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
-"""Name -> network of mime that is used without the body fit: the difference is what the fit is worth."""
+"""Name -> network that is used without the body fit, to measure what the fit contributes."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
+"""Names of the methods that every installation has."""
 
 
 def weights_path(model: str) -> Path:
-    """Where the weights of a network lie: one that is shipped, one of ROWS or ALONE, or the path of an `.onnx` file."""
+    """Return the path of a network's weights, from one of the names above or from a path."""
     model = WITHOUT_FIT.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path("ablations", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
 
 
-def check_row(model: str) -> None:
-    """Raise InputError if this is one of ROWS, or of ALONE, whose weights are not here."""
+def check_weights(model: str) -> None:
+    """Check that a network of the tables has its weights.
+
+    Raises:
+        InputError: it has not; other names and paths pass.
+    """
     if WITHOUT_FIT.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
@@ -49,17 +55,18 @@ def find_method(
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
 ) -> Method:
-    """The method of a name in MODELS, ROWS or ALONE, or of the path of an `.onnx` file written by `mimesh export`.
+    """Return the method of a name (MODELS, TABLE_MODELS, WITHOUT_FIT) or of an `.onnx` file written by `mimesh export`.
 
     Args:
+        model: the name or the path.
         ensemble: average over this many random pairings of driving and identity vertices (index-paired networks only).
-        seed: of those pairings, and of sampled points.
+        seed: seed of those pairings, and of sampled points.
         reference: the driving subject in the identity's pose, normalised like the driving mesh, whose vertices and
             faces it shares (deformation transfer only).
         markers: identity and driving vertex of points that correspond (deformation transfer only).
 
     Raises:
-        InputError: no such model, its file is missing or is not a network of ours, or `ensemble` is not positive.
+        InputError: no such model, its file is missing or was not written by `mimesh export`, or `ensemble` is below 1.
     """
     from .copy import CopyMethod
     from .onnx_models import load_network
@@ -76,7 +83,7 @@ def find_method(
         from .skeleton import SkeletonBaseline
 
         return SkeletonBaseline(seed=seed)
-    check_row(model)
+    check_weights(model)
     path = weights_path(model)
     if path.suffix == ".onnx":
         name = model if model in WITHOUT_FIT else path.stem

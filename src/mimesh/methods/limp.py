@@ -1,4 +1,4 @@
-"""LIMP as an ONNX file, run by onnxruntime frame by frame: for comparison, on its template's vertices alone.
+"""LIMP as an ONNX file, run by onnxruntime frame by frame. For comparison only: it works on the template's topology.
 
 Inputs "identity" (1, V, 3) and "driving" (1, U, 3); output "result" (1, W, 3), the vertices of the template that the
 network learned, in the template's order. Each input is centred on its bounding box and divided by its largest distance
@@ -19,7 +19,7 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
 from .base import Drive
-from .npt import EdgeLengths, batch_of_one
+from .npt import PatchDistances, batch_of_one
 from .root_motion import with_root_motion
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class LIMPMethod:
-    """A loaded network. Its results are the template's vertices, so that is what an identity must be."""
+    """The method `limp`: a loaded network. Results are the template's vertices, so the identity must have those."""
 
     rough: ClassVar[bool] = False
     template_only: ClassVar[bool] = True
@@ -36,30 +36,30 @@ class LIMPMethod:
     name: str
     session: InferenceSession
     vertices: int
-    """Of the template."""
+    """Vertices of the template."""
     target_scale: str
-    """As Network's."""
+    """As in `NPTMethod`."""
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """Only the identity's count can be checked here: that its vertices are the template's is the caller's word.
+        """Check the identity's vertex count, which is all that can be checked: their order must be the template's.
 
         Raises:
             InputError: the identity has another count.
         """
-        still = identity.vertices
-        if len(still) != self.vertices:
+        rest = identity.vertices
+        if len(rest) != self.vertices:
             raise InputError(
                 f"{self.name}: expected the template of {self.vertices} vertices that it was trained on, "
-                f"found an identity of {len(still)}; it is made for comparison, choose another model"
+                f"found an identity of {len(rest)}; it is made for comparison, choose another model"
             )
-        lengths = EdgeLengths.of(still, edges(identity.faces))
-        person = batch_of_one(still)
+        lengths = PatchDistances.of(rest, edges(identity.faces))
+        identity_input = batch_of_one(rest)
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             centred = vertices - bbox_centre(vertices)
-            inputs = {"identity": person, "driving": batch_of_one(centred / radius(centred))}
+            inputs = {"identity": identity_input, "driving": batch_of_one(centred / radius(centred))}
             result = np.asarray(self.session.run(["result"], inputs)[0])[0].astype(np.float64)
-            return lengths.resized(result, still) if self.target_scale == "truth" else result
+            return lengths.rescaled(result, rest) if self.target_scale == "truth" else result
 
         def drive(frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
             return with_root_motion(frames, pose, driving.mesh.name)

@@ -2,7 +2,8 @@
 
 Inputs "identity" (B, V, 3) and "driving" (B, V, 3) or, where the pose is pooled, (B, U, 3); output "result" (B, V, 3).
 Each input is centred on its bounding box and divided by its largest distance from there; the result is centred on its
-own bounding box, in units of the identity's radius. The file's metadata say the rest (key "mimesh").
+own bounding box, in units of the identity's radius. The file's metadata (key "mimesh") give `pose_code` and
+`target_scale`.
 """
 
 from __future__ import annotations
@@ -25,14 +26,14 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 POOLED_POINTS = 8192
-"""Most driving points that a pooling network is given; a denser driving mesh is thinned by the seed."""
+"""Largest number of driving points for a pooling network; of a denser driving mesh a random subset is taken."""
 PATCHES = 200
-"""Patches of the identity's surface by which the size of a result is judged, where the network does not know it."""
+"""Patches of the identity's surface by which a result is rescaled, where the network does not know its size."""
 
 
 @dataclass(frozen=True, eq=False)
 class NPTMethod:
-    """A loaded network, ready for any identity."""
+    """The methods `npt` and `npt-maxpool`: a loaded network, ready for any identity."""
 
     rough: ClassVar[bool] = True
     name: str
@@ -40,27 +41,31 @@ class NPTMethod:
     pose_code: str
     """"per_vertex" (driving and identity need one count) or "global_max" (any driving count)."""
     target_scale: str
-    """"identity", or "truth": then the result's size is unknown, and `EdgeLengths` of the identity set it."""
+    """Unit of the result: "identity", the identity's radius; or "truth", the unknown radius of the true result. Then
+    results are rescaled by `PatchDistances` of the identity."""
     ensemble: int = 1
+    """Random pairings over which results are averaged."""
     seed: int = 0
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""
         ranked = canonical_order(identity.vertices)
-        still = ranked.merge(identity.vertices)
+        rest = ranked.merge(identity.vertices)
+        # A network with one pose code for each vertex needs as many driving points as the identity has: where the
+        # driving has fewer, random points of its surface are added, where it has more, each pairing leaves some out.
         pooled = self.pose_code == "global_max"
         points = padded_vertices(driving.mesh, 0 if pooled else len(ranked), generator(self.seed, 0))
-        taken = min(len(points), POOLED_POINTS) if pooled else len(ranked)
-        # A pooled pose has no pairing to average over.
+        count = min(len(points), POOLED_POINTS) if pooled else len(ranked)
+        # A pooled pose does not depend on the order of the driving points: there is no pairing to average over.
         rounds = 1 if pooled else self.ensemble
-        pairings = [generator(self.seed, 1 + k).permutation(len(points))[:taken] for k in range(rounds)]
-        lengths = EdgeLengths.of(still, edges(ranked.group[identity.faces]))
+        pairings = [generator(self.seed, 1 + k).permutation(len(points))[:count] for k in range(rounds)]
+        lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
 
         def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
             centred = vertices - bbox_centre(vertices)
-            result = self._run(still, points.at(centred / radius(centred)), pairings)
+            result = self._run(rest, points.at(centred / radius(centred)), pairings)
             if self.target_scale == "truth":
-                result = lengths.resized(result, still)
+                result = lengths.rescaled(result, rest)
             return result[ranked.group]
 
         return lambda frames: with_root_motion(frames, pose, driving.mesh.name)
@@ -71,7 +76,7 @@ class NPTMethod:
         driving: Float[np.ndarray, "P 3"],
         pairings: list[Int[np.ndarray, " N"]],
     ) -> Float[np.ndarray, "W 3"]:
-        """Mean result over the pairings (float64)."""
+        """Run the network for each pairing and return the mean result (float64)."""
         total = np.zeros(identity.shape)
         for pairing in pairings:
             inputs = {"identity": batch_of_one(identity), "driving": batch_of_one(driving[pairing])}
@@ -80,37 +85,40 @@ class NPTMethod:
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeLengths:
-    """Distances between the middles of neighbouring patches of a surface: a size that roughness hardly changes."""
+class PatchDistances:
+    """Distances between the centroids of adjacent patches of a surface: a size that roughness hardly changes."""
 
     patch: Int[np.ndarray, " W"]
+    """Patch of each point."""
     pairs: Int[np.ndarray, "E 2"]
+    """Pairs of adjacent patches."""
 
     @classmethod
-    def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> EdgeLengths:
-        """Up to PATCHES patches of equally many vertices, and which of them touch."""
+    def of(cls, points: Float[np.ndarray, "W 3"], welded_edges: Int[np.ndarray, "E 2"]) -> PatchDistances:
+        """Divide points into at most PATCHES compact patches of equal size, adjacent where an edge joins them."""
+        # Successive points of a spatial order are near each other: equal runs of it are compact patches.
         count, patch = min(PATCHES, len(points)), np.empty(len(points), np.int64)
         patch[spatial_order(points)] = np.arange(len(points)) * count // len(points)
-        touching = np.unique(patch[welded_edges].reshape(-1, 2), axis=0)
-        return cls(patch, touching[touching[:, 0] != touching[:, 1]])
+        pairs = np.unique(patch[welded_edges].reshape(-1, 2), axis=0)
+        return cls(patch, pairs[pairs[:, 0] != pairs[:, 1]])
 
     def total(self, points: Float[np.ndarray, "W 3"]) -> float:
-        """Sum of the distances; 1 for a point cloud, whose size is left as it is."""
+        """Return the sum of the distances; 1 for a point cloud, whose size is then left as it is."""
         sums = np.stack([np.bincount(self.patch, column) for column in points.T], axis=1)
-        middles = sums / np.bincount(self.patch)[:, None]
-        apart = np.linalg.norm(middles[self.pairs[:, 0]] - middles[self.pairs[:, 1]], axis=1)
-        return float(apart.sum()) if len(apart) else 1.0
+        centroids = sums / np.bincount(self.patch)[:, None]
+        distances = np.linalg.norm(centroids[self.pairs[:, 0]] - centroids[self.pairs[:, 1]], axis=1)
+        return float(distances.sum()) if len(distances) else 1.0
 
-    def resized(self, points: Float[np.ndarray, "W 3"], like: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "W 3"]:
-        """Points in the size that makes their lengths those of `like`."""
-        return points * self.total(like) / self.total(points)
+    def rescaled(self, points: Float[np.ndarray, "W 3"], rest: Float[np.ndarray, "W 3"]) -> Float[np.ndarray, "W 3"]:
+        """Scale points so that their distances add up to those of the identity at rest."""
+        return points * self.total(rest) / self.total(points)
 
 
 def batch_of_one(points: Float[np.ndarray, "*T N 3"]) -> Float32[np.ndarray, "1 *T N 3"]:
-    """As a network's input."""
+    """Convert points to a network's input: float32, with a batch dimension of 1."""
     return np.ascontiguousarray(points[None], np.float32)
 
 
 def generator(seed: int, stream: int) -> np.random.Generator:
-    """Random numbers of their own for each purpose (stream) of a seed."""
+    """Return a random generator for one purpose (stream) of a seed, independent of those of other streams."""
     return np.random.default_rng(np.random.SeedSequence([seed, stream]))

@@ -1,4 +1,4 @@
-"""Open a network that `mimesh export` wrote, of either kind: its metadata (key "mimesh") say which."""
+"""Open a network that `mimesh export` wrote: its metadata (key "mimesh", JSON) name the kind of model."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .onnx_runtime import import_onnxruntime
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-KNOWN = {
+METADATA = {
     "npt": {"pose_code": ("per_vertex", "global_max"), "target_scale": ("identity", "truth")},
     "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
     "limp": {"target_scale": ("identity", "truth")},
     "mime": {},
 }
-"""What the metadata of each kind say, and what they may say."""
-SKELETON = ("joints", "parents", "legs", "points")
-"""What those of mime say too."""
-LONGEST = 64
-"""Most driving frames of a window."""
+"""Model -> keys of its metadata, with the values that are allowed."""
+MIME_KEYS = ("joints", "parents", "legs", "points")
+"""Further keys for mime, with any value."""
+MAX_WINDOW = 64
+"""Largest number of driving frames in a window of aniformer."""
 
 
 def load_network(
@@ -36,11 +36,15 @@ def load_network(
     """Open an ONNX file written by `mimesh export`.
 
     Args:
+        path: the .onnx file.
+        name: of the method in messages and reports.
         ensemble: see `find_method`.
-        fits: whether mime's readings are the start of a fit (see `fitting.py`).
+        seed: see `find_method`.
+        threads: of onnxruntime.
+        fits: whether mime fits a body to the meshes, starting from its predictions (see `mime/body_fit.py`).
 
     Raises:
-        InputError: no such file, not an ONNX network, or one that does not say it is ours.
+        InputError: no such file, not an ONNX network, or one without valid metadata.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
@@ -57,12 +61,13 @@ def load_network(
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:
+    """Open a file with onnxruntime on the CPU, or raise InputError if it cannot be read."""
     onnxruntime = import_onnxruntime()
     errors = onnxruntime.capi.onnxruntime_pybind11_state
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3  # warnings about graph clean-up are not for users
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads would take time from others
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.InvalidArgument, errors.NotImplemented):
@@ -72,28 +77,29 @@ def _open_session(path: Path, threads: int) -> InferenceSession:
 
 
 def _card(session: InferenceSession, path: Path) -> dict[str, Any]:
-    """The network's own description, checked."""
+    """Return the metadata of a network, checked."""
     text = session.get_modelmeta().custom_metadata_map.get("mimesh")
     if text is None:
         raise InputError(f"{path}: expected a network of mimesh, found no such metadata; write one with mimesh export")
     card = json.loads(text)
-    _check(card, "model", tuple(KNOWN), path)
-    for key, known in KNOWN[card["model"]].items():
-        _check(card, key, known, path)
+    _check(card, "model", tuple(METADATA), path)
+    for key, allowed in METADATA[card["model"]].items():
+        _check(card, key, allowed, path)
     if card["model"] == "aniformer":
-        _check(card, "frames", tuple(range(1, LONGEST + 1)), path)
-    lacking = [key for key in SKELETON if card["model"] == "mime" and key not in card]
-    if lacking:
+        _check(card, "frames", tuple(range(1, MAX_WINDOW + 1)), path)
+    missing = [key for key in MIME_KEYS if card["model"] == "mime" and key not in card]
+    if missing:
         raise InputError(
-            f"{path}: expected {lacking[0]} in its metadata, found none; export it again with this version"
+            f"{path}: expected {missing[0]} in its metadata, found none; export it again with this version"
         )
     return card
 
 
-def _check(card: dict[str, Any], key: str, known: tuple, path: Path) -> None:
-    if card.get(key) not in known:
-        wanted = " or ".join(known) if isinstance(known[0], str) else f"{known[0]} to {known[-1]}"
+def _check(card: dict[str, Any], key: str, allowed: tuple, path: Path) -> None:
+    """Raise InputError if a value of the metadata is not one of those allowed."""
+    if card.get(key) not in allowed:
+        expected = " or ".join(allowed) if isinstance(allowed[0], str) else f"{allowed[0]} to {allowed[-1]}"
         raise InputError(
-            f"{path}: expected {key} {wanted} in its metadata, found {card.get(key)!r}; "
+            f"{path}: expected {key} {expected} in its metadata, found {card.get(key)!r}; "
             "export it again with this version"
         )

@@ -1,4 +1,4 @@
-"""Import onnxruntime without its telemetry; the one place in this project that imports it."""
+"""Import onnxruntime without its telemetry. Nothing else in this project imports it."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def import_onnxruntime() -> ModuleType:
     """Import onnxruntime with its telemetry disabled and return the module.
 
     Official builds send events to their vendor and keep a database and a device identifier in the user's cache folder,
-    from the import on. Whoever set the variable to any value has decided, and so has a program that imported
-    onnxruntime before: neither is changed.
+    from the import on. If the user has set the variable to any value, or the program has imported onnxruntime before,
+    nothing is changed.
     """
     first = "onnxruntime" not in sys.modules
     if first and not os.environ.get(SWITCH):
@@ -23,6 +23,6 @@ def import_onnxruntime() -> ModuleType:
     import onnxruntime
 
     if first and os.environ[SWITCH] == "1":
-        # Older builds for Windows report to the system's event log, do not know the variable, and know only this.
+        # Older builds for Windows report to the system's event log; they ignore the variable and have only this switch.
         onnxruntime.disable_telemetry_events()
     return onnxruntime

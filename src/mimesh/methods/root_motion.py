@@ -1,4 +1,4 @@
-"""Displacement of results of methods that predict shapes only: the driving's, in the identity's size."""
+"""Give methods that predict centred shapes the displacement of the driving clip, scaled to the identity's size."""
 
 from __future__ import annotations
 
@@ -11,30 +11,33 @@ from ..core.errors import InputError
 from ..core.normalization import bbox_centre, radius
 
 PoseFunction = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
-"""Driving vertices of one frame to the identity's vertices in that pose, placed anywhere."""
+"""Maps the driving vertices of one frame to the identity's vertices in that pose, at any position."""
 
 
 def with_root_motion(
     frames: Iterable[Float[np.ndarray, "U 3"]], pose: PoseFunction, name: str
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Pose every frame and centre its bounding box at that of the driving frame, times the size of the first result.
+    """Pose every frame, and move the centre of its bounding box to that of the driving frame, scaled.
+
+    Driving frames are in the driving's normalisation, where its first frame has radius 1. The scale is the radius of
+    the first result, so that a large identity moves as far as a small one in multiples of its own size.
 
     Raises:
-        InputError: a frame of the clip `name` without size.
+        InputError: all vertices of a frame of the clip `name` are at one point.
     """
     scale = None
     for vertices in check_size(frames, name):
         result = pose(vertices)
         result = result - bbox_centre(result)
-        scale = radius(result) if scale is None else scale
+        scale = radius(result) if scale is None else scale  # of the first frame: a size that does not change over time
         yield result + bbox_centre(vertices) * scale
 
 
 def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterator[Float[np.ndarray, "U 3"]]:
-    """Yield the frames of the clip `name`, as long as their vertices are not all at one point.
+    """Yield the frames of the clip `name`, checking that they have a size.
 
     Raises:
-        InputError: they are.
+        InputError: all vertices of a frame are at one point.
     """
     for t, vertices in enumerate(frames):
         if not np.ptp(vertices, axis=0).any():

@@ -1,4 +1,4 @@
-"""transfer() and animate(): what they take, read and checked; `moving.py` does the work."""
+"""The public functions `transfer` and `animate`: they read and check their arguments; `run.py` does the work."""
 
 from __future__ import annotations
 
@@ -34,16 +34,22 @@ def transfer(
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
 ) -> Result:
-    """Give the identity the pose of the driving mesh: animate() with one frame, in double precision.
+    """Give the identity the pose of the driving mesh: `animate` with one frame, in double precision.
 
-    Takes meshes or paths. Axes ("+y", "-z") that are not given are found from the shapes. The result stands where the
-    identity stood and heads where the driving does.
+    The result has the identity's axes, unit and position, and the driving's heading.
 
     Args:
+        identity: the mesh to move, or its path.
+        driving: the mesh whose pose is taken, or its path.
         model: a name of `mimesh models`, the path of an .onnx file, or a method of your own (see `methods.Method`),
-            which is taken as it is: `ensemble`, `seed`, `reference` and `markers` are for names and paths alone.
+            which is used as it is: `ensemble`, `seed`, `reference` and `markers` are for names and paths only.
+        up: the identity's axis away from the ground ("+y", "-z"); detected from its shape by default.
+        front: the identity's axis to its front; detected by default.
+        driving_up: as `up`, of the driving.
+        driving_front: as `front`, of the driving.
         ensemble: average over this many random pairings (index-paired networks only).
-        refine: smooth the result as the identity's surface allows; None leaves it to the model.
+        seed: seed of all random choices of the model.
+        refine: smooth the result, keeping the identity's surface details; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
 
@@ -85,20 +91,24 @@ def animate(
     skinned: bool = False,
     progress: Progress | None = None,
 ) -> ClipResult:
-    """Make the identity move as the driving clip does; see `transfer` for the arguments they share.
+    """Give the identity the motion of the driving clip; see `transfer` for the arguments they share.
+
+    The first frame taken has the identity's position; later ones move by the driving's displacement, scaled to the
+    identity's size unless `root` says otherwise.
 
     Args:
-        animation: which one of a driving glTF file, by name or number; the first by default.
-        fps: frame rate of the driving clip, where its file has none or a wrong one. Every `step`-th frame of it is
-            taken from `start` up to `stop`, and the result plays at fps / step: as fast as the driving.
-        root: how far the result goes over the ground (mime only but for the default): "scale", as far as its legs take
-            it; "keep", as far as the driving; "drop", nowhere.
-        ground: keep feet where they stand on the floor (mime only). Where the driving's feet slide, they still slide.
-        smooth: average turns and ways of the joints over time, with a Gaussian of so many seconds (mime only).
-        skinned: refuse a model without joints, for `ClipResult.save_skinned`, before it has done its work.
-
-    The first frame taken stands where the identity stood; later ones move by the driving's displacement, in the
-    identity's size unless `root` says otherwise.
+        driving: the clip whose motion is taken, or its path.
+        fps: frame rate of the driving clip, where its file has none or a wrong one.
+        animation: which animation of a driving glTF file, by name or number; the first by default.
+        start: first frame to take, counted from 0.
+        stop: frame to stop before; None takes all.
+        step: take every `step`-th frame; the result then has the rate fps / step, so that its speed is the driving's.
+        root: displacement over the ground (other values than "scale" for mime only): "scale", the driving's scaled by
+            leg length; "keep", the driving's; "drop", none.
+        ground: keep feet in place while they stand on the ground (mime only). Feet that slide in the driving still do.
+        smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
+        skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
+        progress: is called with the frames done and the frames in all.
 
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
@@ -120,20 +130,22 @@ def animate(
 
 
 def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:
-    """The method of a name with its options, once the driving's frame is known; a method itself has its own."""
+    """Return the function that makes the method, given the driving's normalisation (which the reference needs too)."""
     if isinstance(model, Method):
-        return lambda frame: model
-    mesh = None if reference is None else _read_mesh(reference)
+        return lambda norm: model
+    reference = None if reference is None else _read_mesh(reference)
     if isinstance(markers, (str, Path)):
         from ..io.markers import load_markers
 
         markers = load_markers(Path(markers))
     elif markers is not None:
-        markers = _pairs(markers)
+        markers = _checked_pairs(markers)
 
-    def choose(frame: Normalization) -> Method:
-        third = None if mesh is None else dataclasses.replace(mesh, vertices=frame.apply(mesh.vertices))
-        return find_method(model, ensemble=ensemble, seed=seed, reference=third, markers=markers)
+    def choose(norm: Normalization) -> Method:
+        normalised = None
+        if reference is not None:
+            normalised = dataclasses.replace(reference, vertices=norm.apply(reference.vertices))
+        return find_method(model, ensemble=ensemble, seed=seed, reference=normalised, markers=markers)
 
     return choose
 
@@ -142,25 +154,25 @@ def _name(model: str | Method) -> str:
     return model.name if isinstance(model, Method) else model
 
 
-def _pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
+def _checked_pairs(markers: ArrayLike) -> Int[np.ndarray, "M 2"]:
     try:
-        found = np.asarray(markers)
+        pairs = np.asarray(markers)
     except ValueError:  # rows of different lengths
-        found = np.asarray(markers, object)
-    if found.ndim != 2 or found.shape[1] != 2 or found.dtype.kind not in "iu":
+        pairs = np.asarray(markers, object)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
         raise InputError(
-            f"markers: expected whole numbers of shape (M, 2), found {found.dtype} {found.shape}; "
+            f"markers: expected whole numbers of shape (M, 2), found {pairs.dtype} {pairs.shape}; "
             "rows are (identity vertex, driving vertex)"
         )
-    return found.astype(np.int64)
+    return pairs.astype(np.int64)
 
 
 def driving_axes(clip: Clip, up: str | None, front: str | None) -> tuple[str | None, str | None]:
-    """Up and front of the driving's first frame: as they were given, else as its joints say, else to be found."""
+    """Return up and front of the driving's first frame: those given, else by its joints, else None (to be detected)."""
     if up is not None or front is not None or clip.headings is None:
         return up, front
     x, y, z = clip.headings[0]
-    if abs(y) > max(abs(x), abs(z)):  # lies or bows: the hips look up or down
+    if abs(y) > max(abs(x), abs(z)):  # lying or bowing: the front of the hips points up or down
         return "+y", None
     return "+y", ("+" if max(x, z, key=abs) > 0 else "-") + ("x" if abs(x) > abs(z) else "z")
 

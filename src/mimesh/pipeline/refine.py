@@ -1,8 +1,9 @@
-"""Optional refinement of a result on the identity's own surface: as rigid as possible, and near what the method made.
+"""Refine results: as-rigid-as-possible deformation of the identity's surface towards what the method made.
 
-Sorkine and Alexa 2007 with a pull to a target in place of fixed points. One matrix, factorised once for an identity;
-a frame is a few solves. Edges are all it knows of the surface, with one weight each, so open, non-manifold and
-many-parted meshes will do; vertices without an edge stay where the method put them.
+Sorkine and Alexa (2007), with a quadratic term that pulls each vertex to its target in place of fixed points. The
+matrix is factored once for an identity; a frame is a few solves. Only the edges of the surface are used, all with one
+weight, so open and non-manifold meshes and those of several components are refined too. Vertices without an edge stay
+where the method put them.
 """
 
 from __future__ import annotations
@@ -23,31 +24,33 @@ if TYPE_CHECKING:
     from scipy.sparse.linalg import SuperLU
 
 REACH = 0.07
-"""How far roughness is smoothed away, in units of the identity's radius."""
+"""Distance over which roughness is smoothed away, in radii of the identity."""
 ROUNDS = 3
-"""Of turning neighbourhoods, then moving vertices."""
+"""Alternations between rotating neighbourhoods (local step) and moving vertices (global step)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refinement:
-    """An identity's surface, ready to pull results back to its shape."""
+    """An identity's surface with its factored matrix, ready to refine results."""
 
     ranked: CanonicalOrder
-    """Vertices at one place are one: a seam cannot open."""
+    """Distinct positions of the identity: vertices at one position stay together, so that seams cannot open."""
     pairs: Int[np.ndarray, "E 2"]
+    """Edges between distinct positions."""
     rest: Float[np.ndarray, "E 3"]
-    """Each edge as it was."""
+    """Each edge vector in the identity, from its second end to its first."""
     gather: csr_array
-    """(W, E) sums over the edges of each vertex, whichever end it is."""
+    """(W, E): sums over the edges at each vertex."""
     spread: csr_array
-    """(W, E) the same with signs: forces along edges to forces on vertices."""
+    """(W, E): the same with the sign of the end, which is the transpose of the difference operator."""
     system: SuperLU
+    """Factors of the graph Laplacian plus `pull`."""
     pull: Float[np.ndarray, "W 1"]
-    """Of each vertex towards its target, in units of an edge's weight."""
+    """Weight of each vertex's distance from its target, where an edge has 1."""
 
     @classmethod
     def of(cls, identity: Mesh, reach: float = REACH) -> Refinement | None:
-        """For an identity; None for a point cloud, which has no surface to keep."""
+        """Prepare an identity; None for a point cloud, which has no surface."""
         from scipy.sparse import csr_array, diags_array
 
         ranked = canonical_order(identity.vertices)
@@ -57,31 +60,37 @@ class Refinement:
         if len(pairs) == 0:
             return None
         vertices = ranked.merge(identity.vertices)
-        count, one = len(vertices), np.ones(len(pairs))
+        count, ones = len(vertices), np.ones(len(pairs))
         index, edge = pairs.T.reshape(-1), np.tile(np.arange(len(pairs)), 2)
         shape = (count, len(pairs))
-        gather = csr_array((np.tile(one, 2), (index, edge)), shape=shape)
-        spread = csr_array((np.concatenate([one, -one]), (index, edge)), shape=shape)
+        gather = csr_array((np.tile(ones, 2), (index, edge)), shape=shape)
+        spread = csr_array((np.concatenate([ones, -ones]), (index, edge)), shape=shape)
         rest = vertices[pairs[:, 0]] - vertices[pairs[:, 1]]
         pull = _pull(gather, rest, reach * radius(vertices - bbox_centre(vertices)))
         system = factor(csr_array(spread @ spread.T + diags_array(pull)))
         return cls(ranked, pairs, rest, gather, spread, system, pull[:, None])
 
     def __call__(self, result: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        """The result, its edges turned and stretched less unevenly."""
+        """Refine a result: edges get lengths nearer to the identity's, vertices stay near their targets."""
         target = self.ranked.merge(result)
         points = target
         for _ in range(ROUNDS):
-            now = points[self.pairs[:, 0]] - points[self.pairs[:, 1]]
-            products = (now[:, :, None] * self.rest[:, None]).reshape(len(now), 9)
-            turn = nearest_rotation((self.gather @ products).reshape(-1, 3, 3))
-            wanted = ((turn[self.pairs[:, 0]] + turn[self.pairs[:, 1]]) @ self.rest[..., None])[..., 0] / 2
-            points = self.system.solve(self.spread @ wanted + self.pull * target)
+            # Local step: the rotation of each vertex that maps its edges at rest best onto those of now (Kabsch).
+            edge = points[self.pairs[:, 0]] - points[self.pairs[:, 1]]
+            products = (edge[:, :, None] * self.rest[:, None]).reshape(len(edge), 9)
+            rotation = nearest_rotation((self.gather @ products).reshape(-1, 3, 3))
+            # Global step: least squares for the positions, with the edges at rest, rotated as their ends are.
+            rotated = ((rotation[self.pairs[:, 0]] + rotation[self.pairs[:, 1]]) @ self.rest[..., None])[..., 0] / 2
+            points = self.system.solve(self.spread @ rotated + self.pull * target)
         return points[self.ranked.group]
 
 
 def _pull(gather: csr_array, rest: Float[np.ndarray, "E 3"], reach: float) -> Float[np.ndarray, " W"]:
-    """A grid of springs carries a change as far as its edge over the root of this; of loose vertices it is 1."""
+    """Return the weight of each vertex's target by which roughness is smoothed over the distance `reach`.
+
+    On a grid with edges of length l, a Laplacian with the weight (l / reach)^2 damps a change over that distance.
+    Vertices without an edge have the weight 1.
+    """
     count = gather.sum(axis=1)
     length = gather @ np.square(rest).sum(axis=1) / np.maximum(count, 1)
     return np.where(count > 0, np.maximum(length / reach**2, 1e-4), 1.0)

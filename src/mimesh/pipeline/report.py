@@ -1,4 +1,4 @@
-"""What the user is told: how far edges stretched, what turned over, what jitters, which way was front."""
+"""Measure results for the report: edge stretch, flipped triangles, acceleration, and the axes that were used."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 
 MOST_FRAMES = 32
-"""A clip is judged by this many of its frames, evenly spread."""
-SHORT = 1e-3
-"""Edges below this part of the mean length say nothing about stretch."""
+"""Largest number of frames, evenly spread, by which a clip is measured."""
+MIN_EDGE = 1e-3
+"""Share of the mean edge length below which the stretch of an edge is not measured."""
 
 
 def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, float]:
-    """Worst edge stretch and share of flipped triangles over the frames of a result; empty for a point cloud."""
+    """Measure the worst edge stretch and share of flipped triangles over all frames; empty for a point cloud."""
     if len(identity.faces) == 0:
         return {}
     pairs = edges(identity.faces)
@@ -33,37 +33,38 @@ def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, f
 def edge_stretch(
     before: Float[np.ndarray, "V 3"], after: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2"]
 ) -> Float[np.ndarray, " S"]:
-    """How many times longer or shorter each edge became (1: unchanged); those of next to no length are left out."""
+    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges."""
     old, new = (np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1) for points in (before, after))
-    real = old > SHORT * (old.mean() if len(old) else 0.0)
-    ratio = np.maximum(new[real] / old[real], 1e-6)
+    measured = old > MIN_EDGE * (old.mean() if len(old) else 0.0)
+    # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
+    ratio = np.maximum(new[measured] / old[measured], 1e-6)
     return np.maximum(ratio, 1 / ratio)
 
 
 def flipped_share(
     faces: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "V 3"], after: Float[np.ndarray, "V 3"]
 ) -> float:
-    """Share of triangles that came to face against the surface around them and did not before."""
-    turned = _against_neighbours(faces, after) & ~_against_neighbours(faces, before)
-    return float(turned.mean())
+    """Return the share of triangles that face against their neighbours and did not before."""
+    flipped = _against_neighbours(faces, after) & ~_against_neighbours(faces, before)
+    return float(flipped.mean())
 
 
-def facing(frame: Normalization) -> dict[str, str | bool | float]:
-    """The axes that were used for one input."""
-    return {"up": frame.up, "front": frame.front, "detected": frame.detected, "margin": round(frame.margin, 3)}
+def facing(norm: Normalization) -> dict[str, str | bool | float]:
+    """Return the axes that were used for one input, as reports have them."""
+    return {"up": norm.up, "front": norm.front, "detected": norm.detected, "margin": round(norm.margin, 3)}
 
 
-def facing_note(frame: Normalization, name: str, option: str) -> tuple[str, ...]:
-    """A note for the user where the facing was guessed with little margin."""
-    if not frame.unsure:
+def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
+    """Return a note for the user if the axes were detected with a small margin."""
+    if not norm.unsure:
         return ()
-    return (f"the facing of {name} is uncertain (taken: up {frame.up}, front {frame.front}); give {option}",)
+    return (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
 
 
 def accelerations(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:
-    """Mean acceleration (sizes a second squared) of the result and of its driving; empty for fewer than three frames.
+    """Measure the mean acceleration (extents a second squared) of result and driving; empty below three frames.
 
-    A result that is much livelier than what it imitates jitters.
+    A result with a much larger acceleration than its driving jitters.
     """
     if len(vertices) < 3:
         return {}
@@ -72,15 +73,16 @@ def accelerations(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[s
 
 
 def acceleration(frames: Float[np.ndarray, "T V 3"], fps: float) -> float:
-    """Mean length of the second differences of vertices, in sizes of the first frame; of MOST_FRAMES places in time."""
+    """Return the mean acceleration of vertices: second differences times fps^2, in extents of the first frame."""
     chosen = np.unique(np.linspace(1, len(frames) - 2, min(MOST_FRAMES, len(frames) - 2)).round().astype(int))
     second = [frames[t - 1].astype(np.float64) - 2.0 * frames[t] + frames[t + 1] for t in chosen]
     return float(np.linalg.norm(second, axis=-1).mean() * fps**2 / np.ptp(frames[0], axis=0).max())
 
 
 def _against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:
+    """Whether each face's normal points against the summed vectors of the faces at its corners."""
     vectors = face_vectors(np.asarray(vertices, np.float64), faces)
-    corners, thrice = faces.ravel(), np.repeat(vectors, 3, axis=0)
-    around = np.stack([np.bincount(corners, thrice[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
-    neighbours = around[faces].sum(axis=1) - 3 * vectors
+    corners, repeated = faces.ravel(), np.repeat(vectors, 3, axis=0)
+    at_vertex = np.stack([np.bincount(corners, repeated[:, k], minlength=len(vertices)) for k in range(3)], axis=1)
+    neighbours = at_vertex[faces].sum(axis=1) - 3 * vectors  # the face itself is in the sum at each of its corners
     return (neighbours * vectors).sum(axis=1) < 0

@@ -1,4 +1,4 @@
-"""What transfer() and animate() return: the moved identity, how it was made, and how it is saved and shown."""
+"""Results of `transfer` and `animate`: the moved identity with its report; they can be saved and shown."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from ..player.page import Download
 
 LARGEST_DOWNLOAD = 32 * 2**20
-"""Bytes; a page links to larger files instead of holding them."""
+"""Bytes up to which a page contains the file for download; to larger files it links."""
 
 
 class Timer(dict[str, float]):
-    """Wall time in seconds that each step has taken so far."""
+    """Wall time (seconds) that each step has taken so far: step -> seconds."""
 
     def __init__(self) -> None:
         super().__init__(dict.fromkeys(("load", "prepare", "drive", "refine", "write"), 0.0))
@@ -42,7 +42,7 @@ class Timer(dict[str, float]):
 
 
 class _Playable:
-    """What both kinds of results share: an offline page that shows identity, driving and result side by side."""
+    """Base of both kinds of results: an offline page that shows identity, driving and result side by side."""
 
     model: str
     report: dict
@@ -56,7 +56,7 @@ class _Playable:
         raise NotImplementedError
 
     def panels(self) -> list[Panel] | None:
-        """Identity, driving and result, each seen from the front that the report names; None without the inputs."""
+        """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""
         from ..player.pack import Panel
 
         if self.identity is None or self.driving is None:
@@ -75,11 +75,12 @@ class _Playable:
         """Write an HTML page that plays identity, driving and result; it needs no other file and no network.
 
         Args:
+            path: the page to write.
             output: the file this result was saved to; a button of the page downloads it, as .glb where possible.
-            title: of the page; by default the name of the path up to its first dot.
+            title: title of the page; by default the name of the path up to its first dot.
 
         Raises:
-            InputError: a result that does not know its identity and driving, or a path that cannot be written.
+            InputError: the result has no identity and driving, or the path cannot be written.
         """
         from ..player.page import write_player
 
@@ -93,13 +94,14 @@ class _Playable:
         return write_player(path, shown, title=title, download=download, model=self.model, notes=self.notes)
 
     def _repr_html_(self) -> str | None:
+        """Show the player in a notebook."""
         from ..player.page import notebook_frame
 
         shown = self.panels()
         return None if shown is None else notebook_frame(shown, model=self.model, notes=self.notes)
 
     def _download(self, output: Path) -> Download:
-        """The .glb that was written, else one made of the result, else a link to the output."""
+        """Return the .glb that was written, else one made of the result, else a link to the output."""
         from ..player.page import Download
 
         if output.suffix.lower() == ".glb":
@@ -119,7 +121,7 @@ class _Playable:
 
 @dataclass(frozen=True, eq=False)
 class Result(_Playable):
-    """The identity in the driving's pose, in the identity's own axes, unit and place."""
+    """The identity in the driving's pose, in the identity's axes, unit and position."""
 
     mesh: Mesh
     model: str
@@ -128,8 +130,9 @@ class Result(_Playable):
     report: dict
     notes: tuple[str, ...] = ()
     identity: Mesh | None = field(default=None, repr=False)
-    """What was moved and what it imitated, to be shown beside the result; None leaves the result without a page."""
+    """The mesh that was moved, to be shown beside the result; without it there is no page."""
     driving: Mesh | None = field(default=None, repr=False)
+    """The mesh whose pose was taken, for the same."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
@@ -140,7 +143,7 @@ class Result(_Playable):
         return Clip.still(self.mesh)
 
     def save(self, path: str | Path) -> Path:
-        """Write the mesh in the format of the suffix; the identity's own suffix keeps all that its file had."""
+        """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file."""
         with self.seconds.step("write"):
             save_mesh(self.mesh, Path(path))
         return Path(path)
@@ -148,7 +151,7 @@ class Result(_Playable):
 
 @dataclass(frozen=True, eq=False)
 class ClipResult(_Playable):
-    """The identity moving as the driving clip does, in the identity's own axes, unit and place."""
+    """The identity with the driving clip's motion, in the identity's axes, unit and position."""
 
     clip: Clip
     model: str
@@ -157,10 +160,11 @@ class ClipResult(_Playable):
     report: dict
     notes: tuple[str, ...] = ()
     skeleton: AnimatedRig | None = None
-    """What moved the identity, if the model has joints."""
+    """Joints, skinning weights and motion of the identity, if the model has joints."""
     identity: Mesh | None = field(default=None, repr=False)
-    """What was moved and what it imitated, frame by frame; the driving's frames stay in memory, or on disk if many."""
+    """The mesh that was moved, to be shown beside the result; without it there is no page."""
     driving: Clip | None = field(default=None, repr=False)
+    """The clip whose motion was taken, for the same; its frames stay in memory, or on disk if they are many."""
 
     @property
     def fps(self) -> float:
@@ -171,10 +175,13 @@ class ClipResult(_Playable):
         return self.clip
 
     def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
-        """Write the clip in the format of the suffix: a file, a movie, or a folder of meshes where it has none.
+        """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
-        `blendshapes` makes a .glb or .gltf of so many morph targets in all instead of one a frame; `report` then says
-        how far the farthest vertex is from its frame, over the mesh's size.
+        Args:
+            path: the file or folder.
+            blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame. The largest distance
+                of a vertex from its frame, over the mesh's size, is then in `report` ("blendshapes_deviation").
+            progress: is called with the frames done and the frames in all.
         """
         from ..render.movie import write_clip
 
@@ -185,9 +192,10 @@ class ClipResult(_Playable):
         return Path(path)
 
     def save_skinned(self, path: str | Path) -> Path:
-        """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and an animation of turns.
+        """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
-        Small whatever the clip's length, and what game engines take; `report` then says how far it is from the frames.
+        Such files are small for any length of clip, and game engines read them. Their deviation from the frames of
+        this result is then in `report` ("skinned_deviation").
 
         Raises:
             InputError: the model has no joints.

@@ -1,6 +1,6 @@
-"""The steps of every transfer: normalise, prepare, drive, refine, place, undo the normalisation, and report.
+"""The steps of every transfer: normalise, prepare, drive, refine, align, undo the normalisation, and report.
 
-No model is named here. A method that moves joints returns a `SkinnedDrive`; only those take `MotionOptions`.
+No model is named here. Methods that move joints return a `SkinnedDrive`; `MotionOptions` are for these only.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from .report import accelerations, facing, facing_note, quality
 from .result import Timer
 
 Choice = Callable[[Normalization], Method]
-"""A method with its options, given the driving's normalisation."""
+"""Makes a method with its options, given the driving's normalisation."""
 Axes = tuple[str | None, str | None, str | None, str | None]
-"""Up and front of the identity and of the driving; None is detected."""
+"""Up and front of the identity, up and front of the driving; None is detected."""
 KEYFRAMES = 16
-"""Frames of a clip, evenly spread, that a method sees while preparing."""
+"""Largest number of frames, evenly spread over a clip, that a method gets in `prepare`."""
 ROOTS = ("scale", "keep", "drop")
 MIN_GAIN = 0.15
-"""Nats by which the entropy of the skinning weights must fall for other axes to be taken (docs/LOG.md)."""
+"""Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/LOG.md)."""
 
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """What is wanted of a model with joints; see `pipeline.animate`."""
+    """Options of models with joints; see `pipeline.animate`."""
 
     root: str = "scale"
     ground: bool = False
@@ -47,7 +47,7 @@ class MotionOptions:
     skinned: bool = False
 
     def check(self, method: Method) -> None:
-        """Raise InputError where a value makes no sense, or needs joints that the model does not have."""
+        """Raise InputError if a value is not allowed, or needs joints and the method has none."""
         if self.root not in ROOTS:
             raise InputError(f"--root: expected one of {', '.join(ROOTS)}, found {self.root!r}; choose one of them")
         if not 0 <= self.smooth < np.inf:
@@ -62,11 +62,11 @@ class MotionOptions:
 
 @dataclass(frozen=True, eq=False)
 class MovedIdentity:
-    """A result in the identity's axes, unit and place."""
+    """A result in the identity's axes, unit and position, with its report."""
 
     vertices: Float[np.ndarray, "T V 3"]
     skeleton: AnimatedRig | None
-    """What moved the identity, if the method has joints."""
+    """Joints, skinning weights and motion of the identity, if the method has joints."""
     report: dict
     notes: tuple[str, ...]
 
@@ -78,15 +78,16 @@ class _JointMotion:
     drive: SkinnedDrive
     track: JointTrack
     path: Float[np.ndarray, "T 3"]
-    """Positions of the root joint."""
+    """Positions of the identity's root joint."""
 
     def frames(self) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the identity's vertices in every frame."""
         return (self.drive.posed(*pose) for pose in zip(self.track.rotation, self.path, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """An identity and a clip after all work that is done once: frames follow one by one."""
+    """An identity and a clip after all work that is done once; frames are then made one by one."""
 
     identity: Mesh
     clip: Clip
@@ -96,13 +97,13 @@ class Prepared:
     driving_norm: Normalization
     rest: Mesh
     """The identity, normalised."""
-    surface: Refinement | None
+    refinement: Refinement | None
     """Refines results; None leaves them as they are."""
 
     def refined(self, refine: bool | None) -> Prepared:
-        """The same with results refined, or not, or as the method has it (None)."""
-        surface = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
-        return dataclasses.replace(self, surface=surface)
+        """Switch refinement on or off; None takes the method's default."""
+        refinement = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
+        return dataclasses.replace(self, refinement=refinement)
 
 
 def prepare(
@@ -110,23 +111,25 @@ def prepare(
 ) -> Prepared:
     """Normalise both inputs, choose the method and prepare it.
 
-    The options are only checked against the method here: joints move in `play`.
+    The options are only checked here; `play` applies them.
 
     Raises:
         InputError: an axis, the model or its options cannot be used.
     """
+    # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
     options.check(method)
     drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+    # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
     if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive):
-        better = (
+        corrected = (
             reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
             reorient(method, first, norms[1], axes[2:], drive.confidence[1]),
         )
-        if better != norms:
-            norms = better
+        if corrected != norms:
+            norms = corrected
             drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
     rest = _normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).refined(refine)
@@ -139,39 +142,43 @@ def reorient(
     axes: tuple[str | None, str | None],
     confidence: Confidence,
 ) -> Normalization:
-    """Correct axes that were detected wrongly: the same normalisation, or a better one.
+    """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
-    Only where the method hardly recognises the mesh. All orientations that the user's axes leave are tried, the one
-    with the most decided skinning weights wins, and the predicted hips then say where up and front are in it.
+    Needed only where axes were detected and the method does not recognise the mesh. It predicts once for each of the 24
+    orientations that the user's axes allow. The one with the lowest entropy of skinning weights wins, and the axes of
+    the hips predicted in it, rounded to the mesh's axes, are the new up and front.
     """
     if not norm.detected or confidence.recognised:
         return norm
     up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
     allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
-    tried = []
+    predictions = []
     for names in allowed:
-        fitted = Normalization.fit(mesh, *names)
-        entropy, hips = method.quick_predict(_normalised(mesh, fitted))
-        tried.append((entropy, fitted, hips))
-    least, best, hips = min(tried, key=lambda each: each[0])
+        candidate = Normalization.fit(mesh, *names)
+        entropy, hips = method.quick_predict(_normalised(mesh, candidate))
+        predictions.append((entropy, candidate, hips))
+    lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
+    # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
     names = tuple(_nearest_axis(best.rotation.T @ hips[:, k]) for k in (1, 2))
     chosen = Normalization.fit(mesh, *names) if names in allowed else best
-    before = next(entropy for entropy, fitted, _ in tried if (fitted.up, fitted.front) == (norm.up, norm.front))
-    if least > before - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
+    detected = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
+    # A small gain may be noise of the prediction: the detector's axes are then kept.
+    if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
         return norm
     return dataclasses.replace(chosen, detected=True, margin=0.0)
 
 
 def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
-    """The identity in frame t alone, where that frame of the whole clip stands.
+    """Make the identity's vertices in frame t only, at their position in the whole clip.
 
-    Methods that work in windows of frames see it out of context. Paths of joints that are smoothed, grounded or not
-    scaled are for whole clips: see `play`.
+    Methods that work in windows of frames get only frames 0 and t, so their result may differ from that of the clip.
+    `MotionOptions` are not applied: they need the whole clip (see `play`).
     """
-    chosen = [0] if t == 0 else [0, t]
-    driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in chosen)
-    refined = _refined(prepared.drive(driving), prepared.surface, Timer())
-    shift, frames = _placed(refined, prepared.rest.vertices)
+    # Frame 0 is needed too: it fixes the position of the whole clip, and the size of results of some methods.
+    indices = [0] if t == 0 else [0, t]
+    driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in indices)
+    refined = _refined(prepared.drive(driving), prepared.refinement, Timer())
+    shift, frames = _aligned(refined, prepared.rest.vertices)
     *_, vertices = frames
     return prepared.identity_norm.undo(vertices + shift)
 
@@ -187,7 +194,7 @@ def move(
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> MovedIdentity:
-    """Give the identity the motion of a clip.
+    """Give the identity the motion of a clip: `prepare`, then `play`.
 
     Raises:
         InputError: an axis, the model or its options cannot be used.
@@ -204,24 +211,25 @@ def play(
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
 ) -> MovedIdentity:
-    """All frames of a clip and their report; the options have been checked."""
+    """Make all frames of a clip and their report; the options have been checked in `prepare`."""
     identity, clip, rest = prepared.identity, prepared.clip, prepared.rest
     identity_norm, driving_norm = prepared.identity_norm, prepared.driving_norm
     with timer.step("drive"):
         driving = (driving_norm.apply(vertices) for vertices in each_frame(clip.vertices))
         motion, passes = None, 1
         if isinstance(prepared.drive, SkinnedDrive):
-            # All joints are found before the first frame is made: the clip is passed through twice.
+            # Options need the whole motion, so all joints are tracked before the first frame is made: two passes.
             passes = 2
             driving = _counted(driving, progress, len(clip))
             scale = driving_norm.radius / identity_norm.radius
             motion = _joint_motion(prepared.drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
-        shift, frames = _placed(_refined(frames, prepared.surface, timer), rest.vertices)
+        shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
-        before = (passes - 1) * len(clip)
+        before = (passes - 1) * len(clip)  # frames counted in the first pass
         for t, vertices in enumerate(frames):
             moved[t] = identity_norm.undo(vertices + shift)
+            # Long results are on disk: pages that have been written need not stay in memory.
             if t % PAGED == 0:
                 release_pages(moved)
             if progress is not None:
@@ -239,6 +247,7 @@ def play(
 
 
 def _report(prepared: Prepared, moved: Float[np.ndarray, "T V 3"]) -> dict:
+    """Return the part of the report that all methods have."""
     return {
         **quality(prepared.identity, moved),
         **accelerations(prepared.clip, moved),
@@ -254,7 +263,7 @@ def _joint_motion(
     options: MotionOptions,
     scale: float,
 ) -> _JointMotion:
-    """The joints' motion with its options; `scale` is the driving's unit over the identity's."""
+    """Track the joints and apply the options; `scale` is the driving's radius over the identity's, in their units."""
     track = drive.track(frames, fps).smoothed(options.smooth)
     across = scale if options.root == "keep" else None
     return _JointMotion(drive, track, drive.path(track, across, options.root == "drop", options.ground))
@@ -274,7 +283,7 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
 def _counted(
     frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int
 ) -> Iterator[Float[np.ndarray, "U 3"]]:
-    """The frames of the first of two passes."""
+    """Yield frames, counting them as the first of two passes."""
     for t, vertices in enumerate(frames):
         yield vertices
         if progress is not None:
@@ -286,34 +295,34 @@ def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
 
 
 def _keyframes(clip: Clip, first: Mesh, norm: Normalization) -> Clip:
-    """The driving as methods are prepared for it: a few frames, normalised."""
+    """Return at most KEYFRAMES frames of a clip, evenly spread and normalised; `first` is its first frame."""
     chosen = np.linspace(0, len(clip) - 1, min(len(clip), KEYFRAMES)).round().astype(int)
     vertices = norm.apply(clip.vertices[chosen])
     return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
 
 
 def _refined(
-    frames: Iterable[Float[np.ndarray, "V 3"]], surface: Refinement | None, timer: Timer
+    frames: Iterable[Float[np.ndarray, "V 3"]], refinement: Refinement | None, timer: Timer
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """The frames, refined; the time this takes is moved from the step "drive", inside which it runs, to "refine"."""
+    """Yield the frames refined. Their time is moved from the step "drive", inside which this runs, to "refine"."""
     for vertices in frames:
         before = timer["refine"]
         with timer.step("refine"):
-            refined = vertices if surface is None else surface(vertices)
+            refined = vertices if refinement is None else refinement(vertices)
         timer["drive"] -= timer["refine"] - before
         yield refined
 
 
-def _placed(
+def _aligned(
     frames: Iterator[Float[np.ndarray, "V 3"]], rest: Float[np.ndarray, "V 3"]
 ) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
-    """The shift of all frames after which the first stands where the identity stood; and the frames."""
+    """Return the shift that brings the first frame to the identity's position, and the frames (not yet shifted)."""
     first = next(frames)
     return _ground_point(rest) - _ground_point(first), itertools.chain([first], frames)
 
 
 def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
-    """Middle of the bounding box over the ground (x and z), its lowest point along up (y)."""
+    """Return the centre of the bounding box in x and z, at its lowest y."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
 
@@ -321,13 +330,14 @@ def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]
 def _animated_rig(
     identity: Mesh, motion: _JointMotion, norm: Normalization, shift: Float[np.ndarray, " 3"]
 ) -> AnimatedRig:
-    """The joints of a result in the identity's axes, unit and place."""
-    back, drive = norm.rotation.T, motion.drive
-    rig = Rig(back @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
-    turned, root = back @ motion.track.rotation, norm.undo(motion.path + shift)
-    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, turned, root)
+    """Return the rig and its motion in the identity's axes, unit and position."""
+    undo, drive = norm.rotation.T, motion.drive
+    rig = Rig(undo @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
+    rotation, root = undo @ motion.track.rotation, norm.undo(motion.path + shift)
+    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root)
 
 
 def _nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:
+    """Return the name of the coordinate axis nearest to a direction, such as "-z"."""
     k = int(np.abs(direction).argmax())
     return AXES[k if direction[k] > 0 else k + 3]

@@ -22,7 +22,7 @@ from ..pipeline import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
 from ..pipeline.run import Axes, MotionOptions, Prepared, play, pose_frame, prepare
-from ..tools.demo import played
+from ..tools.demo import driving_clip
 from .options import Options
 
 __all__ = [
@@ -63,7 +63,7 @@ def read_clip(path: Path, folder: Path | None, name: str, fps: float | None, ani
 
 def demo_clip(motion: str) -> Clip:
     """Return the shipped body in a shipped motion."""
-    return played(load_body(), motion)
+    return driving_clip(load_body(), motion)
 
 
 def detect_facing(content: Mesh | Clip, axes: tuple[str | None, str | None]) -> dict[str, Any]:

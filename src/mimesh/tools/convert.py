@@ -1,4 +1,4 @@
-"""From any file that is read to any that is written: `mimesh convert`, and where every result is saved."""
+"""Convert files between all formats (`mimesh convert`), and make notes on what a format does not keep."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
 
 RATELESS = (".npy", ".pc2")
-"""Formats whose files, as folders of frames, do not say how fast they are."""
+"""Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
-"""Bytes of a clip from which on a user is told how it gets smaller."""
-POINTS = ("materials", "texture coordinates", "normals", "vertex colours")
-LACKS = {suffix: POINTS for suffix in (".npz", ".off", ".stl")}
+"""Bytes of a clip from which on a note says how to make it smaller."""
+POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
+LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
 LACKS |= {".abc": ("colours of materials", "textures", "vertex colours")}
 LACKS |= dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), ("vertex colours",))
-"""Suffix -> what a new file of it does not hold, of what a Mesh has; caches of points have a mesh beside them."""
+"""Suffix -> attributes of a Mesh that a new file of that format has not. Point caches have a mesh file beside them."""
 
 
 @dataclass(frozen=True)
 class Converted:
-    """What has been written."""
+    """Facts about the file that `convert` has written."""
 
     vertices: int
     frames: int
     fps: float | None
-    """None for a mesh that does not move."""
+    """Frames a second; None for a single mesh."""
     notes: tuple[str, ...]
 
 
@@ -52,43 +52,48 @@ def convert(
     blendshapes: int | None = None,
     progress: Progress | None = None,
 ) -> Converted:
-    """Read a mesh, a clip or a folder of frames, and write it in the format of another name.
+    """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
 
-    What moves is written moving where the format can; a format of one mesh gets it at rest, or the `frame` that is
-    chosen. The file's own format keeps all it holds, but for the points of a `frame`.
+    A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or the chosen
+    `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
 
     Args:
-        fps: as `load_clip`: files with times are sampled at it, others are played at it.
-        frame: this one alone, counted from 0.
+        source: a file or a folder of frames.
+        target: the file to write, or without a suffix a folder of frames.
+        fps: as in `load_clip`: files with times are sampled at this rate, others are played at it.
+        animation: as in `load_clip`.
+        frame: the only frame to convert, counted from 0.
+        start: first frame to take, counted from 0.
+        stop: frame to stop before; None takes all.
+        step: take every `step`-th frame.
         frames_as: suffix of the frames in a folder.
         blendshapes: see `write_clip`.
+        progress: is called with the steps done and the steps in all.
 
     Raises:
-        InputError: a file that cannot be read or written, or a frame that is not there.
+        InputError: a file cannot be read or written, the frame does not exist, or options exclude each other.
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
-    moving = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
     cut = {"--start": start != 0, "--stop": stop is not None, "--step": step != 1}
     if frame is not None:
-        _leave_out(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
-    elif not moving:
-        _leave_out(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
-    if frame is None and not moving and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+        _refuse_options(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
+    elif not holds_clip:
+        _refuse_options(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
+    # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
+    if frame is None and not holds_clip and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         timed = {"--fps": fps is not None, "--animation": animation is not None}
-        _leave_out(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
+        _refuse_options(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
         mesh = load_mesh(source)
-        return _convert_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
+        return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
+    # Reading and writing are half of the progress each.
     clip = load_clip(source, fps, animation, part(progress, 0, 2))
-    if frame is not None:
-        if not -len(clip) <= frame < len(clip):
-            raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
-        start, stop, step = frame, frame + 1 or None, 1
-    clip = cut_clip(clip, start, stop, step)
-    if (len(clip) == 1 and suffix in MESH_WRITERS) or not moving:
-        return _convert_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
+    clip = cut_clip(clip, start, stop, step) if frame is None else _single_frame(clip, frame, source)
+    if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
+        return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
     notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if frame is None and animation is None:
@@ -96,32 +101,41 @@ def convert(
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
 
+def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
+    """Cut a clip to one frame; negative numbers count from the end."""
+    if not -len(clip) <= frame < len(clip):
+        raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
+    return cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
+
+
 def blend_note(deviation: float | None) -> tuple[str, ...]:
-    """What a user should know of a clip shown by few shapes."""
+    """Return a note on how well morph targets approximate a clip; `deviation` is None without them."""
     if deviation is None:
         return ()
     return (f"with these blend shapes no vertex is farther than {deviation:.2g} of the mesh's size from its frame",)
 
 
 def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """What a format that holds less than the mesh's file leaves behind, in words."""
+    """Return a note on the attributes of a mesh that the format of a path does not keep."""
     suffix = path.suffix.lower()
     if mesh.source is not None and mesh.source.suffix == suffix:
         return ()
     has = {
-        "materials": any(one.material for one in mesh.parts),
-        "colours of materials": any(one.material for one in mesh.parts),
-        "textures": any(one.material and one.material.texture for one in mesh.parts),
+        "materials": any(part.material for part in mesh.parts),
+        "colours of materials": any(part.material for part in mesh.parts),
+        "textures": any(part.material and part.material.texture for part in mesh.parts),
         "texture coordinates": mesh.corner_uv is not None,
         "normals": mesh.corner_normals is not None,
         "vertex colours": mesh.vertex_colors is not None,
     }
-    lost = [name for name in LACKS.get(suffix, ()) if has[name]]
-    return (f"{suffix} files as written here hold no {' or '.join(lost)}: left out of {path.name}",) if lost else ()
+    missing = [name for name in LACKS.get(suffix, ()) if has[name]]
+    if not missing:
+        return ()
+    return (f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}",)
 
 
 def size_note(path: Path) -> tuple[str, ...]:
-    """What to say of a clip whose file is large."""
+    """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
         return ()
     joints = ", and --skinned writes joints instead of frames" if path.suffix.lower() in (".glb", ".gltf") else ""
@@ -129,28 +143,28 @@ def size_note(path: Path) -> tuple[str, ...]:
 
 
 def rate_note(fps: float, path: Path) -> tuple[str, ...]:
-    """What to say when a clip is read again from a format that knows no frame rate."""
+    """Return a note that a format has no frame rate, unless the rate is the one that is assumed by default."""
     suffix = path.suffix.lower()
     if (suffix and suffix not in RATELESS) or fps == DEFAULT_FPS:
         return ()
-    return (f"{suffix or 'folders of'} files know no frame rate: read {path.name} with --fps {fps:g}",)
+    return (f"{suffix or 'folders of'} files have no frame rate: read {path.name} with --fps {fps:g}",)
 
 
 def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
-    """What to say of a clip that is played at a rate which neither its files nor the user named."""
+    """Return a note that the frame rate of a clip was assumed, because neither its files nor the user gave it."""
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
-    return (f"{path.name} knows no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
+    return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
 
 def frames_at(frames: int, fps: float) -> str:
-    """How long a clip is, in words."""
+    """Return the length of a clip in words."""
     return f"{frames} {'frame' if frames == 1 else 'frames'} at {fps:g} per second"
 
 
 def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Which animation of several is taken where none is named."""
-    names = getattr(mesh.source, "animations", ())  # glTF alone has several
+    """Return a note on which animation was taken, if a file has several."""
+    names = getattr(mesh.source, "animations", ())  # only glTF files have several
     if len(names) < 2:
         return ()
     return (
@@ -160,18 +174,19 @@ def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 
 
 def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
-    """The progress of one of several parts of equal weight, as progress of the whole."""
+    """Return a function that reports the progress of one of several equal parts as progress of the whole."""
     return progress and (lambda done, total: progress(number * total + done, parts * total))
 
 
-def _leave_out(target: Path, given: dict[str, bool], why: str, instead: str = "") -> None:
-    """Refuse options that would change nothing."""
-    found = [name for name, present in given.items() if present]
-    if found:
-        raise InputError(f"{target}: expected no {found[0]} ({why}), found it; leave it out{instead}")
+def _refuse_options(target: Path, options: dict[str, bool], reason: str, alternative: str = "") -> None:
+    """Raise InputError if an option is given that would have no effect."""
+    given = [name for name, present in options.items() if present]
+    if given:
+        raise InputError(f"{target}: expected no {given[0]} ({reason}), found it; leave it out{alternative}")
 
 
 def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
+    """Return a note on which pose of a moving source was written to a format of one mesh."""
     if source.suffix.lower() in MOTIONS:
         return (f"{target.name} is the first frame; --frame takes another",)
     if getattr(mesh.source, "animations", ()):
@@ -179,7 +194,8 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return ()
 
 
-def _convert_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
+def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
+    """Write one mesh, the first of so many frames."""
     save_mesh(mesh, target)
     notes += not_kept(mesh, target)
     if frames > 1:

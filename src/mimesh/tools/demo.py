@@ -1,4 +1,4 @@
-"""What `mimesh demo` does: a shipped person, standing at rest, takes over a captured motion that another plays."""
+"""The demo of `mimesh demo`: a generated person gets the captured motion of another one."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from ..render.sheet import DRIVING_TINT, page, stack, strip
 from .preview import save_picture, still
 
 MOTION = DEMO
+"""Name of a shipped motion."""
 FRAMES = 36
 RATE = 15.0
-"""Frames per second of the demo: with FRAMES it lasts 2.4 s and stays well under a minute on two cores."""
+"""Frames a second. FRAMES of them last 2.4 s and take well under a minute on two cores."""
 IDENTITY_SHAPE = (-1.2, 1.6, 0.8, -0.9)
 DRIVING_SHAPE = (1.0, -1.0, -0.6, 0.7)
 """Shape coefficients of two clearly different people."""
@@ -29,7 +30,7 @@ DRIVING_SHAPE = (1.0, -1.0, -0.6, 0.7)
 def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     """Write the inputs, the result, its picture and its page into a folder, and return what `--json` prints."""
     body = load_body()
-    identity, driving = person(body, IDENTITY_SHAPE), played(body)
+    identity, driving = person(body, IDENTITY_SHAPE), driving_clip(body)
     result = animate(identity, driving, progress=progress)
     files = {name: folder / name for name in ("identity.obj", "driving.obj", "driving.glb", "result.glb")}
     save_mesh(identity, files["identity.obj"])
@@ -53,21 +54,21 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
 
 
 def person(body: RiggedBody, shape: tuple[float, ...]) -> Mesh:
-    """A person of the given shape at rest."""
+    """Return the mesh of a person at rest, from shape coefficients."""
     return dataclasses.replace(body.mesh(body.shaped(np.array(shape))[0]), name="person")
 
 
-def played(body: RiggedBody, name: str = MOTION) -> Clip:
-    """The driving person playing a shipped motion at the demo's frame rate."""
+def driving_clip(body: RiggedBody, name: str = MOTION) -> Clip:
+    """Return the clip of the driving person with a shipped motion, at about the demo's frame rate."""
     motion = load_motion(name)
     step = max(1, round(motion.fps / RATE))
     cut = slice(0, FRAMES * step, step)
-    taken = dataclasses.replace(motion, rotmat=motion.rotmat[cut], root=motion.root[cut], fps=motion.fps / step)
-    return motion_clip(body, np.array(DRIVING_SHAPE), taken)
+    motion = dataclasses.replace(motion, rotmat=motion.rotmat[cut], root=motion.root[cut], fps=motion.fps / step)
+    return motion_clip(body, np.array(DRIVING_SHAPE), motion)
 
 
 def draw(identity: Mesh, driving: Clip, result: Clip, path: Path) -> Path:
-    """Write a picture: identity + driving = result, and both clips as strips."""
+    """Draw identity, driving and result side by side, and both clips as strips below."""
     middle = len(driving) // 2
     tiles = [
         still(identity, "identity"),

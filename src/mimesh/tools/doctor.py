@@ -1,4 +1,4 @@
-"""What `mimesh doctor` checks: does everything that a transfer needs work here, and if not, what does not."""
+"""Checks of `mimesh doctor`: whether everything that a transfer needs works on this computer."""
 
 from __future__ import annotations
 
@@ -10,26 +10,28 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-NEEDED = ("numpy", "scipy", "onnxruntime", "pillow", "typer", "rich", "jaxtyping", "fast-simplification")
+REQUIRED = ("numpy", "scipy", "onnxruntime", "pillow", "typer", "rich", "jaxtyping", "fast-simplification")
 OPTIONAL = ("torch", "onnx", "safetensors")
+"""Packages of the extra "train"."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One line of the doctor's findings."""
+    """Result of one check."""
 
     name: str
     ok: bool
     found: str
+    """Version, count or error, for the user."""
 
 
 def examine() -> list[Check]:
-    """Run every check; a failed one does not keep the others from running."""
+    """Run all checks; after a failed one the others still run."""
     from .. import __version__
 
     checks = [Check("mimesh", True, f"{__version__}, Python {platform.python_version()}, {platform.platform()}")]
-    checks += [_version(package, needed=True) for package in NEEDED]
-    checks += [_version(package, needed=False) for package in OPTIONAL]
+    checks += [_version(package, required=True) for package in REQUIRED]
+    checks += [_version(package, required=False) for package in OPTIONAL]
     checks.append(
         Check("threads", True, f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}")
     )
@@ -43,17 +45,17 @@ def examine() -> list[Check]:
     return checks + [_probe(name, probe) for name, probe in probes.items()]
 
 
-def _version(package: str, *, needed: bool) -> Check:
+def _version(package: str, *, required: bool) -> Check:
     try:
         return Check(package, True, metadata.version(package))
     except metadata.PackageNotFoundError:
         return Check(
-            package, not needed, "missing" if needed else "not installed (pip install 'mimesh[train]' for training)"
+            package, not required, "missing" if required else "not installed (pip install 'mimesh[train]' for training)"
         )
 
 
 def _probe(name: str, probe: Callable[[], str]) -> Check:
-    # Whatever goes wrong in here is the finding, so nothing is let through and nothing is hidden.
+    # Any error is the result of the check, so all of them are caught here and shown to the user.
     try:
         return Check(name, True, probe())
     except Exception as error:
@@ -87,7 +89,7 @@ def _writable() -> str:
 
 
 def _transfer() -> str:
-    """A person takes another's pose through files on disk, by the shipped network."""
+    """Transfer a pose between two files with the shipped network, and compare the file that is written."""
     import numpy as np
 
     from ..bodies import load_body
@@ -103,7 +105,7 @@ def _transfer() -> str:
         save_mesh(body.mesh(posed), paths[1])
         result = transfer(paths[0], paths[1])
         result.save(paths[2])
-        back = load_mesh(paths[2])
-    if not np.allclose(back.vertices, result.vertices, atol=1e-5):
+        written = load_mesh(paths[2])
+    if not np.allclose(written.vertices, result.vertices, atol=1e-5):
         raise AssertionError("the written result differs from the computed one")
     return f"one person moved by {result.model} in {sum(result.seconds.values()):.1f} s"

@@ -1,4 +1,4 @@
-"""What `mimesh render` does: which picture or movie suits the files, and how it is drawn."""
+"""Draw files as pictures, movies and pages: `mimesh render`."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 PICTURES = (".png", ".jpg", ".jpeg")
 PAGE = ".html"
-FIXED = ("view", "size", "width", "clay", "labels", "background")
-"""Options that pictures and movies have, and pages not: whoever looks at them chooses."""
+NOT_FOR_PAGES = ("view", "size", "width", "clay", "labels", "background")
+"""Options of pictures and movies that pages have not: on a page the viewer chooses them."""
 TURN, TURN_RATE = 60, 20.0
-"""Frames of a full turn, and how many of them there are in a second."""
-PAPERS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.125, 0.135), "none": None}
+"""Frames of a full turn, and frames a second."""
+BACKGROUNDS = {"paper": BACKGROUND, "white": (1.0, 1.0, 1.0), "dark": (0.12, 0.125, 0.135), "none": None}
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class RenderOptions:
     size: int = 480
     """Height of one picture in pixels."""
     width: int | None = None
-    """Its width; None leaves it to the kind of picture."""
+    """Width of one picture in pixels; None leaves it to the kind of picture."""
     clay: bool = False
     up: str = "y"
     front: str | None = None
@@ -54,10 +54,10 @@ class RenderOptions:
     labels: bool = True
     background: str = "paper"
     cut: tuple[int, int | None, int] = (0, None, 1)
-    """First frame, frame to stop before, and step: of a truth that moves, as the clips have been cut."""
+    """First frame, frame to stop before, and step of the clips; a truth that moves is cut in the same way."""
 
     def kind(self, output: Path, clips: Sequence[Clip]) -> str:
-        """What to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
+        """Return what to draw: contact sheet, strip, turntable, heat map, movie, turning movie, heat movie or page."""
         if output.suffix.lower() == PAGE:
             return "page"
         moving = any(len(clip) > 1 for clip in clips)
@@ -71,43 +71,44 @@ class RenderOptions:
         return next((kinds[flag] for flag in self._flags()), default)
 
     def check(self, output: Path) -> None:
-        """Refuse a suffix that is not drawn, and options that exclude each other or the suffix.
+        """Check that the suffix can be drawn and that no options exclude each other or the suffix.
 
         Raises:
-            InputError: says which.
+            InputError: they do.
         """
-        suffix, given = output.suffix.lower(), self._flags()
+        suffix, kinds = output.suffix.lower(), self._flags()
         if suffix not in (*PICTURES, *MOVIES, PAGE):
             known = ".png, .jpg, .webp, .gif, .mp4 or .html"
             raise InputError(f"{output}: expected {known}, found '{suffix}'; name another with -o")
-        if len(given) > 1:
-            raise InputError(f"render: expected one kind of picture, found {' and '.join(given)}; choose one")
+        if len(kinds) > 1:
+            raise InputError(f"render: expected one kind of picture, found {' and '.join(kinds)}; choose one")
         if self.track and (suffix not in MOVIES or self.turntable):
             found = f"'{suffix}'" if suffix not in MOVIES else "--turntable"
             raise InputError(f"{output}: expected a movie of a clip with --track, found {found}; leave it out")
-        none = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
-        if suffix not in PICTURES and given and given[0] in none:
-            raise InputError(f"{output}: expected a picture (.png or .jpg) for {given[0]}, found '{suffix}'; rename it")
+        pictures_only = {PAGE: ("--sheet", "--strip", "--turntable", "--stretch")}.get(suffix, ("--sheet", "--strip"))
+        if suffix not in PICTURES and kinds and kinds[0] in pictures_only:
+            raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
         if suffix == PAGE:
             self._check_page(output)
         elif background_of(self.background) is None and suffix != ".png":
             raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
 
     def _check_page(self, output: Path) -> None:
+        """Raise InputError for options that pages have not."""
         for field in dataclasses.fields(self):
-            if field.name in FIXED and getattr(self, field.name) != field.default:
+            if field.name in NOT_FOR_PAGES and getattr(self, field.name) != field.default:
                 option = "--no-labels" if field.name == "labels" else f"--{field.name}"
                 raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
 
     def _flags(self) -> list[str]:
-        """Kinds of picture that are asked for, by the name of their option."""
+        """Return the options that are given and choose the kind of picture."""
         flags = {"--sheet": self.sheet, "--strip": self.strip, "--turntable": self.turntable}
         flags |= {"--truth": self.truth is not None, "--stretch": self.stretch is not None}
         return [name for name, on in flags.items() if on]
 
     @property
     def look(self) -> dict:
-        """What every kind of picture is told."""
+        """Arguments that all drawing functions have."""
         return {
             "view": self.view,
             "up": self.up,
@@ -117,113 +118,115 @@ class RenderOptions:
         }
 
     def tile(self, aspect: float) -> tuple[int, int]:
-        """Width and height of one picture that would have this ratio of them."""
+        """Return width and height of one picture; `aspect` is their ratio if the width is not given."""
         return self.width or round(self.size * aspect), self.size
 
 
 def background_of(name: str) -> sheet.Color:
-    """sRGB in 0..1 of a name in PAPERS or of #rrggbb; None for none.
+    """Return the sRGB colour (0..1) of a name in BACKGROUNDS or of #rrggbb; None for "none".
 
     Raises:
         InputError: neither.
     """
-    if name in PAPERS:
-        return PAPERS[name]
+    if name in BACKGROUNDS:
+        return BACKGROUNDS[name]
     digits = name.removeprefix("#")
     if len(digits) != 6 or not set(digits.lower()) <= set("0123456789abcdef"):
-        raise InputError(f"--background: expected {', '.join(PAPERS)} or #rrggbb, found {name}; name one of them")
+        raise InputError(f"--background: expected {', '.join(BACKGROUNDS)} or #rrggbb, found {name}; name one of them")
     red, green, blue = (int(digits[k : k + 2], 16) / 255 for k in (0, 2, 4))
     return red, green, blue
 
 
 def draw(
-    wanted: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path, progress: Progress | None = None
+    options: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path, progress: Progress | None = None
 ) -> str:
-    """Write a picture, movie or page of clips (a mesh is one of one frame), and return what kind it is.
+    """Write a picture, movie or page of clips (a mesh is a clip of one frame), and return its kind.
 
     Raises:
-        InputError: as `Wanted.check`, several files where one is drawn, or a place that cannot be written to.
+        InputError: as `RenderOptions.check`; several files for a picture of one; or the output cannot be written.
     """
-    wanted.check(output)
-    kind = wanted.kind(output, clips)
+    options.check(output)
+    kind = options.kind(output, clips)
     if kind == "page":
-        _write_page(wanted, names, clips, output)
+        _write_page(options, names, clips, output)
     elif kind in ("movie", "turning movie", "heat movie"):
-        frames, count, rate = _movie(kind, wanted, names, clips)
+        frames, count, rate = _movie(kind, options, names, clips)
         movie.save_movie(counted(frames, count, progress), output, rate)
     else:
-        save_picture(_picture(kind, wanted, names, clips), output)
+        save_picture(_picture(kind, options, names, clips), output)
     return kind
 
 
-def _write_page(wanted: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path) -> None:
-    """A page that plays the files side by side; with a truth, the last of them is measured against it."""
-    up, front = wanted.up, wanted.front
-    shown = [Panel("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
-    if wanted.truth is not None:
-        truth = _truth(wanted, wanted.truth, clips[-1].fps * wanted.cut[2])
+def _write_page(options: RenderOptions, names: Sequence[str], clips: Sequence[Clip], output: Path) -> None:
+    """Write a page that plays the files side by side; with a truth it shows the errors of the last one."""
+    up, front = options.up, options.front
+    panels = [Panel("mesh", clip, name, up, front) for name, clip in zip(names, clips, strict=True)]
+    if options.truth is not None:
+        truth = _truth(options, options.truth, clips[-1].fps * options.cut[2])
         counts = len(clips[-1].mesh.vertices), len(truth.mesh.vertices)
         if counts[0] != counts[1]:
             raise InputError(
-                f"{wanted.truth}: expected the truth to have {counts[0]} vertices, found {counts[1]}; "
+                f"{options.truth}: expected the truth to have {counts[0]} vertices, found {counts[1]}; "
                 "give one of the same mesh"
             )
-        shown[-1] = Panel("result", clips[-1], names[-1], up, front)
-        shown.append(Panel("truth", truth, wanted.truth.name, up, front))
-    write_player(output, shown, title=output.stem)
+        panels[-1] = Panel("result", clips[-1], names[-1], up, front)
+        panels.append(Panel("truth", truth, options.truth.name, up, front))
+    write_player(output, panels, title=output.stem)
 
 
-def _movie(kind, wanted, names, clips) -> tuple[Iterator[Image.Image], int, float]:
-    """Pictures, how many there are, and how many of them make a second."""
+def _movie(kind, options, names, clips) -> tuple[Iterator[Image.Image], int, float]:
+    """Return the pictures of a movie, their number, and the frame rate."""
     if kind == "turning movie":
-        options = {name: value for name, value in wanted.look.items() if name != "labels"}
-        mesh = _first_frame(_only(names, clips))
-        return movie.turntable_frames(mesh, TURN, wanted.tile(1.0), clay=wanted.clay, **options), TURN, TURN_RATE
+        look = {name: value for name, value in options.look.items() if name != "labels"}
+        mesh = _first_frame(_single(names, clips))
+        return movie.turntable_frames(mesh, TURN, options.tile(1.0), clay=options.clay, **look), TURN, TURN_RATE
     rate = clips[0].fps
     if kind == "heat movie":
-        clip = _only(names, clips)
-        return _heat(wanted, clip), len(clip), rate
+        clip = _single(names, clips)
+        return _heat(options, clip), len(clip), rate
     labels = names if len(clips) > 1 else [""]
     named = list(zip(labels, clips, strict=True))
-    frames = movie.clip_frames(named, wanted.tile(1.0), clay=wanted.clay, track=wanted.track, **wanted.look)
+    frames = movie.clip_frames(named, options.tile(1.0), clay=options.clay, track=options.track, **options.look)
     return frames, max(round(clip.seconds * rate) for clip in clips), rate
 
 
-def _picture(kind, wanted, names, clips) -> Image.Image:
-    options = {**wanted.look, "clay": wanted.clay}
+def _picture(kind, options, names, clips) -> Image.Image:
+    """Draw a picture that does not move."""
+    look = {**options.look, "clay": options.clay}
     if kind == "strip":
-        return sheet.stack([sheet.strip(clip, 8, wanted.tile(0.75), **options) for clip in clips])
+        return sheet.stack([sheet.strip(clip, 8, options.tile(0.75), **look) for clip in clips])
     if kind == "turntable":
-        return sheet.turntable(_first_frame(_only(names, clips)), 8, wanted.tile(1.0), **options)
+        return sheet.turntable(_first_frame(_single(names, clips)), 8, options.tile(1.0), **look)
     if kind == "heat map":
-        return next(_heat(wanted, _only(names, clips)))
+        return next(_heat(options, _single(names, clips)))
     items = [(name, _first_frame(clip)) for name, clip in zip(names, clips, strict=True)]
-    return sheet.contact_sheet(items, tile=wanted.tile(5 / 6), **options)
+    return sheet.contact_sheet(items, tile=options.tile(5 / 6), **look)
 
 
-def _heat(wanted: RenderOptions, clip: Clip) -> Iterator[Image.Image]:
-    if wanted.truth is not None:
-        truth = _truth(wanted, wanted.truth)
+def _heat(options: RenderOptions, clip: Clip) -> Iterator[Image.Image]:
+    """Draw heat maps of the frames: distance to the truth (mm), or stretch of edges (%)."""
+    if options.truth is not None:
+        truth = _truth(options, options.truth)
         points = truth.vertices if len(truth) > 1 else truth.mesh.vertices
         measure, unit = heat.distance_to(clip, np.asarray(points)), "mm"
     else:
-        assert wanted.stretch is not None
-        measure, unit = heat.stretch_of(clip, load_clip(wanted.stretch).mesh.vertices), "%"
-    return heat.heat_frames(clip, measure, unit, wanted.tile(5 / 6), track=wanted.track, **wanted.look)
+        assert options.stretch is not None
+        measure, unit = heat.stretch_of(clip, load_clip(options.stretch).mesh.vertices), "%"
+    return heat.heat_frames(clip, measure, unit, options.tile(5 / 6), track=options.track, **options.look)
 
 
-def _truth(wanted: RenderOptions, path: Path, fps: float | None = None) -> Clip:
-    """The truth, cut as the clips are; a truth of one frame is that of all."""
+def _truth(options: RenderOptions, path: Path, fps: float | None = None) -> Clip:
+    """Load the truth and cut it as the clips are; a truth of one frame is used for all frames."""
     truth = load_clip(path, fps=fps)
-    return cut_clip(truth, *wanted.cut) if len(truth) > 1 else truth
+    return cut_clip(truth, *options.cut) if len(truth) > 1 else truth
 
 
 def _first_frame(clip: Clip):
-    """The mesh at rest where nothing moves, else as it stands in the first frame."""
+    """Return the mesh of a clip with the vertices of its first frame."""
     return clip.mesh if len(clip) == 1 else clip.mesh.with_vertices(clip.vertices[0].astype(np.float64))
 
 
-def _only(names: Sequence[str], clips: Sequence[Clip]) -> Clip:
+def _single(names: Sequence[str], clips: Sequence[Clip]) -> Clip:
     if len(clips) != 1:
         raise InputError(f"render: expected one file for this picture, found {len(names)}; draw them one by one")
     return clips[0]

@@ -1,4 +1,4 @@
-"""What a mesh file holds and what is wrong with it: the facts behind `mimesh look`."""
+"""Collect facts about a mesh file, and problems of its surface: `mimesh look`."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 
 PERSON = (1.4, 2.1)
-"""Metres: the longest side of a standing person, arms spread or not."""
+"""Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
 UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
+"""Names of units, and their length in metres."""
 
 
 @dataclass(frozen=True)
 class FileFacts:
-    """Everything `mimesh look` says about one file; None where a question has no answer."""
+    """Everything `mimesh look` prints about one file; None where a fact does not apply or is unknown."""
 
     name: str
     format: str
@@ -29,23 +30,24 @@ class FileFacts:
     positions: int
     """Distinct positions; formats that split vertices at seams hold fewer of these than vertices."""
     faces: int
-    """Triangles, after fans through larger polygons."""
+    """Triangles; larger polygons are split into fans."""
     polygons: int | None
-    """Faces as the file has them, where that is known."""
+    """Faces in the file before they are split, where known."""
     components: int
-    """Pieces that share no position; for a point cloud, 0."""
+    """Connected components, across vertices at one position; 0 for a point cloud."""
     low: tuple[float, float, float]
     """Corner of the bounding box, in the file's unit."""
     high: tuple[float, float, float]
+    """The opposite corner."""
     unit_guess: str | None
-    """The unit in which the longest side is that of a person: m, dm, cm, mm or inch."""
+    """Unit in which the longest side would be that of a person: m, dm, cm, mm or inch."""
     watertight: bool
     """Every edge joins exactly two faces."""
     boundary_edges: int
     non_manifold_edges: int
     """Edges of three faces or more."""
     consistent_winding: bool
-    """Faces that share an edge agree on which side is out."""
+    """Adjacent faces agree on which side is the outside."""
     inside_out: bool | None
     """The enclosed volume is negative; None for sheets, point clouds and mixed winding."""
     degenerate_faces: int
@@ -65,13 +67,13 @@ class FileFacts:
     fps: float | None
     seconds: float | None
     animations: tuple[str, ...]
-    """Names of those in the file; the clip is the first."""
+    """Names of the animations in the file; the clip is the first."""
     details: tuple[tuple[str, str], ...]
-    """What else the file says, name and value: its unit and axes, joints, blend shapes, who plays a motion."""
+    """Further facts of the format, as name and value: unit, axes, joints, blend shapes, body of a motion."""
     stands: str | None
-    """Which way it stands and faces if it is a person, found from its shape; None for what has no surface."""
+    """Axes up and front, detected from the shape as if it were a person; None for a point cloud."""
     notes: tuple[str, ...]
-    """What the file holds that a moved copy of it will not, one line each."""
+    """Contents of the file that a result in its format will not have, one line each."""
 
     @property
     def size(self) -> tuple[float, float, float]:
@@ -80,23 +82,23 @@ class FileFacts:
         return x, y, z
 
     def text(self) -> str:
-        """One aligned line per fact that matters; warnings last."""
+        """Return one aligned line for each fact; warnings come last."""
         rows = list(_rows(self))
         rows += [("on writing", note) for note in self.notes] + [("warning", warning) for warning in self.warnings()]
         width = max(len(key) for key, _ in rows) + 2
         return "\n".join([self.name, *(f"  {key:<{width}}{value}" for key, value in rows)])
 
     def warnings(self) -> list[str]:
-        """What may spoil a transfer or surprise the user, most serious first, each with what to do."""
+        """Return problems that may spoil a transfer, most serious first, each with what to do."""
         return list(_warnings(self))
 
     def as_dict(self) -> dict[str, object]:
-        """Plain values for JSON, `size` and `warnings` included."""
+        """Return plain values for JSON, with `size` and `warnings`."""
         return dataclasses.asdict(self) | {"size": self.size, "warnings": self.warnings()}
 
 
 def inspect_file(path: str | Path) -> FileFacts:
-    """Read a mesh, a clip or a folder of frames and tell what it holds.
+    """Read a mesh, a clip or a folder of frames and collect its facts.
 
     Raises:
         InputError: the file cannot be read (see `mimesh.io`).
@@ -112,12 +114,14 @@ def inspect_file(path: str | Path) -> FileFacts:
 
 
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> FileFacts:
-    """The facts of a mesh in memory, and of the clip and file it belongs to where they are given."""
+    """Collect the facts of a mesh in memory, and of its clip and its file where given."""
     path = None if path is None else Path(path)
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
-    solid = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    counts, balance = _edge_use(solid)
+    # Faces between three distinct positions.
+    proper = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    # The topology is that of welded positions: formats split vertices at seams of UVs and normals.
+    counts, balance = _edge_use(proper)
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     materials = list(dict.fromkeys(part.material for part in mesh.parts if part.material))
     consistent = not (balance != 0)[counts == 2].any()
@@ -129,7 +133,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         positions=len(merged),
         faces=len(mesh.faces),
         polygons=_polygons(mesh),
-        components=_components(solid, len(merged)),
+        components=_components(proper, len(merged)),
         low=_triple(low),
         high=_triple(high),
         unit_guess=_unit_guess(float((high - low).max())),
@@ -137,9 +141,9 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         boundary_edges=int((counts == 1).sum()),
         non_manifold_edges=int((counts > 2).sum()),
         consistent_winding=consistent,
-        inside_out=_inside_out(merged, solid, counts) if consistent else None,
+        inside_out=_inside_out(merged, proper, counts) if consistent else None,
         degenerate_faces=int((face_areas(mesh.vertices, mesh.faces) == 0).sum()),
-        duplicate_faces=len(solid) - len(np.unique(np.sort(solid, axis=1), axis=0)),
+        duplicate_faces=len(proper) - len(np.unique(np.sort(proper, axis=1), axis=0)),
         loose_vertices=len(mesh.vertices) - len(np.unique(mesh.faces)) if len(mesh.faces) else 0,
         has_uv=mesh.corner_uv is not None,
         has_normals=mesh.corner_normals is not None,
@@ -150,7 +154,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         frames=len(clip) if clip is not None else 1,
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
-        animations=getattr(mesh.source, "animations", ()),  # only some formats have anything to say
+        animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
         details=getattr(mesh.source, "details", ()),
         stands=_stands(mesh) if len(mesh.faces) else None,
         notes=getattr(mesh.source, "notes", ()),
@@ -158,6 +162,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
+    """Yield the lines of the text, as name and value."""
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
     yield from facts.details
@@ -219,8 +224,8 @@ def _names(names: tuple[str, ...], shown: int = 6) -> str:
     return f"{len(names)}: " + ", ".join(distinct[:shown]) + more
 
 
-def _plural(count: int, one: str, many: str | None = None) -> str:
-    return f"{count:,} {one if count == 1 else many or one + 's'}"
+def _plural(count: int, singular: str, plural: str | None = None) -> str:
+    return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
 
 
 def _polygons(mesh: Mesh) -> int | None:
@@ -230,7 +235,7 @@ def _polygons(mesh: Mesh) -> int | None:
 
 
 def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Animations and details of a file without a mesh."""
+    """Return animations and details of a file without a mesh."""
     from ..io.formats import ANIMATED
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
@@ -239,17 +244,17 @@ def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
 
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
-        return animation_names(document), (_played(gltf_joints(document)), *document_details(document))
-    return (), ((_played(motion_joints(path)),) if is_motion_file(path) else ())
+        return animation_names(document), (_motion_detail(gltf_joints(document)), *document_details(document))
+    return (), ((_motion_detail(motion_joints(path)),) if is_motion_file(path) else ())
 
 
-def _played(joints: int) -> tuple[str, str]:
-    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which is what is told here"
+def _motion_detail(joints: int) -> tuple[str, str]:
+    return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which these facts describe"
 
 
 def _stands(mesh: Mesh) -> str:
-    frame = Normalization.fit(mesh)
-    return f"up {frame.up}, front {frame.front}, taken for a person{' (a guess)' if frame.unsure else ''}"
+    norm = Normalization.fit(mesh)
+    return f"up {norm.up}, front {norm.front}, taken for a person{' (a guess)' if norm.unsure else ''}"
 
 
 def _format(path: Path | None) -> str:
@@ -264,7 +269,7 @@ def _triple(vector: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
 
 
 def _edge_use(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " E"], Int[np.ndarray, " E"]]:
-    """How many faces use each edge, and how many more use it from the smaller index to the larger than back."""
+    """Count the faces at each edge, and how many more have it from the smaller index to the larger than reversed."""
     pairs = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
     forward = np.where(pairs[:, 0] < pairs[:, 1], 1, -1)
     _, edge, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True, return_counts=True)
@@ -285,13 +290,14 @@ def _components(faces: Int[np.ndarray, "F 3"], size: int) -> int:
 
 
 def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"], counts) -> bool | None:
-    """Sign of the volume between the faces and their middle; None where so many edges are open that it says nothing."""
+    """Whether the faces enclose a negative volume; None where more than 5 % of the edges are open."""
     if len(faces) == 0 or (counts == 1).sum() > 0.05 * len(counts):
         return None
+    # Signed volumes of the tetrahedra from the centroid to each face; the centroid makes open edges matter least.
     local = vertices - vertices[faces].mean(axis=(0, 1))
     return bool((local[faces[:, 0]] * face_vectors(local, faces)).sum() < 0)
 
 
 def _unit_guess(longest: float) -> str | None:
-    """The only unit in which the longest side is a person's height; the ranges do not overlap."""
+    """Return the unit in which the longest side is a person's height; the ranges of two units do not overlap."""
     return next((unit for unit, metres in UNITS if PERSON[0] <= longest * metres <= PERSON[1]), None)

@@ -1,4 +1,4 @@
-"""The picture and the page written beside a result: what moved, what it followed, and what came out."""
+"""The picture and the page that are written beside a result: identity, driving and result."""
 
 from __future__ import annotations
 
@@ -15,47 +15,48 @@ if TYPE_CHECKING:
     from PIL import Image
 
 TILE = (360, 440)
+"""Width and height of one picture in pixels."""
 
 
 def beside(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
-    """Write `output`.preview.png and `output`.preview.html, the page that plays it; returns their paths."""
+    """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths."""
     picture, page = names_beside(output)
     save_picture(result_picture(result), picture)
     return picture, result.player(page, output=output)
 
 
 def names_beside(output: Path) -> tuple[Path, Path]:
-    """Paths of the picture and of the page that are written beside an output."""
+    """Return the paths of the picture and of the page beside an output."""
     base = output.with_suffix("") if output.suffix else output
     return base.with_name(f"{base.name}.preview.png"), base.with_name(f"{base.name}.preview.html")
 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:
-    """Identity, driving and result side by side; of a clip, driving and result as two strips."""
-    own, theirs = _axes(result.report, "identity"), _axes(result.report, "driving")
+    """Draw identity, driving and result side by side; of a clip, driving and result as two strips."""
+    identity_axes, driving_axes = _axes(result.report, "identity"), _axes(result.report, "driving")
     if isinstance(result, ClipResult):
         assert result.driving is not None
-        clips = ((result.driving, theirs, DRIVING_TINT), (result.clip, own, None))
+        clips = ((result.driving, driving_axes, DRIVING_TINT), (result.clip, identity_axes, None))
         return stack([strip(clip, 6, (220, 280), tint=tint, **axes) for clip, axes, tint in clips])
     assert result.identity is not None
     assert result.driving is not None
     tiles = [
-        still(result.identity, "identity", **own),
-        still(result.driving, "driving", tint=DRIVING_TINT, **theirs),
-        still(result.mesh, f"result ({result.model})", **own),
+        still(result.identity, "identity", **identity_axes),
+        still(result.driving, "driving", tint=DRIVING_TINT, **driving_axes),
+        still(result.mesh, f"result ({result.model})", **identity_axes),
     ]
     return page(tiles, len(tiles))
 
 
 def save_picture(image: Image.Image, path: Path) -> Path:
-    """Write a PNG or JPEG, whole or not at all."""
+    """Write a PNG or JPEG; after an error no incomplete file is left."""
     with writing(path), whole_file(path) as temporary:
         image.save(temporary)
     return path
 
 
 def still(mesh: Mesh, label: str, *, tint=None, up: str = "y", front: str | None = None) -> Image.Image:
-    """One captioned picture of a mesh, in its own colours or in the tint's clay."""
+    """Draw a captioned picture of a mesh, in its own colours or in those of a tint."""
     return next(clip_frames([(label, Clip.still(mesh))], TILE, tints=[tint], up=up, front=front))
 
 

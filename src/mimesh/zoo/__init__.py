@@ -1,4 +1,4 @@
-"""Shipped weights, one `.onnx` and one card (`.json`) each; the card says what it was made from and how good it is."""
+"""Shipped networks, an `.onnx` file and a card (`.json`) each. The card has the training data, licence and errors."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def cards() -> list[dict[str, Any]]:
-    """The cards of all shipped networks by name; `bytes` is the size of the network's file, 0 where it is missing."""
+    """Return the cards of all shipped networks by name, with `bytes`, the size of the network's file (0: missing)."""
     return [_card(entry) for entry in sorted(_folder().iterdir(), key=lambda e: e.name) if entry.name.endswith(".json")]
 
 

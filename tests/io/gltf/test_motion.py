@@ -225,7 +225,7 @@ def test_motion_is_selected_by_animation_name(rigged, tmp_path):
         load_clip(path, animation="Nap")
     facts = inspect_file(path)
     assert facts.animations == ("Rig|Leap", "Rig|Lean")
-    assert facts.details[0] == ("motion", "31 joints, played on the shipped body, which is what is told here")
+    assert facts.details[0] == ("motion", "31 joints, played on the shipped body, which these facts describe")
     assert ("animation", "Rig|Lean, 0.67 s") in facts.details
 
 

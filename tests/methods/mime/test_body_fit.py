@@ -1,4 +1,4 @@
-"""Fits find the joints that a person has, from where they are nearly read, in any unit, place and turn."""
+"""Fits find the joints of a person from rough predictions, in any unit, position and heading."""
 
 import numpy as np
 import pytest
@@ -19,24 +19,26 @@ BODY = load_body()
 
 
 def person(seed=0):
-    """Points of a person in a pose of Table 6, and the truth of rotations and joints."""
+    """Points of a person in a pose of Table 6, and the true rotations and positions of the joints."""
     shape, pose = sample_shape(BODY, seed, 0), Rotation.from_rotvec(sample_pose(BODY, seed, 0)).as_matrix()
     vertices, joints = BODY.posed(shape, pose), BODY.shaped(shape)[1]
     rotation, offset = BODY.skinning_transforms(joints, pose)
-    face, shares = sample_surface(vertices, BODY.faces, 4096, np.random.default_rng(seed))
-    cloud = SurfaceSample(at_barycentric(vertices, BODY.faces, face, shares), face_normals(vertices, BODY.faces)[face])
-    return cloud, rotation, offset + (rotation @ joints[..., None])[..., 0]
+    face, barycentric = sample_surface(vertices, BODY.faces, 4096, np.random.default_rng(seed))
+    points = at_barycentric(vertices, BODY.faces, face, barycentric)
+    surface = SurfaceSample(points, face_normals(vertices, BODY.faces)[face])
+    return surface, rotation, offset + (rotation @ joints[..., None])[..., 0]
 
 
-def misread(rotation, joints, seed=0, turn=0.1, away=0.03):
+def predicted(rotation, joints, seed=0, radians=0.1, metres=0.03):
+    """The true rotations and joints with noise of these standard deviations."""
     rng = np.random.default_rng(seed)
-    off = Rotation.from_rotvec(turn * rng.normal(size=(31, 3))).as_matrix()
-    return off @ rotation, joints + away * rng.normal(size=joints.shape)
+    noise = Rotation.from_rotvec(radians * rng.normal(size=(31, 3))).as_matrix()
+    return noise @ rotation, joints + metres * rng.normal(size=joints.shape)
 
 
-def errors(found, true):
+def errors(pose, true):
     """Mean error of rotations (degrees) and joints (metres)."""
-    rotation, joints = (found.rotation, found.joints) if isinstance(found, BodyFit) else found
+    rotation, joints = (pose.rotation, pose.joints) if isinstance(pose, BodyFit) else pose
     cosine = (np.einsum("jab,jab->j", rotation, true[0]) - 1) / 2
     degrees = np.degrees(np.arccos(cosine.clip(-1, 1))).mean()
     return degrees, np.linalg.norm(joints - true[1], axis=1).mean()
@@ -44,65 +46,69 @@ def errors(found, true):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_joints_are_found(seed):
-    cloud, *true = person(seed)
-    read = misread(*true, seed)
-    fit = fit_body(cloud, *read)
+    surface, *true = person(seed)
+    prediction = predicted(*true, seed)
+    fit = fit_body(surface, *prediction)
     degrees, metres = errors(fit, true)
-    before = errors(read, true)
+    before = errors(prediction, true)
     assert max(fit.unmatched_body.values()) < 0.01
     assert degrees < 4 < before[0]
     assert metres < 0.01 < 0.04 < before[1]
 
 
-def test_without_normals_too():
-    cloud, *true = person()
-    degrees, metres = errors(fit_body(SurfaceSample(cloud.points, 0 * cloud.normals), *misread(*true)), true)
+def test_joints_are_found_without_normals():
+    surface, *true = person()
+    fit = fit_body(SurfaceSample(surface.points, 0 * surface.normals), *predicted(*true))
+    degrees, metres = errors(fit, true)
     assert degrees < 5
     assert metres < 0.02
 
 
-def test_a_surface_inside_out_is_turned_over():
-    cloud, *true = person()
-    read = misread(*true)
-    over = fit_body(SurfaceSample(cloud.points, -cloud.normals), *read)
-    assert np.array_equal(over.joints, fit_body(cloud, *read).joints)
+def test_inverted_normals_are_flipped():
+    surface, *true = person()
+    prediction = predicted(*true)
+    inverted = fit_body(SurfaceSample(surface.points, -surface.normals), *prediction)
+    assert np.array_equal(inverted.joints, fit_body(surface, *prediction).joints)
 
 
-def test_one_side_is_enough():
-    cloud, *true = person()
-    seen = cloud.normals[:, 2] > 0
-    degrees, metres = errors(fit_body(SurfaceSample(cloud.points[seen], cloud.normals[seen]), *misread(*true)), true)
+def test_joints_are_found_in_a_one_sided_scan():
+    surface, *true = person()
+    front = surface.normals[:, 2] > 0
+    fit = fit_body(SurfaceSample(surface.points[front], surface.normals[front]), *predicted(*true))
+    degrees, metres = errors(fit, true)
     assert degrees < 5
     assert metres < 0.015
 
 
-def test_any_unit_place_and_turn():
-    cloud, *true = person()
-    read = misread(*true)
+def test_unit_position_and_heading_do_not_matter():
+    surface, *true = person()
+    rotation, joints = predicted(*true)
     turn, shift = Rotation.from_rotvec([0.4, 2.0, -1.0]).as_matrix(), np.array([3.0, -2.0, 50.0])
-    moved = SurfaceSample(100 * cloud.points @ turn.T + shift, cloud.normals @ turn.T)
-    here, there = fit_body(cloud, *read), fit_body(moved, turn @ read[0], 100 * read[1] @ turn.T + shift)
-    assert np.allclose(there.rotation, turn @ here.rotation, atol=1e-5)
-    assert np.allclose(there.joints, 100 * here.joints @ turn.T + shift, atol=1e-3)
-    assert there.unmatched_body == here.unmatched_body
+    moved = SurfaceSample(100 * surface.points @ turn.T + shift, surface.normals @ turn.T)
+    fit, moved_fit = (
+        fit_body(surface, rotation, joints),
+        fit_body(moved, turn @ rotation, 100 * joints @ turn.T + shift),
+    )
+    assert np.allclose(moved_fit.rotation, turn @ fit.rotation, atol=1e-5)
+    assert np.allclose(moved_fit.joints, 100 * fit.joints @ turn.T + shift, atol=1e-3)
+    assert moved_fit.unmatched_body == fit.unmatched_body
 
 
-def test_what_no_point_tells_is_as_it_was_read():
-    """A person without the arm: the rest is found, and the arm hangs where it was read."""
-    cloud, *true = person()
+def test_missing_arm_stays_near_its_prediction():
+    surface, *true = person()
     hand, spine = BODY.joint("LeftHand"), BODY.joint("Spine1")
-    read = misread(*true, away=0.01)
-    kept = cloud.points @ [1, 0, 0] < true[1][BODY.joint("LeftArm"), 0]
-    fit = fit_body(SurfaceSample(cloud.points[kept], cloud.normals[kept]), *read)
+    prediction = predicted(*true, metres=0.01)
+    rest = surface.points @ [1, 0, 0] < true[1][BODY.joint("LeftArm"), 0]
+    fit = fit_body(SurfaceSample(surface.points[rest], surface.normals[rest]), *prediction)
     assert np.linalg.norm(fit.joints[spine] - true[1][spine]) < 0.02
-    assert np.linalg.norm(fit.joints[hand] - read[1][hand]) < 0.3
+    assert np.linalg.norm(fit.joints[hand] - prediction[1][hand]) < 0.3
     assert fit.unmatched_body["left arm"] > 0.2 > 0.02 > fit.unmatched_body["right arm"]
 
 
 @pytest.mark.parametrize("flat", [[1, 1, 0], [1, 0, 0], [1e-9, 1e-9, 1e-9]])
-def test_what_is_no_person_gives_numbers_all_the_same(flat):
-    cloud, *true = person()
-    fit = fit_body(SurfaceSample(cloud.points * flat, cloud.normals), *true)
+def test_fit_to_a_flat_surface_is_finite(flat):
+    surface, *true = person()
+    fit = fit_body(SurfaceSample(surface.points * flat, surface.normals), *true)
     assert np.isfinite(fit.joints).all()
     assert np.allclose(fit.rotation @ fit.rotation.mT, np.eye(3), atol=1e-6)
 
@@ -111,16 +117,16 @@ def pair():
     return PROTOCOLS["human-npt"].pair("val", "unseen", 1)
 
 
-def test_mime_is_a_fit_from_where_its_network_reads():
+def test_fit_improves_on_the_network_alone():
     trial = pair()
-    fit, alone = (
+    with_fit, network_alone = (
         pmd_of_pair(transfer(trial.identity, trial.driving, model, **AXES).vertices, trial.truth)
         for model in ("mime", "mime-network")
     )
-    assert fit < 0.5e-4 < alone
+    assert with_fit < 0.5e-4 < network_alone
 
 
-def test_shuffled_vertices_change_nothing_but_their_order():
+def test_permuted_vertices_permute_the_result():
     trial, rng = pair(), np.random.default_rng(5)
     expected = transfer(trial.identity, trial.driving, "mime", **AXES).vertices
     order = rng.permutation(len(trial.identity.vertices))

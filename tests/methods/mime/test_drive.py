@@ -1,4 +1,4 @@
-"""mime's run time: what stands stands, what turns turns, samples are the surface's, and weights are of all vertices."""
+"""mime at run time: still and rigid motions are reproduced, samples lie on the surface, all vertices have weights."""
 
 import dataclasses
 import json
@@ -38,25 +38,25 @@ def moved(method, frames, mesh=DRIVING):
     return list(drive(iter(frames)))
 
 
-def test_it_is_a_method(method):
+def test_mime_is_a_method(method):
     assert isinstance(method, Method)
 
 
-def test_a_driving_that_stands_gives_a_result_that_stands(method):
+def test_still_driving_gives_a_still_result(method):
     first, *others = moved(method, [DRIVING.vertices] * 4)
     assert all(np.array_equal(frame, first) for frame in others)
 
 
-def test_a_driving_that_turns_as_a_whole_turns_the_result_as_a_whole(method):
+def test_rotation_of_the_driving_rotates_the_result(method):
     turn = Rotation.from_rotvec([0.0, 1.2, 0.4]).as_matrix()
     first, second = moved(method, [DRIVING.vertices, DRIVING.vertices @ turn.T])
     first, second = (frame - frame.mean(axis=0) for frame in (first, second))
     assert np.allclose(second, first @ turn.T, atol=1e-5)
 
 
-def test_meshes_inside_out_are_read_all_the_same(path):
-    inside = [dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) for mesh in (IDENTITY, DRIVING)]
-    results = [transfer(*meshes, path).vertices for meshes in ((IDENTITY, DRIVING), inside)]
+def test_inverted_faces_do_not_change_the_result(path):
+    inverted = [dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) for mesh in (IDENTITY, DRIVING)]
+    results = [transfer(*meshes, path).vertices for meshes in ((IDENTITY, DRIVING), inverted)]
     assert np.array_equal(*results)
 
 
@@ -67,7 +67,7 @@ def test_other_poses_give_other_results(path):
     assert np.linalg.norm(centred[0] - centred[len(clip) // 2], axis=-1).max() > 0.02
 
 
-def test_the_root_goes_the_drivings_way_in_steps_of_the_identitys_legs(method):
+def test_root_motion_is_scaled_by_leg_length(method):
     shift = np.array([0.3, 0.0, -0.2])
     first, second = moved(method, [DRIVING.vertices, DRIVING.vertices + shift])
     length = [leg_length(method._rig(mesh)[0].joints, method.legs) for mesh in (IDENTITY, DRIVING)]
@@ -75,38 +75,38 @@ def test_the_root_goes_the_drivings_way_in_steps_of_the_identitys_legs(method):
 
 
 def first_of(method, frames):
-    """The result in the first frame, when these are the glimpses."""
+    """The result in the first frame, with all frames as keyframes."""
     return next(method.prepare(IDENTITY, Clip(DRIVING, np.stack(frames)))(iter(frames[:1])))
 
 
-def test_all_glimpses_are_read(method):
+def test_all_keyframes_are_used(method):
     clip = walk(faces=600)
     frames = [vertices.astype(float) for vertices in clip.vertices]
-    alone, together = (
-        next(method.prepare(IDENTITY, Clip(clip.mesh, np.stack(some)))(iter(frames[:1])))
-        for some in (frames[:1], frames)
+    one, all_keyframes = (
+        next(method.prepare(IDENTITY, Clip(clip.mesh, np.stack(keyframes)))(iter(frames[:1])))
+        for keyframes in (frames[:1], frames)
     )
-    assert not np.allclose(alone, together, atol=1e-6)
+    assert not np.allclose(one, all_keyframes, atol=1e-6)
 
 
-def test_glimpses_are_read_as_if_they_had_not_turned(method):
-    """However the driving turns as a whole, what is read of it is the same."""
+def test_predictions_do_not_depend_on_rotations_of_keyframes(method):
     turns = Rotation.random(4, random_state=0).as_matrix()
     turned = [DRIVING.vertices, *(DRIVING.vertices @ turn.T for turn in turns)]
     assert np.allclose(first_of(method, turned), first_of(method, [DRIVING.vertices] * 5), atol=1e-4)
 
 
-def test_a_noisy_mesh_is_followed_as_it_is_and_read_as_it_was(method):
-    """Smoothing is for reading: against its own glimpse a frame has not turned, whatever its noise."""
+def test_noisy_mesh_is_predicted_denoised_and_tracked_as_it_is(method):
+    """In its own keyframe a mesh has not moved, with or without noise: the rotations are those of the prediction."""
     noise = 0.02 * np.random.default_rng(0).normal(size=DRIVING.vertices.shape)
-    rough = dataclasses.replace(DRIVING, vertices=DRIVING.vertices + noise)
-    follow, _ = method._follow(Clip.still(rough))
-    calm, _ = method._follow(Clip.still(dataclasses.replace(rough, vertices=Denoiser.of(rough)(rough.vertices))))
-    assert not np.array_equal(Denoiser.of(rough)(rough.vertices), rough.vertices)
-    assert np.allclose(follow(rough.vertices)[0], calm(Denoiser.of(rough)(rough.vertices))[0], atol=1e-6)
+    noisy = dataclasses.replace(DRIVING, vertices=DRIVING.vertices + noise)
+    denoised = dataclasses.replace(noisy, vertices=Denoiser.of(noisy)(noisy.vertices))
+    follow_noisy, _ = method._follow(Clip.still(noisy))
+    follow_denoised, _ = method._follow(Clip.still(denoised))
+    assert not np.array_equal(denoised.vertices, noisy.vertices)
+    assert np.allclose(follow_noisy(noisy.vertices)[0], follow_denoised(denoised.vertices)[0], atol=1e-6)
 
 
-def test_weights_do_not_depend_on_how_many_are_made_at_a_time(method, monkeypatch):
+def test_weights_do_not_depend_on_the_chunk_size(method, monkeypatch):
     whole = moved(method, [DRIVING.vertices])[0]
     monkeypatch.setattr(module, "CHUNK", 100)
     assert np.allclose(moved(method, [DRIVING.vertices])[0], whole, atol=1e-6)
@@ -119,13 +119,13 @@ def test_samples_lie_on_the_surface_and_move_with_it():
     low, high = DRIVING.vertices.min(axis=0), DRIVING.vertices.max(axis=0)
     assert ((points >= low) & (points <= high)).all()
     assert np.allclose(samples.points(2 * DRIVING.vertices + 1), 2 * points + 1)
-    few = samples.part(1, 4)
-    assert len(few.corners) == 125
-    assert np.array_equal(few.points(DRIVING.vertices), points[1::4])
+    part = samples.part(1, 4)
+    assert len(part.corners) == 125
+    assert np.array_equal(part.points(DRIVING.vertices), points[1::4])
 
 
 @pytest.mark.parametrize("count", [40, 5000])
-def test_a_point_cloud_is_sampled_too(count):
+def test_samples_of_a_point_cloud_are_its_vertices(count):
     cloud = Mesh(DRIVING.vertices, np.zeros((0, 3), int))
     samples = SurfacePoints.of(cloud, count, np.random.default_rng(0))
     assert len(np.unique(samples.corners[:, 0])) == min(count, len(cloud.vertices)) or count > len(cloud.vertices)
@@ -133,15 +133,15 @@ def test_a_point_cloud_is_sampled_too(count):
 
 
 def test_seams_stay_closed(path):
-    """Two vertices at one place get one weight, whatever their normals."""
-    again = IDENTITY.vertices[:50]
-    doubled = dataclasses.replace(IDENTITY, vertices=np.concatenate([IDENTITY.vertices, again]))
+    """Two vertices at one position get the same weights, whatever their normals."""
+    duplicates = IDENTITY.vertices[:50]
+    doubled = dataclasses.replace(IDENTITY, vertices=np.concatenate([IDENTITY.vertices, duplicates]))
     result = animate(doubled, walk(faces=600), path).clip.vertices
     assert np.array_equal(result[:, :50], result[:, -50:])
 
 
 @pytest.mark.parametrize("key", ["joints", "parents", "legs", "points"])
-def test_a_file_that_does_not_say_its_skeleton_is_told(path, tmp_path, key):
+def test_file_without_a_skeleton_is_refused(path, tmp_path, key):
     import onnx
 
     model = onnx.load(path)
@@ -153,15 +153,15 @@ def test_a_file_that_does_not_say_its_skeleton_is_told(path, tmp_path, key):
         find_method(str(tmp_path / "odd.onnx"))
 
 
-def test_coarse_people_are_people():
-    """What the model doubts does not depend on how fine a mesh is."""
+def test_coarse_people_are_recognised():
+    """Confidence does not depend on the resolution of a mesh."""
     for faces in (600, 1000):
         result = transfer(person(0, faces=faces), person(1, pose=1, faces=faces))
         assert result.notes == ()
         assert result.report["identity"]["margin"] > 0.9
 
 
-def test_progress_goes_on_to_the_end(path):
+def test_progress_reaches_the_end(path):
     calls = []
     clip = walk(faces=600)
     animate(IDENTITY, clip, path, progress=lambda done, count: calls.append((done, count)))

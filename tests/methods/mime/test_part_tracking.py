@@ -1,4 +1,4 @@
-"""Tracking: rotations of a skinned surface are found again, parts without points follow, wild readings are outvoted."""
+"""Tracking finds the rotations of a skinned surface, parts without points follow, outliers do not move the mean."""
 
 import numpy as np
 import pytest
@@ -10,20 +10,20 @@ from mimesh.core.geometry import nearest_rotation
 from mimesh.methods.mime.part_tracking import PartTracker, mean_rotation
 
 BODY = load_body()
-SOME = np.random.default_rng(0).permutation(len(BODY.vertices))[:3000]
+SAMPLE = np.random.default_rng(0).permutation(len(BODY.vertices))[:3000]
 
 
 def posed(number: int):
-    """Points of a person in a pose of Table 6, and the world rotation and place of each joint."""
+    """Points of a person in a pose of Table 6, and the world rotation and position of each joint."""
     shape, rotmat = sample_shape(BODY, 7, 0), rotvec_to_rotmat(sample_pose(BODY, 7, number, TABLE_6))
     joints = BODY.shaped(shape)[1]
     rotation, offset = BODY.skinning_transforms(joints, rotmat)
-    return BODY.posed(shape, rotmat)[SOME], rotation, offset + (rotation @ joints[..., None])[..., 0]
+    return BODY.posed(shape, rotmat)[SAMPLE], rotation, offset + (rotation @ joints[..., None])[..., 0]
 
 
-def parts(number: int, weights=BODY.weights) -> PartTracker:
+def tracker(number: int, weights=BODY.weights) -> PartTracker:
     points, _, joints = posed(number)
-    return PartTracker.of(points, weights[SOME], joints, BODY.parents)
+    return PartTracker.of(points, weights[SAMPLE], joints, BODY.parents)
 
 
 def degrees(a, b):
@@ -31,53 +31,53 @@ def degrees(a, b):
 
 
 @pytest.mark.parametrize("number", [1, 2, 3])
-def test_the_turns_of_a_skinned_surface_are_found(number):
+def test_rotations_of_a_skinned_surface_are_found(number):
     before, (points, after, _) = posed(0)[1], posed(number)
-    turned = after @ before.mT
-    assert degrees(turned, np.tile(np.eye(3), (len(turned), 1, 1))).mean() > 15
-    off = degrees(parts(0).follow(points)[0], turned)
-    assert np.median(off) < 1.5
-    assert off.mean() < 3  # joints between two bones hold nothing alone
+    motion = after @ before.mT
+    assert degrees(motion, np.tile(np.eye(3), (len(motion), 1, 1))).mean() > 15
+    errors = degrees(tracker(0).follow(points)[0], motion)
+    assert np.median(errors) < 1.5
+    assert errors.mean() < 3  # no vertex is weighted to joints between two bones alone
 
 
-def test_joints_are_where_they_are():
+def test_joint_positions_are_found():
     points, _, joints = posed(2)
-    assert np.linalg.norm(parts(0).follow(points)[1] - joints, axis=1).mean() < 0.01
+    assert np.linalg.norm(tracker(0).follow(points)[1] - joints, axis=1).mean() < 0.01
 
 
-def test_noise_makes_little_of_a_difference():
+def test_noise_changes_rotations_little():
     before, (points, after, _) = posed(0)[1], posed(1)
     noisy = points + 0.01 * np.random.default_rng(0).normal(size=points.shape)
-    assert degrees(parts(0).follow(noisy)[0], after @ before.mT).mean() < 6
+    assert degrees(tracker(0).follow(noisy)[0], after @ before.mT).mean() < 6
 
 
-def test_what_turns_as_a_whole_turns_so_in_every_part_and_what_stands_stands():
+def test_rigid_motion_turns_every_part_alike_and_rest_turns_none():
     rest = posed(1)[0]
     turn = Rotation.from_rotvec([0.3, -2.0, 0.5]).as_matrix()
-    assert np.allclose(parts(1).follow(5 + rest @ turn.T)[0], turn, atol=1e-6)
-    assert np.allclose(parts(1).follow(rest)[0], np.eye(3), atol=1e-6)
+    assert np.allclose(tracker(1).follow(5 + rest @ turn.T)[0], turn, atol=1e-6)
+    assert np.allclose(tracker(1).follow(rest)[0], np.eye(3), atol=1e-6)
 
 
-def test_a_part_without_points_turns_as_its_parent():
+def test_part_without_points_turns_as_its_parent():
     hand, thumb = BODY.joint("LeftHandFinger1"), BODY.joint("LeftFingerBase")
     weights = BODY.weights.copy()
     weights[:, thumb] += weights[:, hand]
     weights[:, hand] = 0
-    found = parts(0, weights).follow(posed(2)[0])[0]
+    found = tracker(0, weights).follow(posed(2)[0])[0]
     assert degrees(found[hand][None], found[BODY.parents[hand]][None]) < 3
     assert degrees(found[hand][None], np.eye(3)[None]) > 15
 
 
-def test_the_mean_of_rotations_is_not_moved_by_a_wild_one():
+def test_mean_rotation_is_not_moved_by_an_outlier():
     true = Rotation.random(5, random_state=0).as_matrix()
     noise = Rotation.from_rotvec(0.02 * np.random.default_rng(1).normal(size=(40, 3))).as_matrix().reshape(8, 5, 3, 3)
-    seen = true @ noise
-    seen[3] = Rotation.random(5, random_state=2).as_matrix()
-    assert degrees(mean_rotation(seen), true).max() < 2
-    assert degrees(nearest_rotation(seen.sum(axis=0)), true).max() > 2
+    noisy = true @ noise
+    noisy[3] = Rotation.random(5, random_state=2).as_matrix()
+    assert degrees(mean_rotation(noisy), true).max() < 2
+    assert degrees(nearest_rotation(noisy.sum(axis=0)), true).max() > 2
 
 
-def test_the_nearest_rotation_is_one():
+def test_nearest_rotation_is_a_rotation_and_keeps_rotations():
     matrices = np.random.default_rng(3).normal(size=(50, 3, 3))
     found = nearest_rotation(matrices)
     assert np.allclose(found @ found.mT, np.eye(3))

@@ -1,10 +1,10 @@
-"""Islands: a hand that was taken for a knee is weighed by its arm, and sound weights stay as they are."""
+"""A hand that is weighted to a knee gets the weights of its arm, and correct weights stay as they are."""
 
 import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
-from mimesh.methods.mime.weight_cleanup import FAR, bone_distances, clean_weights
+from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_weights
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
@@ -15,30 +15,30 @@ def cleaned(weights, faces=BODY.faces):
     return clean_weights(weights, BODY.vertices, faces, BODY.parents)
 
 
-def spoilt(share=1.0):
-    """The left hand held by the left knee, all or nearly all of it."""
+def corrupted(share=1.0):
+    """Weights that give the left hand, wholly or mostly, to the left knee."""
     weights = BODY.weights.copy()
     weights[HAND] = (1 - share) * weights[HAND]
     weights[HAND, KNEE] += share
     return weights
 
 
-def test_bones_are_counted_along_the_skeleton():
+def test_bone_distances_are_counted_along_the_skeleton():
     apart = bone_distances(BODY.parents)
     assert np.array_equal(apart, apart.T)
     assert (np.diag(apart) == 0).all()
     assert apart[BODY.joint("LeftArm"), ELBOW] == 1
     assert apart[BODY.joint("LeftUpLeg"), BODY.joint("RightUpLeg")] == 4
-    assert apart[ELBOW, KNEE] >= FAR
+    assert apart[ELBOW, KNEE] >= MAX_BONES
 
 
-def test_sound_weights_stay():
+def test_correct_weights_stay():
     assert np.abs(cleaned(BODY.weights) - BODY.weights).max() < 0.05
 
 
 @pytest.mark.parametrize("share", [1.0, 0.7])
-def test_a_hand_that_was_taken_for_a_knee_is_held_by_its_arm(share):
-    found = cleaned(spoilt(share))
+def test_weights_of_a_hand_on_a_knee_are_cleaned(share):
+    found = cleaned(corrupted(share))
     assert found[HAND, KNEE].max() < 1e-9
     assert np.allclose(found.sum(axis=1), 1)
     arm = [BODY.joint(name) for name in ("LeftForeArm", "LeftHand", "LThumb", "LeftFingerBase", "LeftHandFinger1")]
@@ -46,24 +46,24 @@ def test_a_hand_that_was_taken_for_a_knee_is_held_by_its_arm(share):
     assert np.abs(found - BODY.weights)[~HAND].max() < 0.05
 
 
-def test_no_vertex_is_held_by_joints_far_apart():
+def test_influences_of_far_joints_are_removed():
     weights = BODY.weights.copy()
     weights[HAND] = 0.6 * weights[HAND]
     weights[HAND, KNEE] += 0.4
     assert cleaned(weights)[HAND, KNEE].max() == 0
 
 
-def test_a_part_of_its_own_is_left_alone():
-    """What hangs on nothing else has no shore: a surface that is all knee stays so."""
+def test_weights_of_a_separate_surface_stay():
+    """A surface that is not connected to the body keeps its weights, even if all are the knee's."""
     count = len(BODY.vertices)
     vertices = np.concatenate([BODY.vertices, [[3, 0, 0], [3, 1, 0], [4, 0, 0]]])
-    weights = np.concatenate([spoilt(), np.eye(len(BODY.parents))[[KNEE] * 3]])
+    weights = np.concatenate([corrupted(), np.eye(len(BODY.parents))[[KNEE] * 3]])
     faces = np.concatenate([BODY.faces, [[count, count + 1, count + 2]]])
     found = clean_weights(weights, vertices, faces, BODY.parents)
     assert np.array_equal(found[count:], weights[count:])
-    assert np.allclose(found[:count], cleaned(spoilt()), atol=1e-12)
+    assert np.allclose(found[:count], cleaned(corrupted()), atol=1e-12)
 
 
-def test_a_point_cloud_has_no_surface_to_know_by():
-    weights = spoilt()
+def test_weights_of_a_point_cloud_stay():
+    weights = corrupted()
     assert cleaned(weights, np.zeros((0, 3), int)) is weights

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
-from ...bodies.sampled_body import bone_directions, kinds_of_bones, mixed
+from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
 
 WAVES = 6
@@ -95,10 +95,10 @@ class SurfaceBody(nn.Module):
         starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
         bones, branching = bone_directions(body)
         arrays = {
-            "rest": mixed(dressed.vertices, corners, share).T,
+            "rest": surface_points.interpolate(dressed.vertices, corners, share).T,
             "normals": geometry.face_normals(dressed.vertices, dressed.faces)[face].T,
-            "components": np.stack([mixed(c, corners, share).T for c in dressed.components]),
-            "weights": mixed(dressed.weights, corners, share).T,
+            "components": np.stack([surface_points.interpolate(c, corners, share).T for c in dressed.components]),
+            "weights": surface_points.interpolate(dressed.weights, corners, share).T,
             "joints": body.joints,
             "joint_components": body.joint_components,
             "bones": bones,

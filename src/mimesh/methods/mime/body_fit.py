@@ -1,9 +1,7 @@
-"""A person of the shipped body laid onto a surface, from where a network has read its joints to be.
+"""Fit the shipped body to a surface, starting from the joints that a network predicts for it.
 
-A network sees a few hundred points once. What it reads is good enough to say which of a body's points is near which of
-the surface's, and from there least squares know better: Gauss-Newton over pose, shape and proportions, what was read
-being the prior. Matches are the nearest points of both sides, in planes halfway between both normals (symmetric ICP,
-Rusinkiewicz 2019), with the robust weights of Geman and McClure (1985).
+A prediction is good enough to say which point of the body is near which point of the surface. From such matches, least
+squares find pose, shape and bone lengths more precisely than the network, which gets a few hundred points once.
 """
 
 from __future__ import annotations
@@ -23,147 +21,180 @@ from ..confidence import LIMBS
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
 
-POINTS = 1000
-"""Of the body; for twice as many of the surface the nearest of them is looked for."""
-ROUNDS, ROUGH, FEW = 6, 3, 400
-"""How often points are matched, how many of the first times are for FEW points of the body."""
-FAR, NEAR = 0.03, 0.003
-"""Distance (metres of the body) that matched points are thought to have, in the first round and in the last."""
+# docs/LOG.md ("a person laid onto the surface") says which of these values matter, with figures on val.
+BODY_POINTS = 1000
+"""Points of the body that are matched. Twice as many points of the surface are matched to them in turn."""
+ROUNDS, COARSE_ROUNDS, COARSE_POINTS = 6, 3, 400
+"""Gauss-Newton steps; the first COARSE_ROUNDS of them use only COARSE_POINTS points of the body."""
+FIRST_DISTANCE, LAST_DISTANCE = 0.03, 0.003
+"""Expected distance (metres of the body) of matched points, in the first round and in the last."""
 OUTLIER_SCALE = 3.0
-"""So many times that, and a match counts a quarter."""
-CERTAIN = 0.3
-"""Of all matches: neighbours are wrong together."""
-READ_TURN, READ_JOINT = 0.2, 0.1
-"""How far a network's rotations (radians) and joints (metres) may well be off."""
-SHAPE, BONES = 3.0, 0.1
-"""How far shape coefficients and the logarithms of bones' lengths and girths are from zero."""
+"""Scale of the robust weights, in expected distances: a match that far apart has a quarter of the weight."""
+MATCH_WEIGHT = 0.3
+"""Weight of a match beside the prior. Below 1, because the errors of neighbouring matches are not independent."""
+ROTATION_SIGMA, JOINT_SIGMA = 0.2, 0.1
+"""Standard deviation of the predicted rotations (radians) and joint positions (metres of the body)."""
+SHAPE_SIGMA, BONE_SIGMA = 3.0, 0.1
+"""Standard deviation of the shape coefficients, and of the logarithms of bone lengths and girths; their mean is 0."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
-"""Metres of the body: so far from the surface a point of the body has missed it, and the other way round."""
+"""Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSample:
-    """A surface as points in random order, spread evenly: the first few stand for all."""
+    """Points of a surface, spread evenly and in random order, so that the first few represent all of it."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
-    """Of unit length, or zero where they are not known."""
+    """Unit normals, or zeros where they are unknown."""
 
     def outward(self, posed: PosedBody) -> SurfaceSample:
-        """The same with normals that look as the body's near them do, should most of them be turned over."""
+        """Flip all normals if most of them point against those of the nearest points of a posed body."""
         from scipy.spatial import KDTree
 
-        near = KDTree(posed.points).query(self.points)[1]
-        over = np.median((posed.normals[near] * self.normals).sum(axis=1)) < 0
-        return replace(self, normals=-self.normals) if over else self
+        nearest = KDTree(posed.points).query(self.points)[1]
+        inward = np.median((posed.normals[nearest] * self.normals).sum(axis=1)) < 0
+        return replace(self, normals=-self.normals) if inward else self
 
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """What was found of a surface."""
+    """Joints of the body that was fitted to a surface, and how well it covers the surface."""
 
     rotation: Float[np.ndarray, "J 3 3"]
+    """World rotation of each joint from the body at rest."""
     joints: Float[np.ndarray, "J 3"]
+    """World position of each joint, in the unit of the surface."""
     unmatched_body: dict[str, float]
-    """Share of each limb of the body that is UNMATCHED_BODY from the surface."""
+    """Share of each limb of the body that is farther than UNMATCHED_BODY from the surface."""
     unmatched_surface: float
-    """Share of the surface that is UNMATCHED_SURFACE from the body."""
+    """Share of the surface that is farther than UNMATCHED_SURFACE from the body."""
 
 
 @cache
 def sampled_body() -> SampledBody:
-    """The shipped body in few points."""
-    return SampledBody.of(load_body(), POINTS)
+    """Return the shipped body as BODY_POINTS points."""
+    return SampledBody.of(load_body(), BODY_POINTS)
 
 
-def fit_body(cloud: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> BodyFit:
-    """Rotation and place of every joint of a surface, from what was read of them.
+def fit_body(surface: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> BodyFit:
+    """Fit the body to a surface, from predicted rotations and positions of its joints.
 
-    Any unit, place and heading will do. Joints are those of the shipped body, in its order.
+    The unknowns are size, root position, shape coefficients, bone lengths and girths, and the joint rotations (see
+    `SampledBody`). The surface may have any unit, position and heading. Joints are the shipped body's, in its order.
     """
     from scipy.spatial import KDTree
 
-    body, tree = sampled_body(), KDTree(cloud.points)
-    stance = body.mean_person(_size(body, joints), joints[0].copy(), rotation)
-    cloud = cloud.outward(PosedBody(body, stance))
-    stance = _descended(body, stance, Prior(body, stance.size, rotation, joints), cloud, tree)
-    posed = PosedBody(body, stance)
-    away = tree.query(posed.points)[0] > UNMATCHED_BODY * stance.size
-    unmatched_body = {limb: float(away[which].mean()) for limb, which in _limbs().items()}
-    unmatched_surface = KDTree(posed.points).query(cloud.points[: 2 * POINTS])[0] > UNMATCHED_SURFACE * stance.size
-    return BodyFit(stance.rotation, posed.joints, unmatched_body, float(unmatched_surface.mean()))
+    body, tree = sampled_body(), KDTree(surface.points)
+    state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
+    surface = surface.outward(PosedBody(body, state))
+    state = _optimise(body, state, Prior(body, state.size, rotation, joints), surface, tree)
+    posed = PosedBody(body, state)
+    unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
+    unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
+    distance = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
+    unmatched_surface = float((distance > UNMATCHED_SURFACE * state.size).mean())
+    return BodyFit(state.rotation, posed.joints, unmatched_body, unmatched_surface)
 
 
 @cache
-def _limbs() -> dict[str, Bool[np.ndarray, " N"]]:
-    """Which points of the body each limb holds."""
+def _limb_points() -> dict[str, Bool[np.ndarray, " N"]]:
+    """Limb -> mask of the body's points that are weighted mostly to its joints."""
     body = sampled_body()
-    held = {limb: descendants([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
-    return {limb: body.weights[:, joints].sum(axis=1) > 0.5 for limb, joints in held.items()}
+    joints = {limb: descendants([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
+    return {limb: body.weights[:, indices].sum(axis=1) > 0.5 for limb, indices in joints.items()}
 
 
-def _descended(body: SampledBody, stance: BodyState, prior: Prior, cloud: SurfaceSample, tree: KDTree) -> BodyState:
-    """Match, take a step of Gauss-Newton, and again; from rough to fine."""
-    few, spread = body.first(FEW), 0.0
+def _initial_size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
+    """Median ratio of predicted bone lengths to the body's, over the bones that are longer than 5 cm."""
+    parents = list(body.parents[1:])
+    predicted, rest = (np.linalg.norm(ends[1:] - ends[parents], axis=1) for ends in (joints, body.joints))
+    long = rest > 0.05
+    return float(np.exp(np.median(np.log(np.maximum(predicted[long], 1e-9) / rest[long]))))
+
+
+def _optimise(body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample, tree: KDTree) -> BodyState:
+    """Alternate between matching nearest points and one Gauss-Newton step, from coarse to fine.
+
+    The energy is the sum of w r^2 over the matches, r being the distance of a match along its normal, plus the prior.
+    To first order r(x + step) = r(x) + J step, J being the derivative of r by the unknowns. The energy is then
+    quadratic in the step, and least where (J^T W J + P) step = -(J^T W r + g): the normal equations, with P and g from
+    the prior. The next round matches and linearises again at the new state.
+    """
+    coarse, spread = body.first(COARSE_POINTS), 0.0
     for k in range(ROUNDS):
-        expected = max(stance.size * FAR * (NEAR / FAR) ** (k / (ROUNDS - 1)), spread)
-        posed = PosedBody(few if k < ROUGH else body, stance)
-        rows, residual, weight = _matches(posed, cloud, tree, OUTLIER_SCALE * expected)
-        spread = 1.48 * float(np.median(np.abs(residual)))  # the deviation of a normal distribution of that median
-        weight *= CERTAIN / expected**2
-        normal, slope = (rows * weight[:, None]).T @ rows, rows.T @ (weight * residual)
-        held, pull = prior(posed)
-        stance = body.stepped(stance, -np.linalg.solve(normal + held, slope + pull))
-    return stance
+        # Matches are expected to come nearer in every round, but not nearer than those of the last round were.
+        fraction = (LAST_DISTANCE / FIRST_DISTANCE) ** (k / (ROUNDS - 1))
+        expected = max(state.size * FIRST_DISTANCE * fraction, spread)
+        posed = PosedBody(coarse if k < COARSE_ROUNDS else body, state)
+        jacobian, residual, weight = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
+        # Standard deviation of the normal distribution with this median, which outliers move little.
+        spread = 1.48 * float(np.median(np.abs(residual)))
+        weight *= MATCH_WEIGHT / expected**2
+        hessian, gradient = (jacobian * weight[:, None]).T @ jacobian, jacobian.T @ (weight * residual)
+        prior_hessian, prior_gradient = prior.normal_equations(posed)
+        state = body.stepped(state, -np.linalg.solve(hessian + prior_hessian, gradient + prior_gradient))
+    return state
 
 
-def _matches(posed: PosedBody, cloud: SurfaceSample, tree: KDTree, wild: float):
-    """Rows, residuals and weights: the body's points to the nearest of the surface, and the other way round."""
+def _matches(
+    posed: PosedBody, surface: SurfaceSample, tree: KDTree, scale: float
+) -> tuple[Float[np.ndarray, "M U"], Float[np.ndarray, " M"], Float[np.ndarray, " M"]]:
+    """Match nearest points in both directions; return Jacobian, residuals and weights of the matches.
+
+    Only body to surface would leave parts of the surface uncovered, only surface to body would let limbs of the body
+    go where there is no surface.
+    """
     from scipy.spatial import KDTree
 
     count = len(posed.points)
-    points, normals = cloud.points[: 2 * count], cloud.normals[: 2 * count]
-    there, back = tree.query(posed.points), KDTree(posed.points).query(points)
-    index = np.concatenate([np.arange(count), back[1]])
-    target = np.concatenate([cloud.points[there[1]], points])
-    theirs, own = np.concatenate([cloud.normals[there[1]], normals]), posed.normals[index]
-    between = theirs + own
-    between /= np.maximum(np.linalg.norm(between, axis=1, keepdims=True), 1e-9)
-    alike = np.where(theirs.any(axis=1), (theirs * own).sum(axis=1).clip(0, 1), 1.0)
-    off = np.concatenate([there[0], back[0]]) / wild
-    residual = ((posed.points[index] - target) * between).sum(axis=1)
-    return posed.along(index, between), residual, alike / np.square(1 + np.square(off))
+    points, normals = surface.points[: 2 * count], surface.normals[: 2 * count]
+    to_surface, to_body = tree.query(posed.points), KDTree(posed.points).query(points)
+    index = np.concatenate([np.arange(count), to_body[1]])
+    target = np.concatenate([surface.points[to_surface[1]], points])
+    target_normal, body_normal = np.concatenate([surface.normals[to_surface[1]], normals]), posed.normals[index]
+    # Symmetric ICP (Rusinkiewicz 2019): distances count along the sum of both normals, so that points may slide along
+    # the surface. The normals of one side alone gave the same figures on val.
+    direction = target_normal + body_normal
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    residual = ((posed.points[index] - target) * direction).sum(axis=1)
+    # A match of opposite normals (the other side of a hand) has no weight; unknown normals (zeros) agree with all.
+    agreement = np.where(target_normal.any(axis=1), (target_normal * body_normal).sum(axis=1).clip(0, 1), 1.0)
+    # Geman and McClure (1985): minimising the sum of d^2 / (1 + d^2), which no outlier raises by more than 1, is least
+    # squares with the weight 1 / (1 + d^2)^2, here of the distance d in units of `scale`.
+    distance = np.concatenate([to_surface[0], to_body[0]]) / scale
+    return posed.along(index, direction), residual, agreement / np.square(1 + np.square(distance))
 
 
 class Prior:
-    """What was read, and what people are like, as terms of least squares."""
+    """Terms of the least squares that keep a body near the prediction and near the mean person.
 
-    def __init__(self, body: SampledBody, size: float, rotation: np.ndarray, joints: np.ndarray) -> None:
+    Each is a squared difference over a variance: joint positions (JOINT_SIGMA), joint rotations (ROTATION_SIGMA), shape
+    coefficients (SHAPE_SIGMA), and bone lengths and girths (BONE_SIGMA). They decide what no match determines.
+    """
+
+    def __init__(
+        self, body: SampledBody, size: float, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
+    ) -> None:
         self.rotation, self.joints = rotation, joints
-        self.joint = 1 / (READ_JOINT * size) ** 2
+        self.joint_weight = 1 / (JOINT_SIGMA * size) ** 2
         self.turns = body.unknowns["turns"]
-        self.carried = np.kron(body.below.T, np.eye(3))
+        # Derivative of the world rotations: a turn of one joint turns all of its descendants too.
+        self.turn_jacobian = np.kron(body.below.T, np.eye(3))
         shape, bones = body.unknowns["shape"], body.unknowns["bones"]
         self.person = slice(shape.start, bones.stop)
-        self.plain = np.zeros(self.turns.stop)
-        self.plain[shape], self.plain[bones] = SHAPE**-2, BONES**-2
+        self.person_weight = np.zeros(self.turns.stop)
+        self.person_weight[shape], self.person_weight[bones] = SHAPE_SIGMA**-2, BONE_SIGMA**-2
 
-    def __call__(self, posed: PosedBody) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
-        """Left and right side of the normal equations."""
-        stance, rows = posed.state, posed.of_joints()
-        held = self.joint * rows.T @ rows + np.diag(self.plain)
-        pull = self.joint * rows.T @ (posed.joints - self.joints).reshape(-1)
-        pull[self.person] += self.plain[self.person] * np.concatenate([stance.shape, stance.bones])
-        off = stance.rotation @ self.rotation.swapaxes(-1, -2)
-        turned = (off - off.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
-        held[self.turns, self.turns] += self.carried.T @ self.carried / READ_TURN**2
-        pull[self.turns] += self.carried.T @ turned.reshape(-1) / READ_TURN**2
-        return held, pull
-
-
-def _size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
-    """How much longer bones are than the body's, where those are long enough to tell."""
-    above = list(body.parents[1:])
-    bones, own = (np.linalg.norm(places[1:] - places[above], axis=1) for places in (joints, body.joints))
-    long = own > 0.05
-    return float(np.exp(np.median(np.log(np.maximum(bones[long], 1e-9) / own[long]))))
+    def normal_equations(self, posed: PosedBody) -> tuple[Float[np.ndarray, "U U"], Float[np.ndarray, " U"]]:
+        """Return the Hessian (Gauss-Newton) and the gradient of half the prior's energy at a posed body."""
+        state, jacobian = posed.state, posed.of_joints()
+        hessian = self.joint_weight * jacobian.T @ jacobian + np.diag(self.person_weight)
+        gradient = self.joint_weight * jacobian.T @ (posed.joints - self.joints).reshape(-1)
+        gradient[self.person] += self.person_weight[self.person] * np.concatenate([state.shape, state.bones])
+        # The antisymmetric part of a small rotation is its rotation vector (of a large one: the axis times the sine).
+        difference = state.rotation @ self.rotation.swapaxes(-1, -2)
+        rotation_vector = (difference - difference.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
+        hessian[self.turns, self.turns] += self.turn_jacobian.T @ self.turn_jacobian / ROTATION_SIGMA**2
+        gradient[self.turns] += self.turn_jacobian.T @ rotation_vector.reshape(-1) / ROTATION_SIGMA**2
+        return hessian, gradient

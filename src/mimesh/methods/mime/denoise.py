@@ -1,5 +1,6 @@
-"""Surfaces made sound for reading: where triangles fold over their neighbours, area and normals say nothing, and where
-they are turned inside out, normals lie.
+"""Prepare surfaces for the network: smooth noisy ones, and flip those that are inside out.
+
+The network takes points sampled by area, and their normals. Noise makes both meaningless, inverted faces the normals.
 """
 
 from __future__ import annotations
@@ -19,71 +20,75 @@ from ...core.mesh import Mesh
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-NOISY, SOUND = 0.25, 0.05
-"""Share of edges over which a surface folds by more than a right angle: from the first on it is smoothed, to the other.
-Sound meshes here have 0.005 to 0.07, coarse ones up to 0.2; noise of a hundredth of the size makes 0.4."""
-HOLLOW = -3e-3
-"""Enclosed volume over area to the power of 1.5, from which on a mesh is taken to be inside out. People: about 0.03."""
-MOST = 12
-"""Rounds of smoothing at most: then a surface is what it is."""
+NOISY, SMOOTH = 0.25, 0.05
+"""Share of folded edges (more than a right angle between the faces) from which on a surface is smoothed, and down to
+which. Meshes without noise have 0.005 to 0.07, coarse ones up to 0.2; noise of 1 % of the size makes 0.4."""
+INVERTED = -3e-3
+"""Enclosed volume over area to the power of 1.5 below which a mesh is taken to be inside out; people: about 0.03."""
+MAX_ROUNDS = 12
+"""Rounds of smoothing after which a surface is left as it is."""
 
 
 @dataclass(frozen=True, eq=False)
 class Denoiser:
-    """A mesh whose frames are smoothed where they are noisy, and left to the last bit where they are not."""
+    """A mesh topology that smooths noisy frames, and returns all others unchanged to the last bit."""
 
     ranked: CanonicalOrder
+    """Distinct positions of the mesh: seams are smoothed as if they were welded."""
     faces: Int[np.ndarray, "F 3"]
-    beside: Int[np.ndarray, "P 2"]
-    """Faces that share an edge; none of a point cloud."""
+    """Faces between distinct positions."""
+    adjacent: Int[np.ndarray, "P 2"]
+    """Pairs of faces that share an edge; none for a point cloud."""
 
     @classmethod
     def of(cls, mesh: Mesh) -> Denoiser:
-        """For all frames of a mesh."""
+        """Make the denoiser for all frames of a mesh."""
         ranked = canonical_order(mesh.vertices)
         faces = ranked.group[mesh.faces]
-        return cls(ranked, faces, _beside(faces) if len(faces) else np.zeros((0, 2), np.int64))
+        return cls(ranked, faces, _adjacent_faces(faces) if len(faces) else np.zeros((0, 2), np.int64))
 
     @cached_property
     def mean(self) -> csr_array:
-        """(W, W) of every point and its neighbours; few meshes are so noisy that it is wanted."""
+        """(W, W): the mean of every point and its neighbours. Made when first needed: few meshes are noisy."""
         from scipy.sparse import csr_array, diags_array, eye_array
 
-        around = links(edges(self.faces), len(self.ranked)) + eye_array(len(self.ranked))
-        return csr_array(diags_array(1 / around.sum(axis=1)) @ around)
+        neighbours = links(edges(self.faces), len(self.ranked)) + eye_array(len(self.ranked))
+        return csr_array(diags_array(1 / neighbours.sum(axis=1)) @ neighbours)
 
     def __call__(self, vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, "V 3"]:
-        """A frame, smoothed as often as it needs."""
+        """Smooth a frame, replacing points by the mean of their neighbourhood until few edges are folded."""
         points = self.ranked.merge(vertices)
-        if self.folded(points) < NOISY:
+        if self.folded_share(points) < NOISY:
             return vertices
-        for _ in range(MOST):
+        for _ in range(MAX_ROUNDS):
             points = self.mean @ points
-            if self.folded(points) < SOUND:
+            if self.folded_share(points) < SMOOTH:
                 break
         return points[self.ranked.group]
 
-    def folded(self, points: Float[np.ndarray, "W 3"]) -> float:
-        """Share of edges over which distinct positions fold."""
-        one, other = face_vectors(points, self.faces)[self.beside.T]
-        return float(((one * other).sum(axis=1) < 0).mean()) if len(self.beside) else 0.0
+    def folded_share(self, points: Float[np.ndarray, "W 3"]) -> float:
+        """Return the share of edges whose two faces have normals more than 90 degrees apart."""
+        first, second = face_vectors(points, self.faces)[self.adjacent.T]
+        return float(((first * second).sum(axis=1) < 0).mean()) if len(self.adjacent) else 0.0
 
 
 def face_outward(mesh: Mesh) -> Mesh:
-    """The mesh, its faces turned over if they all look inwards, as after a mirroring."""
+    """Reverse all faces of a mesh that is inside out, as meshes are after a mirroring."""
     vectors = face_vectors(mesh.vertices - mesh.vertices.mean(axis=0), mesh.faces)
     corners = mesh.vertices[mesh.faces[:, 0]] - mesh.vertices.mean(axis=0)
+    # The signed volumes of the tetrahedra from the centroid to each face add up to the enclosed volume.
     volume, area = (corners * vectors).sum() / 6, np.linalg.norm(vectors, axis=1).sum() / 2
-    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) if volume < HOLLOW * area**1.5 else mesh
+    return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) if volume < INVERTED * area**1.5 else mesh
 
 
-def _beside(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
-    """Pairs of faces over the edges that two of them run along in opposite ways, as on any sound surface."""
+def _adjacent_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
+    """Return pairs of faces that share an edge and wind alike: one has it from a to b, the other from b to a."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     width = faces.max() + 1
-    there, back = start * width + end, end * width + start
-    order = np.argsort(there, kind="stable")
-    place = np.searchsorted(there[order], back).clip(max=len(order) - 1)
-    twin = order[place]
-    found = (there[twin] == back) & (start < end)
-    return np.stack([np.flatnonzero(found) // 3, twin[found] // 3], axis=1)
+    # One number for each directed edge; where the opposite number is found by bisection, two faces share the edge.
+    forward, backward = start * width + end, end * width + start
+    order = np.argsort(forward, kind="stable")
+    position = np.searchsorted(forward[order], backward).clip(max=len(order) - 1)
+    opposite = order[position]
+    shared = (forward[opposite] == backward) & (start < end)
+    return np.stack([np.flatnonzero(shared) // 3, opposite[shared] // 3], axis=1)

@@ -1,13 +1,13 @@
 """mime as an ONNX file: predict the joints of both meshes, fit the shipped body to them, then track each frame.
 
 A prediction is one run of the network on points sampled from a surface. Its inputs are "points", "normals" (1, N, 3) of
-the samples and "vertices", "vertex_normals" (1, V, 3), points of the same mesh whose skinning weights are wanted; its
-outputs "rotation" (1, J, 3, 3) and "joints" (1, J, 3), in the world, and "scores" (1, V, J), whose softmax over the
-joints is the skinning weights. Any unit and position will do; normals that are not known are zero.
+the samples and "vertices", "vertex_normals" (1, V, 3), points of the same mesh at which weights are predicted; its
+outputs are "rotation" (1, J, 3, 3) and "joints" (1, J, 3), in the world, and "scores" (1, V, J), whose softmax over the
+joints gives the skinning weights. Any unit and position will do; normals that are not known are zero.
 
-Preparing (once): several predictions of the identity and of keyframes of the driving, a consensus of each, and a fit of
-the body to both surfaces. A frame: the joints' rotations by least squares over tracked points (`part_tracking.py`),
-then linear blend skinning.
+Preparing (once): several predictions for the identity and for keyframes of the driving, a consensus of each, and a fit
+of the body to both surfaces. Each frame: the joints' rotations by least squares over tracked points
+(`part_tracking.py`), then linear blend skinning.
 """
 
 from __future__ import annotations
@@ -40,62 +40,65 @@ if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 CHUNK = 16_384
-"""Vertices whose weights are predicted in one run: bounds the memory."""
+"""Vertices whose weights are predicted in one run of the network; bounds the memory."""
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
-"""Predictions of a mesh, each from other samples, whose consensus is taken; and how many of them predict weights."""
+"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of them predict weights too
+(of 6,890 vertices they cost four times as much as the joints)."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
 RETRIES, DISAGREEMENT = 4, 15.0
-"""Further keyframes that may serve as the reference, if predictions carried back to it by the motion differ from their
-consensus by more than this angle (degrees, median)."""
+"""How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
+reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
 Queries = tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3"]]
-"""Points and normals of a mesh whose weights are wanted."""
+"""Points and normals at which skinning weights are predicted."""
 
 
 @dataclass(frozen=True, eq=False)
 class KeyframePrediction:
-    """Consensus of the predictions of all keyframes, carried to one of them, the reference."""
+    """Consensus of the predictions for all keyframes, carried to one of them, the reference."""
 
     reference: int
-    """Which keyframe."""
+    """Index of the keyframe."""
     points: Float[np.ndarray, "N 3"]
     """Tracked points in the reference."""
     consensus: Rig
-    """Weights are those of the tracked points."""
+    """Joints in the reference, and skinning weights of the tracked points."""
     leg: float
-    """Length of a leg."""
+    """Length of a leg, in the normalised frame of the driving."""
     confidence: Confidence
 
 
 @dataclass(frozen=True, eq=False)
 class MimeMethod:
-    """A loaded network, ready for any identity."""
+    """The method `mime`: a loaded network, ready for any identity."""
 
     rough: ClassVar[bool] = False
     skinned: ClassVar[bool] = True
     name: str
     session: InferenceSession
     joints: tuple[str, ...]
-    """Their names."""
+    """Names of the network's joints."""
     parents: tuple[int, ...]
+    """Parent of each joint; -1 for the root, which comes first."""
     legs: tuple[tuple[int, ...], ...]
-    """Joints from hip to ankle."""
+    """Joints of each leg, from hip to ankle."""
     points: int
-    """Samples of a prediction."""
+    """Samples of the surface that one prediction takes."""
     fits: bool = True
-    """Whether the prediction is the start of a fit of the shipped body, where these are its joints."""
+    """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
 
     @property
     def fits_body(self) -> bool:
-        """Whether the shipped body is fitted: `fits`, and the network's joints are the body's."""
+        """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
         return self.fits and self.joints == sampled_body().names
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
-        """Predict the identity and the driving's keyframes, once; every frame is then measured against those."""
+        """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
         ranked = canonical_order(identity.vertices)
-        with ThreadPoolExecutor(1) as beside:
-            identity_rig = beside.submit(self._rig, face_outward(identity))
+        # The two meshes are independent: the identity is prepared in a second thread.
+        with ThreadPoolExecutor(1) as executor:
+            identity_rig = executor.submit(self._rig, face_outward(identity))
             follow, keyframes = self._follow(dataclasses.replace(driving, mesh=face_outward(driving.mesh)))
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
@@ -105,7 +108,9 @@ class MimeMethod:
             rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
             skinned=SkinnedMesh.of(vertices, rig, self.parents),
             follow=follow,
+            # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
+            # Heights of the feet's joints over the ground, by which standing feet are recognised and grounded.
             feet=FootJoints(
                 feet,
                 keyframes.leg,
@@ -114,11 +119,11 @@ class MimeMethod:
             ),
             group=ranked.group,
             name=driving.mesh.name,
-            confidence=(_of_kind(confidence, identity), _of_kind(keyframes.confidence, driving.mesh)),
+            confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
         )
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
-        """Mean entropy of the skinning weights of a mesh in one prediction, and the rotation of its root joint."""
+        """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
         mesh = dataclasses.replace(mesh, vertices=Denoiser.of(mesh)(mesh.vertices))
         samples = SurfacePoints.of(mesh, self.points, generator(self.seed, 0))
@@ -127,12 +132,12 @@ class MimeMethod:
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
 
     def _foot_joints(self) -> tuple[int, ...]:
-        """Ankles and their children."""
+        """Return the joints of the feet: ankles and their children."""
         ankles = [leg[-1] for leg in self.legs]
         return tuple(j for j, parent in enumerate(self.parents) if j in ankles or parent in ankles)
 
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
-        """Joints of a mesh and skinning weights of its distinct positions: the consensus of several predictions."""
+        """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
         ranked = canonical_order(mesh.vertices)
         vertices = ranked.merge(mesh.vertices)
         faces = ranked.group[canonical_faces(mesh.faces, ranked.group)]
@@ -151,12 +156,12 @@ class MimeMethod:
         consensus = _consensus(rigs)
         weights, even_weights = np.split(consensus.weights, [len(vertices)])
         rig = dataclasses.replace(consensus, weights=clean_weights(weights, vertices, faces, self.parents))
-        # Smoothing improves the normals but shrinks the surface: points are taken from the mesh as it was.
+        # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         return self._with_fit(rig, self._confidence(rigs, consensus, even_weights), sample)
 
     def _with_fit(self, rig: Rig, confidence: Confidence, sample: SurfaceSample) -> tuple[Rig, Confidence]:
-        """The rig with the joints of the body that fits the surface, where a body is fitted."""
+        """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
         if not self.fits_body:
             return rig, confidence
         fit = fit_body(sample, rig.rotation, rig.joints)
@@ -166,16 +171,17 @@ class MimeMethod:
         )
 
     def _confidence(self, rigs: list[Rig], consensus: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
+        """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
         spread = float(np.median([mean_angle(rig, consensus) for rig in rigs]))
         return Confidence.of(spread, weights, self.joints, self.parents)
 
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
-        """How to find the pose of the joints in each frame of a clip.
+        """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
 
         In a reference keyframe the network predicts which points belong to which joints. The points are tracked from
         there to the other keyframes, and the rotations predicted in those are carried back by the measured motion. The
-        robust mean of all holds for the whole clip, so no frame has errors of its own and what is still stays still.
-        The first frame is the first choice of reference, because its facing is known; others are tried if the
+        robust mean of all is used for the whole clip, so the network's errors are the same in every frame and add no
+        jitter. The first frame is the first choice of reference, because its facing is known; others are tried if the
         predictions disagree.
         """
         denoiser, frames = Denoiser.of(keyframes.mesh), list(keyframes.vertices)
@@ -184,12 +190,14 @@ class MimeMethod:
         samples = SurfacePoints.of(mesh, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
         best = self._predict_keyframes(samples, frames, denoised, 0)
+        # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if best.confidence.prediction_spread > DISAGREEMENT:
                 other = self._predict_keyframes(samples, frames, denoised, t)
-                best = min(best, other, key=lambda found: found.confidence.prediction_spread)
+                best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
         consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(consensus.joints, self.legs) if self.fits_body else best.leg
         best = dataclasses.replace(best, consensus=consensus, leg=leg, confidence=confidence)
         tracker = PartTracker.of(best.points, consensus.weights, consensus.joints, self.parents)
@@ -203,22 +211,24 @@ class MimeMethod:
     def _predict_keyframes(
         self, samples: SurfacePoints, frames: list[np.ndarray], denoised: list[np.ndarray], t: int
     ) -> KeyframePrediction:
-        """The consensus of all keyframes with keyframe t as the reference.
+        """Return the consensus of the predictions for all keyframes, with keyframe t as the reference.
 
-        Points are tracked in `frames` and the network sees them `denoised`.
+        Points are tracked in `frames`; the network's input is taken from the same frames `denoised`.
         """
+        # Other keyframes add one prediction each; a single pose gets the whole ensemble.
         tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else 2
         rigs = [self._predict_turned(samples, k, denoised[t], np.eye(3)) for k in range(count)]
         consensus = _consensus(rigs)
         tracker = PartTracker.of(tracked.points(frames[t]), consensus.weights, consensus.joints, self.parents)
         for k, vertices in enumerate(frames):
             if k != t:
-                turns = tracker.follow(tracked.points(vertices))[0]
-                # The network was trained on people who face +z: the frame is turned back as a whole before it is asked.
-                rig = self._predict_turned(samples, k, denoised[k], turns[0])
-                back = turns.swapaxes(-1, -2) @ turns[0] @ rig.rotation
-                rigs.append(dataclasses.replace(rig, rotation=back))
-        joints = consensus.joints
+                motion = tracker.follow(tracked.points(vertices))[0]  # rotations from the reference to this keyframe
+                # The network was trained on people who face +z: the frame is turned back by the motion of the root.
+                rig = self._predict_turned(samples, k, denoised[k], motion[0])
+                # Undo that turn, then the motion of each joint: the rotations as they would be in the reference.
+                in_reference = motion.swapaxes(-1, -2) @ motion[0] @ rig.rotation
+                rigs.append(dataclasses.replace(rig, rotation=in_reference))
+        joints = consensus.joints  # positions are those of the reference; only rotations are carried back
         consensus = _consensus(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
         confidence = self._confidence(rigs, consensus, consensus.weights)
@@ -228,7 +238,7 @@ class MimeMethod:
     def _predict_turned(
         self, samples: SurfacePoints, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
     ) -> Rig:
-        """Prediction k of a frame turned back by a rotation; the first few predict weights of the tracked points."""
+        """Make prediction k for a frame turned back by a rotation; the first few predict weights of tracked points."""
         turned, tracked = vertices @ turn, samples.part(0, TRACKED)
         queries = (tracked.points(turned), tracked.normals(turned)) if k < WEIGHT_ENSEMBLE else None
         return self._predict(samples.part(k, ENSEMBLE), turned, queries)
@@ -236,25 +246,26 @@ class MimeMethod:
     def _predict(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: Queries | None) -> Rig:
         """Run the network: joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time."""
         inputs = {"points": batch_of_one(samples.points(vertices)), "normals": batch_of_one(samples.normals(vertices))}
-        points, normals = queries or np.zeros((2, 1, 3))  # the network wants one at least
+        points, normals = queries or np.zeros((2, 1, 3))  # the network takes no empty input
         weights = []
         for start in range(0, len(points), CHUNK):
-            few = slice(start, start + CHUNK)
-            inputs |= {"vertices": batch_of_one(points[few]), "vertex_normals": batch_of_one(normals[few])}
-            found = self.session.run(["rotation", "joints", "scores"], inputs)
-            rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in found)
+            chunk = slice(start, start + CHUNK)
+            inputs |= {"vertices": batch_of_one(points[chunk]), "vertex_normals": batch_of_one(normals[chunk])}
+            outputs = self.session.run(["rotation", "joints", "scores"], inputs)
+            rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in outputs)
+            # Softmax; subtracting the largest score first keeps the exponentials finite.
             weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
             weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
         return Rig(rotation, joints, np.concatenate(weights) if queries else np.zeros((0, len(joints))))
 
 
 def _consensus(rigs: list[Rig]) -> Rig:
-    """Robust mean of the rotations, mean of the joints, and mean of the weights where they were predicted."""
+    """Average predictions: robust mean of rotations, mean of joint positions, and of weights where predicted."""
     joints = np.mean([rig.joints for rig in rigs], axis=0)
     weights = np.mean([rig.weights for rig in rigs if len(rig.weights)], axis=0)
     return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
 
 
-def _of_kind(confidence: Confidence, mesh: Mesh) -> Confidence:
-    """Without shares of limbs for a point cloud: its points may be denser on one limb than on another."""
+def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
+    """Remove the shares of limbs if the mesh is a point cloud: its points may be denser on one limb than on another."""
     return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})

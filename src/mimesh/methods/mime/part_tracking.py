@@ -1,8 +1,8 @@
-"""How the parts of one surface turn from frame to frame, from points that are known in every frame.
+"""Track the rotation and position of every joint of a surface, from points whose positions are known in every frame.
 
-Points of a clip stay themselves, so its motion can be measured where a network would have to guess it. Skinning is
-linear in what each joint does: the least squares of all joints together, with weak ties along the skeleton, is one
-matrix that is made once and multiplied by the points of each frame.
+A clip gives the motion of each of its points, so the motion of the joints is measured and not predicted. Linear blend
+skinning is linear in the affine maps of the joints: finding all of them at once is a linear least-squares problem whose
+matrix is the same in every frame. It is factored once and then multiplied with the points of each frame.
 """
 
 from __future__ import annotations
@@ -14,26 +14,32 @@ from jaxtyping import Float
 
 from ...core.geometry import nearest_rotation
 
-MEETING, BENDING = 3e-2, 1e-5
-"""Weights of the ties: joint and parent agree where the joint is; joint and parent turn alike."""
-FLAT = 1e-4
-"""Of the surface's size (squared): added to the extent of each part, for parts that are flat or thin."""
-ROUNDS = 5
-"""Of reweighting, for a mean."""
+JOINT_WEIGHT, ROTATION_WEIGHT = 3e-2, 1e-5
+"""Weights of the regularizer, where all points together have 1: a joint's map and its parent's map agree at the joint,
+and agree in their linear part. Measured on poses of NPT's Table 6 (docs/LOG.md, "Clips")."""
+MIN_EXTENT = 1e-4
+"""Share of the surface's mean squared radius that is added to the extent of each part, for parts without thickness."""
+MEAN_ROUNDS = 5
+"""Rounds of reweighting for a robust mean."""
 
 
 @dataclass(frozen=True, eq=False)
 class PartTracker:
-    """Points of a surface at rest as its joints hold them."""
+    """Skinned points at rest, and the linear operators that give the motion of their joints.
+
+    The affine map of a joint is 4 rows of `maps`, (K, 3) with K = 4 J: the linear part (3 x 3, transposed), the offset.
+    """
 
     blend: Float[np.ndarray, "N K"]
-    """Maps what each joint does, (3 x 4) transposed, K = 4 J rows, to points: linear blend skinning."""
+    """Linear blend skinning: from maps to points."""
     solve: Float[np.ndarray, "K N"]
-    """Maps points to what each joint does."""
+    """Regularized least squares: from points to maps."""
     joints: Float[np.ndarray, "J 3"]
-    middle: Float[np.ndarray, "J 3"]
-    extent: Float[np.ndarray, "J 3 3"]
-    """Mean and second moments of what a joint holds."""
+    """Positions of the joints at rest."""
+    mean: Float[np.ndarray, "J 3"]
+    """Mean of each joint's points at rest, weighted by the square of their skinning weights."""
+    covariance: Float[np.ndarray, "J 3 3"]
+    """Covariance of each joint's points, weighted alike."""
 
     @classmethod
     def of(
@@ -43,68 +49,84 @@ class PartTracker:
         joints: Float[np.ndarray, "J 3"],
         parents: tuple[int, ...],
     ) -> PartTracker:
-        """Parts of a surface with skinning weights and joints; -1 is the root's parent."""
-        count, held = weights.shape
+        """Factor the least squares for points with skinning weights; -1 is the root's parent.
+
+        The unknowns are the 4 J rows of `maps`, three columns (x, y, z) with one matrix. There is one equation a point
+        (its blended map gives its position in the frame), and four a bone (see `_regularizer`).
+        """
+        count, joint_count = weights.shape
         size = np.square(points - points.mean(axis=0)).sum(axis=1).mean()
-        blend = (weights[:, :, None] * _homogeneous(points)[:, None]).reshape(count, 4 * held)
-        ties = _ties(joints, parents, np.sqrt(MEETING * count), np.sqrt(BENDING * count * size))
-        # The ties leave nothing open but what no point tells; a last bit keeps that at rest.
-        normal = blend.T @ blend + ties.T @ ties
-        solve = np.linalg.solve(normal + 1e-14 * np.trace(normal) * np.eye(4 * held), blend.T)
-        shares = np.square(weights) / np.maximum(np.square(weights).sum(axis=0), 1e-9)
-        middle = shares.T @ points
+        blend = (weights[:, :, None] * _homogeneous(points)[:, None]).reshape(count, 4 * joint_count)
+        # Rows are scaled by the root of their weight, times that of the number of points that they stand against.
+        rows = _regularizer(joints, parents, np.sqrt(JOINT_WEIGHT * count), np.sqrt(ROTATION_WEIGHT * count * size))
+        # Only what neither a point nor a bone determines is left singular; the last term sets it to zero.
+        normal = blend.T @ blend + rows.T @ rows
+        solve = np.linalg.solve(normal + 1e-14 * np.trace(normal) * np.eye(4 * joint_count), blend.T)
+        point_shares = np.square(weights) / np.maximum(np.square(weights).sum(axis=0), 1e-9)
+        mean = point_shares.T @ points
         products = (points[:, :, None] * points[:, None]).reshape(count, 9)
-        extent = (shares.T @ products).reshape(held, 3, 3) - middle[:, :, None] * middle[:, None]
-        return cls(blend, solve, joints, middle, extent + FLAT * size * np.eye(3))
+        covariance = (point_shares.T @ products).reshape(joint_count, 3, 3) - mean[:, :, None] * mean[:, None]
+        return cls(blend, solve, joints, mean, covariance + MIN_EXTENT * size * np.eye(3))
 
     def follow(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
-        """Rotation of every joint from rest to a frame, in the world, and where it is in that frame."""
+        """Return the rotation of every joint from rest to a frame, in the world, and its position in that frame.
+
+        It is solved twice. The regularizer draws each joint's map towards its parent's, which makes every bend too
+        small. So the maps of the first solve are made rigid, and the second solve finds only the correction that they
+        lack: what is regularized then is that small correction, not the whole motion. (docs/LOG.md, "Clips": errors.)
+        """
         centre = points.mean(axis=0)
         points = points - centre
-        done = self.solve @ points
-        # Once more from there: what the ties then hold back is only what is left to do.
-        done = self._rigid(done)
-        done = done + self.solve @ (points - self.blend @ done)
-        return self._rotations(done), _applied(done, self.joints) + centre
+        maps = self._rigid(self.solve @ points)
+        maps = maps + self.solve @ (points - self.blend @ maps)
+        return self._rotations(maps), _apply(maps, self.joints) + centre
 
-    def _rotations(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
-        """The rotation nearest to what each joint does to its part."""
-        return nearest_rotation(done.reshape(-1, 4, 3)[:, :3].swapaxes(-1, -2) @ self.extent)
+    def _rotations(self, maps: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
+        """Return the rotation that moves each joint's points nearest to where its map moves them (Kabsch 1976)."""
+        return nearest_rotation(maps.reshape(-1, 4, 3)[:, :3].swapaxes(-1, -2) @ self.covariance)
 
-    def _rigid(self, done: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
-        """The same without stretch and shear; the middle of each part goes where it went."""
-        rotation = self._rotations(done)
-        offset = _applied(done, self.middle) - (rotation @ self.middle[..., None])[..., 0]
+    def _rigid(self, maps: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+        """Remove stretch and shear from all maps; the mean of each joint's points is moved as before."""
+        rotation = self._rotations(maps)
+        offset = _apply(maps, self.mean) - (rotation @ self.mean[..., None])[..., 0]
         return np.concatenate([rotation.swapaxes(-1, -2), offset[:, None]], axis=1).reshape(-1, 3)
 
 
-def _applied(done: Float[np.ndarray, "K 3"], places: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
-    """Where what each joint does takes its own place."""
-    return (_homogeneous(places)[:, None] @ done.reshape(-1, 4, 3))[:, 0]
+def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:
+    """Return the robust mean of K rotations of each joint, which a few outliers do not move.
+
+    Iteratively reweighted least squares with the weights of Geman and McClure (1985), whose scale is the median of the
+    squared distances from the mean so far.
+    """
+    weights = np.ones(rotations.shape[:2])
+    for _ in range(MEAN_ROUNDS):
+        mean = nearest_rotation(np.einsum("kj,kjab->jab", weights, rotations))
+        squared = np.square(rotations - mean).sum(axis=(2, 3))
+        weights = 1 / np.square(1 + squared / np.maximum(np.median(squared, axis=0), 1e-6))
+    return mean
 
 
-def _homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
-    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
-
-
-def _ties(
-    joints: Float[np.ndarray, "J 3"], parents: tuple[int, ...], meeting: float, bending: float
+def _regularizer(
+    joints: Float[np.ndarray, "J 3"], parents: tuple[int, ...], joint_weight: float, rotation_weight: float
 ) -> Float[np.ndarray, "R K"]:
-    """Rows that are zero where every joint does what its parent does."""
+    """Return rows whose product with `maps` is zero where every joint has the map of its parent; four for each bone.
+
+    The first row is the difference of both maps at the joint, the others are the difference of their linear parts.
+    """
     child, parent = np.arange(1, len(parents)), np.array(parents[1:], int)
     rows = np.zeros((len(child), 4, len(joints), 4))
-    rows[child - 1, 0, child] = meeting * _homogeneous(joints[child])
-    rows[child - 1, 0, parent] = -meeting * _homogeneous(joints[child])
+    rows[child - 1, 0, child] = joint_weight * _homogeneous(joints[child])
+    rows[child - 1, 0, parent] = -joint_weight * _homogeneous(joints[child])
     for k in range(3):
-        rows[child - 1, 1 + k, child, k], rows[child - 1, 1 + k, parent, k] = bending, -bending
+        rows[child - 1, 1 + k, child, k], rows[child - 1, 1 + k, parent, k] = rotation_weight, -rotation_weight
     return rows.reshape(-1, 4 * len(joints))
 
 
-def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:
-    """Mean of K rotations of each joint that a few wild ones do not move (weights of Geman and McClure 1985)."""
-    weights = np.ones(rotations.shape[:2])
-    for _ in range(ROUNDS):
-        mean = nearest_rotation(np.einsum("kj,kjab->jab", weights, rotations))
-        off = np.square(rotations - mean).sum(axis=(2, 3))
-        weights = 1 / np.square(1 + off / np.maximum(np.median(off, axis=0), 1e-6))
-    return mean
+def _apply(maps: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+    """Apply the map of each joint to one point."""
+    return (_homogeneous(points)[:, None] @ maps.reshape(-1, 4, 3))[:, 0]
+
+
+def _homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+    """Append a coordinate of 1."""
+    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
