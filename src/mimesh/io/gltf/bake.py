@@ -82,6 +82,7 @@ def sample_nodes(
 def _pose_frames(
     document: Document, rest: RestScene, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in each frame."""
     morphing = {channel.node for channel in channels if channel.path == "weights"}
     parts = [_prepare_vertices(document, span, span.node in morphing) for span in rest.vertex_ranges]
     for values, T_world_node in sample_nodes(document, channels, times):

@@ -207,6 +207,8 @@ def _split_glb(content: memoryview, path: Path) -> tuple[bytes, memoryview | byt
 
 
 def _parse_json(text: bytes, path: Path) -> Any:
+    """Parse the JSON text of a glTF file, strictly: NaN and Infinity are refused."""
+
     def reject_constant(constant: str) -> None:
         raise ValueError(f"{constant} is not a JSON number")  # json.loads accepts NaN and Infinity by default
 

@@ -192,6 +192,7 @@ def joint_matrices(
 
 
 def _read_inverse_bind_matrices(document: Document, skin: int) -> Float[np.ndarray, "J 4 4"] | None:
+    """Read the inverse bind matrices of a skin; None where it has none, which means identity matrices (3.7.3.1)."""
     entry = document.gltf["skins"][skin]
     if "inverseBindMatrices" not in entry:
         return None
@@ -253,6 +254,7 @@ def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
 
 
 def _rotation_matrix(quat_xyzw: Float[np.ndarray, "*T 4"]) -> Float[np.ndarray, "*T 3 3"]:
+    """Return the rotation matrices of quaternions, which are scaled to unit length first."""
     x, y, z, w = np.moveaxis(normalized_quaternions(quat_xyzw), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
