@@ -3,13 +3,13 @@
 import numpy as np
 import torch
 
-from mimesh.bodies import load_body
 from mimesh.learn.body_sampler import BodySampler, DataConfig, extreme_vertices
+from mimesh.learn.tasks.base import shipped_body
 
 
 def test_subsets_are_normalised_as_the_whole():
     """Centre and radius come from the outermost vertices of the whole body, within a hundredth or two of its radius."""
-    body = load_body()
+    body = shipped_body()
     some, whole = (BodySampler(DataConfig("wide", n), body, torch.device("cpu"), seed=3) for n in (64, 0))
     rng = torch.Generator().manual_seed(0)
     shapes, poses, _ = some._sample_people(8, rng)
@@ -21,7 +21,7 @@ def test_subsets_are_normalised_as_the_whole():
 
 
 def test_stratified_vertices_cover_the_body():
-    source = BodySampler(DataConfig("table6", 64), load_body(), torch.device("cpu"), seed=0)
+    source = BodySampler(DataConfig("table6", 64), shipped_body(), torch.device("cpu"), seed=0)
     drawn = source._stratified_vertices(2, 100, torch.Generator().manual_seed(0))
     rank = torch.empty(6890, dtype=torch.long)
     rank[source.order] = torch.arange(6890)
@@ -30,17 +30,17 @@ def test_stratified_vertices_cover_the_body():
 
 
 def test_wide_meshes_may_be_as_dense_as_their_area():
-    source = BodySampler(DataConfig("wide", 64), load_body(), torch.device("cpu"), seed=0)
+    source = BodySampler(DataConfig("wide", 64), shipped_body(), torch.device("cpu"), seed=0)
     drawn = source._stratified_vertices(400, 100, torch.Generator().manual_seed(0))
-    hands = torch.from_numpy(
-        load_body().weights[:, [n.startswith(("LeftHand", "RightHand")) for n in load_body().joint_names]].sum(1) > 0.5
-    )
+    body = shipped_body()
+    of_hands = [name.startswith(("LeftHand", "RightHand")) for name in body.joint_names]
+    hands = torch.from_numpy(body.weights[:, of_hands].sum(1) > 0.5)
     share = hands[drawn].float().mean(dim=1)
     assert share.quantile(0.9) > 1.5 * share.quantile(0.1) > 0
 
 
 def test_extreme_vertices_are_few():
-    found = extreme_vertices(load_body(), poses=20)
+    found = extreme_vertices(shipped_body(), poses=20)
     assert 20 < len(found) < 600
     np.testing.assert_array_equal(found, np.unique(found))
 
@@ -48,7 +48,7 @@ def test_extreme_vertices_are_few():
 def test_tumbling_rotates_a_share_of_driving_meshes_and_changes_nothing_else():
     """Identities and all other driving meshes are those without it."""
     poses = [
-        BodySampler(DataConfig("wide", 64, tumble=share), load_body(), torch.device("cpu"), 0)._sample_people(
+        BodySampler(DataConfig("wide", 64, tumble=share), shipped_body(), torch.device("cpu"), 0)._sample_people(
             200, torch.Generator().manual_seed(1)
         )[1]
         for share in (0.0, 0.3)

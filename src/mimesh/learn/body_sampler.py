@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -252,10 +253,12 @@ class BodySampler:
             mesh[: round(self.config.reflect * len(mesh)), ..., 0] *= -1.0
 
 
+@cache
 def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"]:
     """Find the vertices that are outermost (along an axis, or from the centre) in any of many random poses.
 
-    Centre and radius of a posed body follow from these alone, within a hundredth or two of the radius.
+    Centre and radius of a posed body follow from these alone, within a hundredth or two of the radius. Posing takes
+    seconds, so a body's answer is kept.
     """
     found: list[int] = []
     for i in range(poses):

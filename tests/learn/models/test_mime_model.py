@@ -4,14 +4,14 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from mimesh.bodies import load_body  # noqa: E402
 from mimesh.learn.bodies import posed_joints, skinned  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.config import config_from  # noqa: E402
 from mimesh.learn.models.mime import JointFrames, MimeConfig, MimeNetwork, rotation_from_6d  # noqa: E402
+from mimesh.learn.tasks.base import shipped_body  # noqa: E402
 from mimesh.learn.tasks.mime import MimeLossConfig, SurfaceSource, mime_loss, pmd  # noqa: E402
 
-BODY = load_body()
+BODY = shipped_body()
 SMALL = MimeConfig(width=16, heads=2, latents=4, blocks=2, refinements=2, near=8, local=8, skinning=8)
 
 

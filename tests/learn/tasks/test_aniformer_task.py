@@ -5,13 +5,13 @@ import dataclasses
 import pytest
 import torch
 
-from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
 from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.config import load_config
 from mimesh.learn.models.aniformer import AniFormerConfig
 from mimesh.learn.tasks import aniformer
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, ClipLossConfig, WindowSource, aniformer_loss
+from mimesh.learn.tasks.base import shipped_body
 from mimesh.learn.train import TrainingRun, train
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]
@@ -29,7 +29,7 @@ TINY = AniFormerTrainConfig(
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
 def source(request):
-    return WindowSource(request.param, 3, load_body(), torch.device("cpu"), seed=3)
+    return WindowSource(request.param, 3, shipped_body(), torch.device("cpu"), seed=3)
 
 
 def test_truth_is_aligned_with_the_identity_in_every_frame(source):
@@ -56,7 +56,7 @@ def test_driving_is_shuffled_on_its_own_and_alike_in_all_frames(source):
 
 
 def test_frames_are_centred_and_driving_frames_fill_the_unit_sphere():
-    whole = WindowSource(CASES[-1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 1)
+    whole = WindowSource(CASES[-1], 3, shipped_body(), torch.device("cpu"), seed=3).batch(2, 1)
     for points in (whole.driving, whole.truth, whole.identity):
         assert (points.amax(-2) + points.amin(-2)).abs().max() < 1e-4
     torch.testing.assert_close(whole.driving.norm(dim=-1).amax(-1), torch.ones(2, 3))
@@ -67,7 +67,7 @@ def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
     found, as_given = [], []
     for scale in ("truth", "identity"):
         config = DataConfig("clips80", target_scale=scale)
-        batch = WindowSource(config, 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
+        batch = WindowSource(config, 3, shipped_body(), torch.device("cpu"), seed=3).batch(2, 0)
         given = (batch.truth, batch.truth, batch.identity, batch.driving, batch.edges)
         weights = {"motion": "off", "appearance_weight": 1.0}
         found.append(float(aniformer_loss(*given, batch.unit, **weights)))
@@ -79,7 +79,7 @@ def test_appearance_of_the_truth_does_not_depend_on_its_normalisation():
 def test_reflection_mirrors_whole_windows():
     config = DataConfig("clips80", 64)
     plain, mirrored = (
-        WindowSource(dataclasses.replace(config, reflect=share), 3, load_body(), torch.device("cpu"), seed=3).batch(
+        WindowSource(dataclasses.replace(config, reflect=share), 3, shipped_body(), torch.device("cpu"), seed=3).batch(
             2, 0
         )
         for share in (0.0, 0.5)
@@ -93,7 +93,7 @@ def test_reflection_mirrors_whole_windows():
 def test_a_still_clip_stays_still(monkeypatch):
     monkeypatch.setattr(aniformer, "MAX_STEP", 0.0)
     monkeypatch.setattr(aniformer, "CAPTURED", 0.0)
-    batch = WindowSource(CASES[1], 3, load_body(), torch.device("cpu"), seed=3).batch(2, 0)
+    batch = WindowSource(CASES[1], 3, shipped_body(), torch.device("cpu"), seed=3).batch(2, 0)
     assert batch.driving.diff(dim=1).abs().max() < 1e-5
 
 

@@ -9,7 +9,6 @@ import pytest
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from mimesh.bodies import load_body  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.core.geometry import edges  # noqa: E402
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, on_template  # noqa: E402
@@ -18,6 +17,7 @@ from mimesh.evaluate.remesh import template  # noqa: E402
 from mimesh.learn.config import config_from, load_config  # noqa: E402
 from mimesh.learn.export import export_command  # noqa: E402
 from mimesh.learn.models.limp import LIMP, LIMPConfig  # noqa: E402
+from mimesh.learn.tasks.base import shipped_body  # noqa: E402
 from mimesh.learn.tasks.limp import LIMPLossConfig, LIMPTask, limp_loss, relative_change  # noqa: E402
 from mimesh.learn.train import train  # noqa: E402
 from mimesh.pipeline import transfer  # noqa: E402
@@ -54,7 +54,7 @@ def limp():
 
 def body_mesh(count=2):
     mesh = template()
-    points = torch.from_numpy(mesh.positions(load_body().vertices)).float()
+    points = torch.from_numpy(mesh.positions(shipped_body().vertices)).float()
     return points.expand(count, -1, -1), torch.from_numpy(edges(mesh.faces))
 
 
@@ -62,7 +62,7 @@ def test_the_template_is_a_surface_on_the_bodys_own_vertices():
     mesh = template()
     chosen = mesh.corners[:, 0]
     assert len(np.unique(chosen)) == COUNT == len(np.unique(mesh.faces))
-    assert (mesh.positions(load_body().vertices) == load_body().vertices[chosen]).all()
+    assert (mesh.positions(shipped_body().vertices) == shipped_body().vertices[chosen]).all()
     corners = np.concatenate([mesh.faces[:, k] for k in ([0, 1], [1, 2], [2, 0])])
     neighbours = np.unique(np.sort(corners, axis=1), axis=0, return_counts=True)[1]
     assert (neighbours <= 2).mean() > 0.99

@@ -6,11 +6,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from mimesh.bodies import load_body  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
+from mimesh.learn.tasks.base import shipped_body  # noqa: E402
 from mimesh.learn.tasks.mime import SurfaceSource  # noqa: E402
 
-BODY = load_body()
+BODY = shipped_body()
 CPU = torch.device("cpu")
 
 

@@ -5,10 +5,10 @@ import dataclasses
 import pytest
 import torch
 
-from mimesh.bodies import load_body
 from mimesh.core.geometry import edges
 from mimesh.evaluate.protocols import HUMAN_NPT
 from mimesh.learn.body_sampler import DataConfig
+from mimesh.learn.tasks.base import shipped_body
 from mimesh.learn.tasks.npt import PairSource, edge_paper, npt_loss
 
 CASES = [DataConfig("table6"), DataConfig("table6", 64), DataConfig("wide"), DataConfig("wide", 64, "identity")]
@@ -16,7 +16,7 @@ CASES = [DataConfig("table6"), DataConfig("table6", 64), DataConfig("wide"), Dat
 
 @pytest.fixture(scope="module", params=CASES, ids=lambda c: f"{c.kind}-{c.vertices or 'all'}")
 def source(request):
-    return PairSource(request.param, load_body(), torch.device("cpu"), seed=3)
+    return PairSource(request.param, shipped_body(), torch.device("cpu"), seed=3)
 
 
 def test_truth_is_aligned_with_the_identity(source):
@@ -64,7 +64,7 @@ def test_meshes_are_in_the_unit_sphere(source):
 @pytest.mark.parametrize("kind", ["table6", "wide"])
 def test_reflection_mirrors_both_meshes_and_the_truth_of_a_share_of_the_pairs(kind):
     plain, mirrored = (
-        PairSource(DataConfig(kind, 64, reflect=share), load_body(), torch.device("cpu"), seed=3).batch(4, 0)
+        PairSource(DataConfig(kind, 64, reflect=share), shipped_body(), torch.device("cpu"), seed=3).batch(4, 0)
         for share in (0.0, 0.5)
     )
     sign = torch.tensor([-1.0, 1.0, 1.0])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache
 from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar, runtime_checkable
 
 import torch
@@ -90,6 +90,12 @@ class OnnxInterface:
     """Of each input: the axes that may have any length."""
 
 
+@cache
+def shipped_body() -> RiggedBody:
+    """Load the shipped body once: batches of training and of validation, and what is computed from it, share it."""
+    return load_body()
+
+
 Config = TypeVar("Config", bound=TrainConfig)
 Network = TypeVar("Network", bound=nn.Module)
 
@@ -104,10 +110,10 @@ class Task(ABC, Generic[Config, Network]):
     def __init__(self, config: Config, device: torch.device, precision: str = "fp32") -> None:
         self.config, self.device, self.precision = config, device, precision
 
-    @cached_property
+    @property
     def body(self) -> RiggedBody:
         """The body model that training people are made of."""
-        return load_body()
+        return shipped_body()
 
     @property
     def protocol(self) -> protocols.Protocol:
