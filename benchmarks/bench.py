@@ -115,7 +115,7 @@ def anny_bodies(vertices: int, rotmat) -> float | None:
     if find_spec("anny") is None:
         print("generator: anny is not installed (pip install 'mimesh[bodies]'), comparison left out")
         return None
-    import anny
+    import anny  # pyright: ignore[reportMissingImports]
     import torch
 
     torch.set_default_dtype(torch.float32)

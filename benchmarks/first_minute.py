@@ -74,7 +74,7 @@ def open_page(page: Path, browser: str, picture: Path | None) -> tuple[float, st
     with sync_playwright() as playwright:
         begin = time.perf_counter()
         chromium = playwright.chromium.launch(executable_path=find_browser(browser), args=list(BROWSER))
-        window = chromium.new_page(viewport=SIZE, color_scheme="light")
+        window = chromium.new_page(viewport={"width": SIZE["width"], "height": SIZE["height"]}, color_scheme="light")
         window.goto(page.as_uri())
         canvas = window.locator("canvas").first
         first = canvas.screenshot()

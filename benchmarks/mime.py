@@ -25,6 +25,7 @@ from mimesh.core.rig import Rig
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.remesh import split_faces
 from mimesh.io.atomic import whole_file
+from mimesh.methods.base import SkinnedDrive
 from mimesh.methods.find import find_method
 from mimesh.motions import motion_clip, walk_motion
 
@@ -64,9 +65,10 @@ def mime_times(identity: Mesh, clip: Clip) -> dict[str, float]:
         "prepare_clip_ms": milliseconds(lambda: method.prepare(identity, keyframes)),
     }
     drive = method.prepare(identity, keyframes)
+    assert isinstance(drive, SkinnedDrive)
     track = drive.track(iter(frames), clip.fps)
     rig = drive.rig
-    transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.places[..., None]], axis=-1)
+    transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.positions[..., None]], axis=-1)
     times |= {
         "frame_ms": milliseconds(lambda: list(drive(iter(frames)))) / FRAMES,
         "follow_ms": milliseconds(lambda: drive.track(iter(frames), clip.fps)) / FRAMES,

@@ -61,6 +61,7 @@ def write_inputs(folder: Path) -> tuple[Path, Path, Path]:
 
 def latency(hero: Path, jump: Path) -> dict[str, float]:
     """Measure seconds to the first pose and to the whole clip in the second run; the first run loads the networks."""
+    report: dict[str, float] = {}
     for _ in range(2):
         session, begin = make_session([], LIMIT), time.perf_counter()
         item = add_files(session, hero, jump)
@@ -77,9 +78,11 @@ def latency(hero: Path, jump: Path) -> dict[str, float]:
         packed = scene(session)
         pack = time.perf_counter() - begin
         session.close()
-    found = {"read_s": read, "first_pose_s": first, "whole_clip_s": whole, "scene_s": pack}
-    size = len(json.dumps(packed)) / 2**20
-    return {"frames": frames, **{name: round(value, 2) for name, value in found.items()}, "scene_mib": round(size, 1)}
+        found = {"read_s": read, "first_pose_s": first, "whole_clip_s": whole, "scene_s": pack}
+        size = len(json.dumps(packed)) / 2**20
+        report = {name: round(value, 2) for name, value in found.items()}
+        report |= {"frames": frames, "scene_mib": round(size, 1)}
+    return report
 
 
 def memory(hero: Path, short: Path) -> dict[str, list[int]]:

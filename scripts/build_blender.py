@@ -92,7 +92,7 @@ def _pip(*arguments: str) -> None:
 
 def main() -> None:
     """Build the archive for one platform."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--platform", choices=PLATFORMS, default="linux-x64")
     parser.add_argument(
         "--python", choices=PYTHONS, action="append", help="only for Blender versions with this Python; half the size"

@@ -16,11 +16,11 @@ import argparse
 import dataclasses
 from pathlib import Path
 
-import anny
-import anny.utils.obj_utils
+import anny  # pyright: ignore[reportMissingImports]
+import anny.utils.obj_utils  # pyright: ignore[reportMissingImports]
 import numpy as np
 import torch
-from anny.paths import get_anny_root_dir
+from anny.paths import get_anny_root_dir  # pyright: ignore[reportMissingImports]
 from build_human import dense_weights, sample_people, t_pose
 from scipy import sparse
 from scipy.cluster.hierarchy import fclusterdata
@@ -66,7 +66,7 @@ def main() -> None:
         mean = lift(garment, body, GAP[name])
         arrays |= {f"{name}_{key}": array for key, array in compact(mean, triangles, components, skinned).items()}
     with whole_file(args.output) as path:
-        np.savez_compressed(path, **arrays)
+        np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]
     print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
 
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import anny
+import anny  # pyright: ignore[reportMissingImports]
 import fast_simplification
 import numpy as np
 import torch
@@ -51,7 +51,7 @@ def main() -> None:
     for i in range(len(people)):
         people[i], joints[i] = t_pose(people[i], joints[i], weights, names, parents)
     mean = people.mean(axis=0)
-    simple, simple_faces = fast_simplification.simplify(
+    simple, simple_faces, *_ = fast_simplification.simplify(
         mean.astype(np.float32), faces.astype(np.int32), target_count=FACES
     )
     assert simple_faces.shape == (FACES, 3), f"expected {FACES} faces, got {simple_faces.shape}"
@@ -105,7 +105,7 @@ def sample_people(model: anny.Anny, count: int, rng: np.random.Generator) -> tup
             rest = model.get_rest_model(model.get_phenotype_blendshape_coefficients(**phenotype))
         vertices.append(rest["rest_vertices"].numpy())
         joints.append(rest["rest_bone_heads"].numpy())
-    return tuple(np.concatenate(a)[:count] @ AXES.T for a in (vertices, joints))
+    return np.concatenate(vertices)[:count] @ AXES.T, np.concatenate(joints)[:count] @ AXES.T
 
 
 AXES = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

@@ -33,7 +33,7 @@ def main() -> None:
         arrays[f"{take}_rotvec"] = np.round(rotmat_to_rotvec(motion.rotmat) / QUANTUM).astype(np.int16)
         arrays[f"{take}_root"] = motion.root.astype(np.float32)
         print(f"{take}: {len(motion)} frames, {motion.seconds:.1f} s")
-    np.savez_compressed(args.output, **arrays)
+    np.savez_compressed(args.output, **arrays)  # pyright: ignore[reportArgumentType]
     print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
 
 

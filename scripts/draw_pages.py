@@ -90,7 +90,11 @@ def screenshot(browser: str, address: str, selector: str, condition: str = "() =
 
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=browser, args=list(CHROMIUM_OPTIONS))
-        page = chromium.new_page(viewport=SIZE, color_scheme="light", device_scale_factor=SUPERSAMPLING)
+        page = chromium.new_page(
+            viewport={"width": SIZE["width"], "height": SIZE["height"]},
+            color_scheme="light",
+            device_scale_factor=SUPERSAMPLING,
+        )
         page.goto(address)
         page.wait_for_selector(selector, timeout=60_000)
         page.wait_for_function(condition, timeout=60_000)

@@ -130,6 +130,7 @@ def draw_person(body: RiggedBody, kind: str, rng: np.random.Generator) -> np.nda
 def draw_people(count: int, seed: int, kinds: tuple[str, ...] = KINDS) -> np.ndarray:
     """Draw features (count, C), with new points of the body every 50 people; one in four sets are vertices."""
     body, features = load_body(), []
+    points = body
     for i in range(count):
         rng = np.random.default_rng([seed, i])
         if i % 50 == 0:

@@ -79,6 +79,6 @@ def low_poly(name: str, faces: int) -> Mesh:
     # The skin comes first in the vertices and triangles of a character.
     body, mesh = load_body(), character(name)
     vertices, triangles = mesh.vertices[: len(body.vertices)], mesh.faces[: len(body.faces)].astype(np.int32)
-    points, triangles = fast_simplification.simplify(vertices, triangles, target_count=faces)
+    points, triangles, *_ = fast_simplification.simplify(vertices, triangles, target_count=faces)
     part = Part("skin", 0, len(triangles), Material("skin", (0.38, 0.30, 0.52, 1.0)))
     return Mesh(points.astype(np.float64), triangles.astype(np.int64), name="low-poly", parts=(part,))

@@ -58,7 +58,7 @@ class Figure(NamedTuple):
     """Makes the rows from the models, the number of rows and a folder of meshes (`--data`)."""
     models: tuple[str, ...]
     """Models that are drawn unless others are given."""
-    count: int
+    row_count: int
     """Number of rows unless another is given."""
 
 
@@ -83,7 +83,7 @@ def figure_command(
     figure = FIGURES[name]
     for model in models or figure.models:
         check_method(model)
-    count, pages = rows or figure.count, []
+    count, pages = rows or figure.row_count, []
     for tiles in figure.rows(models or figure.models, count, data):
         pages.append(draw_row(tiles))
         if progress is not None:

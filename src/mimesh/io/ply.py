@@ -192,7 +192,7 @@ def _polygon_bytes(mesh: Mesh, sizes: Int[np.ndarray, " P"], count: str) -> byte
             rows["twice"], rows["uv"] = 2 * size, mesh.corner_uv.reshape(-1, 2)[index].reshape(len(rows), -1)
         rows_of_size[size], widths[sizes == size] = rows, rows.dtype.itemsize
     if len(rows_of_size) == 1:
-        return rows.tobytes()
+        return next(iter(rows_of_size.values())).tobytes()
     offsets, body = np.cumsum(widths) - widths, np.zeros(widths.sum(), np.uint8)
     for size, rows in rows_of_size.items():
         width = rows.dtype.itemsize

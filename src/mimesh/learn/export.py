@@ -141,7 +141,7 @@ def infer_onnx(
     network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
 ) -> Float[np.ndarray, "B *R V 3"]:
     """Run an exported network once, to compare it with torch."""
-    import onnxruntime
+    from ..methods.onnx_runtime import import_onnxruntime
 
-    session = onnxruntime.InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
+    session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
     return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])

@@ -21,7 +21,7 @@ from ..core.errors import InputError
 from . import checkpoint
 from .config import load_config
 from .optimizers import make_optimizers
-from .tasks.base import Source, Task, TrainConfig
+from .tasks.base import BatchSource, Task, TrainConfig
 from .tasks.find import NETWORKS, find_task
 from .validation import Validation
 
@@ -142,7 +142,7 @@ class TrainingRun:
     ema: dict[str, Tensor]
     """Moving average of the weights by name; empty if none is kept."""
     optimizers: list[torch.optim.Optimizer]
-    source: Source
+    source: BatchSource
     device: torch.device
     reason: str
     """Why `task.precision` was chosen, in words."""

@@ -8,7 +8,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from jaxtyping import Float
@@ -41,32 +41,36 @@ class Timer(dict[str, float]):
         self[name] += time.perf_counter() - begin
 
 
-class _Playable:
+class _Playable(Protocol):
     """Base of both kinds of results: an offline page that shows identity, driving and result side by side."""
 
     model: str
     report: dict
     notes: tuple[str, ...]
     identity: Mesh | None
-    driving: Mesh | Clip | None
 
     @property
     def moved(self) -> Clip:
         """The result as a clip; a pose is a clip of one frame."""
-        raise NotImplementedError
+        ...
+
+    @property
+    def driving_clip(self) -> Clip | None:
+        """The driving mesh or clip as a clip; None where the result does not know it."""
+        ...
 
     def panels(self) -> list[Panel] | None:
         """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""
         from ..player.pack import Panel
 
-        if self.identity is None or self.driving is None:
+        identity, driving = self.identity, self.driving_clip
+        if identity is None or driving is None:
             return None
         identity_axes, driving_axes = (
             {key: self.report[which][key] for key in ("up", "front")} for which in ("identity", "driving")
         )
-        driving = self.driving if isinstance(self.driving, Clip) else Clip.still(self.driving)
         return [
-            Panel("identity", Clip.still(self.identity), **identity_axes),
+            Panel("identity", Clip.still(identity), **identity_axes),
             Panel("driving", driving, **driving_axes),
             Panel("result", self.moved, **identity_axes),
         ]
@@ -112,7 +116,7 @@ class _Playable:
             return Download(output.name, None)
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "result.glb"
-            if isinstance(self.driving, Clip):
+            if isinstance(self, ClipResult):
                 save_clip(clip, path)
             else:
                 save_mesh(clip.mesh, path)
@@ -141,6 +145,10 @@ class Result(_Playable):
     @property
     def moved(self) -> Clip:
         return Clip.still(self.mesh)
+
+    @property
+    def driving_clip(self) -> Clip | None:
+        return None if self.driving is None else Clip.still(self.driving)
 
     def save(self, path: str | Path) -> Path:
         """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file."""
@@ -173,6 +181,10 @@ class ClipResult(_Playable):
     @property
     def moved(self) -> Clip:
         return self.clip
+
+    @property
+    def driving_clip(self) -> Clip | None:
+        return self.driving
 
     def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.

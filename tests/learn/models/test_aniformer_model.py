@@ -10,6 +10,7 @@ from torch.nn import functional
 from mimesh.learn.export import compress, infer_onnx, to_onnx
 from mimesh.learn.models.aniformer import AniFormer, AniFormerConfig, Attention, FrameAttention, VertexAttention
 from mimesh.learn.tasks.aniformer import AniFormerTask
+from mimesh.methods.onnx_runtime import import_onnxruntime
 
 TINY = {"encoder": (8, 16, 24), "layers": (24, 16, 16, 8), "heads": 2}
 VARIANTS = [
@@ -243,7 +244,7 @@ def test_onnx_gives_what_torch_gives_with_fewer_and_more_vertices_than_keys(expo
 
 def test_the_graph_stores_nothing_larger_than_all_features_or_the_products_of_one_head(exported):
     """Run with every intermediate as an output and look at the sizes themselves."""
-    import onnxruntime
+    onnxruntime = import_onnxruntime()
 
     model, network = exported
     vertices, frames, widest = 3000, model.config.frames, max(model.config.layers)

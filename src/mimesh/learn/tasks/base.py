@@ -69,7 +69,7 @@ class TrainConfig:
 
 
 @runtime_checkable
-class Source(Protocol):
+class BatchSource(Protocol):
     """Makes training batches."""
 
     def batch(self, size: int, step: int) -> Any:
@@ -129,7 +129,7 @@ class Task(ABC, Generic[Config, Network]):
         """Build the network with fresh weights, on the CPU."""
 
     @abstractmethod
-    def source(self, seed: int) -> Source:
+    def source(self, seed: int) -> BatchSource:
         """Build the generator of training batches."""
 
     @abstractmethod

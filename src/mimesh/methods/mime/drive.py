@@ -247,16 +247,22 @@ class MimeMethod:
         """Run the network: joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time."""
         inputs = {"points": batch_of_one(samples.points(vertices)), "normals": batch_of_one(samples.normals(vertices))}
         points, normals = queries or np.zeros((2, 1, 3))  # the network takes no empty input
-        weights = []
+        outputs = []
         for start in range(0, len(points), CHUNK):
             chunk = slice(start, start + CHUNK)
             inputs |= {"vertices": batch_of_one(points[chunk]), "vertex_normals": batch_of_one(normals[chunk])}
-            outputs = self.session.run(["rotation", "joints", "scores"], inputs)
-            rotation, joints, scores = (np.asarray(array)[0].astype(np.float64) for array in outputs)
-            # Softmax; subtracting the largest score first keeps the exponentials finite.
-            weights.append(np.exp(scores - scores.max(axis=1, keepdims=True)))
-            weights[-1] /= weights[-1].sum(axis=1, keepdims=True)
-        return Rig(rotation, joints, np.concatenate(weights) if queries else np.zeros((0, len(joints))))
+            found = self.session.run(["rotation", "joints", "scores"], inputs)
+            outputs.append([np.asarray(array)[0].astype(np.float64) for array in found])
+        rotation, joints, _ = outputs[-1]  # the same for all chunks: they do not depend on the queries
+        weights = [_softmax(scores) for _, _, scores in outputs] if queries else [np.zeros((0, len(joints)))]
+        return Rig(rotation, joints, np.concatenate(weights))
+
+
+def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
+    """Skinning weights from scores; subtracting the largest score first keeps the exponentials finite."""
+    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
+    weights /= weights.sum(axis=1, keepdims=True)
+    return weights
 
 
 def _consensus(rigs: list[Rig]) -> Rig:

@@ -98,7 +98,7 @@ def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, 
     Iteratively reweighted least squares with the weights of Geman and McClure (1985), whose scale is the median of the
     squared distances from the mean so far.
     """
-    weights = np.ones(rotations.shape[:2])
+    weights, mean = np.ones(rotations.shape[:2]), rotations[0]
     for _ in range(MEAN_ROUNDS):
         mean = nearest_rotation(np.einsum("kj,kjab->jab", weights, rotations))
         squared = np.square(rotations - mean).sum(axis=(2, 3))
