@@ -17,6 +17,7 @@ def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:
     """Animate every shape key but the basis: 1 on its frame, 0 on the frames before and after; the last one stays 1."""
     channels = _new_channels(keys, name)
     for t, key in enumerate(keys.key_blocks[1:], start=1):
+        # The first frame is the basis, so key t belongs to frames[t].
         times, values = frames[t - 1 : t + 2], [0.0, 1.0, 0.0]
         _add_curve(channels, key.path_from_id("value"), 0, times, values[: len(times)])
 
@@ -105,6 +106,7 @@ def _add_curve(
     channels: bpy.types.ActionChannelbag, path: str, index: int, frames: Sequence[int], values: Sequence[float]
 ) -> None:
     """Add a curve with linear keys at the frames."""
+    # foreach_set fills all keys in one call; adding them one by one takes much longer.
     keys = np.stack([np.asarray(frames, np.float32), np.asarray(values, np.float32)], axis=1)
     linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
     curve = channels.fcurves.new(path, index=index)

@@ -75,6 +75,7 @@ def build_armature(context: bpy.types.Context, transfer: Transfer) -> bpy.types.
     modifier = copy.modifiers.new("Armature", "ARMATURE")
     modifier.object = rig
     modifier.use_deform_preserve_volume = False
+    # The armature comes first: other modifiers (subdivision, mirror) apply to the posed mesh.
     copy.modifiers.move(len(copy.modifiers) - 1, 0)
     animating.pose_bones(rig, skeleton, origin, transfer.name, None if transfer.single_pose else transfer.frames)
     return rig
@@ -120,6 +121,7 @@ def _add_bones(rig: bpy.types.Object, skeleton: AnimatedRig, origin: np.ndarray)
     """Add a bone for each joint, towards the next one; the direction of a bone has no effect on the mesh."""
     heads = skeleton.rig.joints - origin
     tails = _tails(skeleton, heads)
+    # Bones can be added in edit mode only, which needs the armature to be active.
     bpy.ops.object.mode_set(mode="EDIT")
     bones = [rig.data.edit_bones.new(name) for name in skeleton.names]
     for bone, parent, head, tail, rotation in zip(

@@ -55,6 +55,7 @@ def rest_copy(source: bpy.types.Object) -> bpy.types.Object:
     copy.data.animation_data_clear()
     keys = copy.data.shape_keys
     if keys is not None:
+        # Removing shape keys would apply their current mix: the basis is read before and written back.
         points = np.empty(3 * len(copy.data.vertices), np.float32)
         keys.reference_key.data.foreach_get("co", points)
         copy.shape_key_clear()
@@ -62,6 +63,7 @@ def rest_copy(source: bpy.types.Object) -> bpy.types.Object:
         copy.data.vertices.foreach_set("co", points)
     for modifier in [modifier for modifier in copy.modifiers if modifier.type in POSE_MODIFIERS]:
         copy.modifiers.remove(modifier)
+    # Constraints and the parent could move the copy: its world matrix is set instead.
     copy.constraints.clear()
     copy.hide_viewport = False  # hidden objects are not evaluated
     copy.parent = None
@@ -130,6 +132,7 @@ def read_clip(context: bpy.types.Context, source: bpy.types.Object, frames: rang
 def _set_frames(scene: bpy.types.Scene, frames: range) -> Iterator[Iterator[int]]:
     """Yield an iterator that sets the scene to each frame; afterwards the scene is set back to its current one."""
     frame, subframe = scene.frame_current, scene.frame_subframe
+    # Setting a frame evaluates the animation again, which would discard a pose without keys.
     if list(frames) == [frame]:
         yield iter(frames)
         return
@@ -173,6 +176,7 @@ def _faces(mesh: bpy.types.Mesh, matrix_world) -> np.ndarray:
     corners = np.empty(3 * len(mesh.loop_triangles), np.int32)
     mesh.loop_triangles.foreach_get("vertices", corners)
     faces = corners.reshape(-1, 3).astype(np.int64)
+    # A mirrored object (negative determinant) has clockwise faces in world space.
     return faces[:, ::-1] if np.linalg.det(np.array(matrix_world)[:3, :3]) < 0 else faces
 
 

@@ -70,6 +70,7 @@ def encode_frames(vertices: Float[np.ndarray, "T V 3"], quantization: Quantizati
     compressor = zlib.compressobj(LEVEL)
     pieces, before = [], None
     for t, points in enumerate(each_frame(vertices)):
+        # Per axis, not per vertex: neighbouring values are then of one kind and compress better.
         current = quantization.quantize(t, points).T.ravel()
         pieces.append(compressor.compress(_code_differences(current, before)))
         before = current
@@ -86,6 +87,7 @@ def estimate_size(vertices: Float[np.ndarray, "T V 3"], quantization: Quantizati
     for t in np.unique(np.linspace(1, count - 1, SAMPLES).round().astype(int)).tolist():
         before, current = (quantization.quantize(k, vertices[k]).T.ravel() for k in (t - 1, t))
         sizes.append(len(zlib.compress(_code_differences(current, before), LEVEL)))
+    # Base64 takes 4 characters for 3 bytes.
     return round(4 / 3 * (size + sum(sizes) / len(sizes) * (count - 1)))
 
 
@@ -97,6 +99,7 @@ def _code_differences(values: np.ndarray, before: np.ndarray | None) -> bytes:
     """
     if before is None:
         before = np.concatenate([np.zeros(1, values.dtype), values[:-1]])
+    # Unsigned differences wrap around; read as signed they are right, and the decoder wraps back.
     signed = (values - before).view(f"<i{values.itemsize}")
     bits = 8 * values.itemsize - 1
     return _byte_planes(((signed << 1) ^ (signed >> bits)).view(values.dtype))

@@ -167,6 +167,7 @@ def _pack_surface(mesh: Mesh, split: SplitMesh, textures: TextureStore) -> dict[
             groups.append({"start": part.start, "stop": part.stop, "material": material})
     colors = None
     if mesh.vertex_colors is not None:
+        # 16 bits: linear colours in 8 would show steps in the dark.
         colors = pack_array(np.rint(np.clip(mesh.vertex_colors, 0, 1) * 65535).astype(np.uint32))
     return {
         "corners": pack_array(split.corners),
@@ -196,6 +197,7 @@ def _placements(panels: Sequence[Panel]) -> list[dict[str, Any]]:
         axes = camera.axes(panel.up, panel.front)
         first = np.asarray(panel.clip.vertices[0], np.float64) @ axes.T
         low, high = first.min(axis=0), first.max(axis=0)
+        # The middle of the first frame's box on the floor, back in the coordinates of the file.
         anchor = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2]) @ axes
         placements.append(
             {"turn": [float(x) for x in axes.ravel()], "anchor": [float(x) for x in anchor], "size": size}

@@ -42,8 +42,10 @@ def split_vertices(mesh: Mesh) -> SplitMesh:
     group = smoothing_groups(mesh, normals).ravel()
     textured = mesh.corner_uv is not None and any(part.material and part.material.texture for part in mesh.parts)
     uv = np.ascontiguousarray(mesh.corner_uv, np.float32).reshape(-1, 2) if textured else None
+    # A render vertex is a distinct combination of vertex, smoothing group and texture coordinates.
     key = _number_pairs(mesh.faces.ravel(), group)
     if uv is not None:
+        # Two float32 are compared as one uint64, much faster than rows.
         key = _number_pairs(key, np.unique(uv.view(np.uint64).ravel(), return_inverse=True)[1])
     first, corners = np.unique(key, return_index=True, return_inverse=True)[1:]
     return SplitMesh(
@@ -74,6 +76,7 @@ def smoothing_groups(mesh: Mesh, normals: Float[np.ndarray, "F 3 3"]) -> Int[np.
     order = np.lexsort((np.maximum(start, stop), np.minimum(start, stop)))
     low, high = low[order], high[order]
     flat = position.ravel()
+    # Successive half-edges of the same positions share the edge; an edge of three faces gives two pairs.
     same = (flat[low[1:]] == flat[low[:-1]]) & (flat[high[1:]] == flat[high[:-1]])
     a = np.concatenate([low[:-1][same], high[:-1][same]])
     b = np.concatenate([low[1:][same], high[1:][same]])

@@ -41,6 +41,7 @@ class TextureStore:
         contents = list(self._contents)
         if self._damaged:
             left_out.append(f"textures that cannot be read are left out: {len(self._damaged)}")
+        # Base64 takes 4 characters for 3 bytes.
         while 4 / 3 * sum(map(len, contents)) > budget:
             largest = max(range(len(contents)), key=lambda k: len(contents[k]))
             smaller = _halve(contents[largest])

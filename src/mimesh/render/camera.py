@@ -62,6 +62,7 @@ class Camera:
         Points behind a perspective eye get NaN.
         """
         width, height = size
+        # z points towards the viewer: visible points have a negative one.
         x, y, z = ((points - self.eye) @ self.rotmat_camera_world.T).T
         distance = np.where(z < 0, -z, np.nan) if self.perspective else -z
         scale = height / (2 * self.half_height) / (distance if self.perspective else 1.0)
@@ -94,7 +95,7 @@ def fit(
         InputError: an unknown view or axis, or front along up.
     """
     world = axes(up, front)
-    rotmat = _view_rotation(*_angles(view)) @ world
+    rotmat = _view_rotation(*_angles(view)) @ world  # world -> subject (right, up, front) -> camera
     flat = np.asarray(points, np.float64).reshape(-1, 3)
     low, high = flat.min(axis=0), flat.max(axis=0)
     centre, radius = (low + high) / 2, max(float(np.linalg.norm(high - low)) / 2, 1e-12)
@@ -177,6 +178,7 @@ def follow(
     vertical = axes(up, front)[1]
     centroid = np.stack([frame.mean(axis=0) for frame in each_frame(points)])
     offsets = centroid - centroid[0]
+    # The camera stays at its height, so that jumps are visible as such.
     offsets -= (offsets @ vertical)[:, None] * vertical
     camera = fit(extreme_points(points, size, view, offsets, up=up, front=front), size, view, up=up, front=front)
     return [translate_camera(camera, offset) for offset in offsets]
@@ -230,6 +232,7 @@ def _fit_perspective(local, extent, slope, radius):
         plus = (local[:, k] + reach[k] * z).max()
         minus = (-local[:, k] + reach[k] * z).max()
         offset[k] = (plus - minus) / 2
+        # Half way between the two planes in x (or y); their distance there gives the depth at which they meet.
         depths.append((plus + minus) / (2 * reach[k]))
     # Without this, a flat subject seen edge-on, or a single point, would be at the eye itself.
     offset[2] = max(*depths, float(z.max()) + 0.05 * radius)
@@ -264,8 +267,10 @@ def _view_rotation(azimuth: float, elevation: float) -> Float[np.ndarray, "3 3"]
 
 def axes(up: str, front: str | None) -> Float[np.ndarray, "3 3"]:
     """Return unit vectors in world coordinates as rows: right (of the picture in the front view), up, front."""
+    # Defaults of the usual conventions: y up with z front (glTF, BVH), z up with -y front (Blender).
     front = front or ("-y" if up.strip("+") == "z" else "y" if up == "-z" else "z")
     vertical, forward = _axis("up", up), _axis("front", front)
+    # Axes are parallel (product 1 or -1) or perpendicular (0).
     if abs(vertical @ forward) > 0.5:
         raise InputError(f"front: expected an axis across up ({up}), found {front}; choose another")
     return np.stack([np.cross(vertical, forward), vertical, forward])

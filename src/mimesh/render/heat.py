@@ -125,6 +125,7 @@ def stretch_of(clip: Clip, reference: Float[np.ndarray, "V 3"]) -> Measure:
     if len(clip.mesh.faces) == 0:
         raise InputError(f"{clip.mesh.name}: expected faces to measure stretch, found points alone; give a mesh")
     pairs, lengths = _edges_with_length(clip.mesh.faces, reference)
+    # Each edge counts at both of its vertices; isolated vertices get 0.
     degree = np.maximum(np.bincount(pairs.ravel(), minlength=len(reference)), 1)
 
     def measure(t: int, points: np.ndarray) -> np.ndarray:
@@ -163,6 +164,7 @@ def color_bar(picture: np.ndarray, limit: float, unit: str, clipped: bool) -> np
 
 def _limit(clip: Clip, measure: Measure) -> float:
     """Return the 99th percentile of a measure over SAMPLED frames; 1 if it is zero."""
+    # A percentile, since the maximum is often one broken vertex that would leave the rest without colour.
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLED).round().astype(int)).tolist()
     values = [measure(t, np.asarray(clip.vertices[t], np.float64)) for t in chosen]
     return float(np.percentile(values, 99)) or 1.0

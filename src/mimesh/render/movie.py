@@ -120,6 +120,7 @@ def clip_frames(
     for k in range(max(round(clip.seconds * fps) for _, clip in named)):
         tiles = []
         for (label, clip), clip_camera, pose_mesh, tint in zip(named, cameras, posers, colors, strict=True):
+            # The last frame at or before this time; the small term absorbs rounding of k / fps * fps.
             t = min(int(k / fps * clip.fps + 1e-6), len(clip) - 1)
             picture = render_mesh(
                 pose_mesh(np.asarray(clip.vertices[t], np.float64)),
@@ -130,6 +131,7 @@ def clip_frames(
                 background=background,
             )
             tiles.append(captioned(picture, label if label and labels else None))
+        # Clips on disk are paged in by reading: without releasing them, long movies would fill the memory.
         if k % PAGED == 0:
             for _, clip in named:
                 release_pages(clip.vertices)
@@ -211,6 +213,7 @@ def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
         stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1001))
         stream.pix_fmt = "yuv420p"
         for count, image in enumerate(images, 1):
+            # Chroma has half the resolution in yuv420p: both sides must be even.
             width, height = (side - side % 2 for side in image.size)
             if count == 1:
                 stream.width, stream.height = width, height
@@ -218,7 +221,7 @@ def _write_mp4(images: Iterator[Image.Image], path: Path, fps: float) -> int:
             container.mux(stream.encode(frame))
         if not count:
             raise InputError(f"{path}: expected at least one frame, found none; render a longer clip")
-        container.mux(stream.encode(None))
+        container.mux(stream.encode(None))  # flush
     return count
 
 
@@ -226,6 +229,7 @@ def _shared_palette(images: list[Image.Image]) -> Image.Image:
     """Choose 256 colours from eight frames spread over the movie."""
     from PIL import Image
 
+    # Frames of their own palettes would flicker; median cut runs on one image of all of them.
     chosen = images[:: max(1, len(images) // 8)][:8]
     width, height = chosen[0].size
     board = Image.new("RGB", (width, height * len(chosen)))
@@ -236,5 +240,6 @@ def _shared_palette(images: list[Image.Image]) -> Image.Image:
 
 def _durations(count: int, exact: float, step: int) -> list[int]:
     """Return milliseconds per frame in multiples of `step`, rounded so that their cumulative sum stays right."""
+    # Rounded end times, each at least one step after the one before; durations are their differences.
     ends = [max(round(exact * k / step), k) * step for k in range(count + 1)]
     return [stop - start for start, stop in itertools.pairwise(ends)]

@@ -52,6 +52,7 @@ def contact_sheet(
     """
     if not items:
         raise InputError("contact sheet: expected at least one mesh, found none; name a file")
+    # Tiles are higher than wide, so that a nearly square sheet has more columns than rows.
     columns = columns or min(len(items), int(np.ceil(np.sqrt(1.6 * len(items)))))
     tiles = []
     for label, mesh in items:
@@ -149,6 +150,7 @@ def captioned(picture: UInt8[np.ndarray, "h w C"], label: str | None) -> Image.I
     image = Image.new("RGB" if len(background) == 3 else "RGBA", (width, height + round(2.1 * size)), background)
     image.paste(Image.fromarray(picture))
     draw, typeface = ImageDraw.Draw(image), font(size)
+    # Two characters are dropped per step: one for the ellipsis, one to get shorter.
     while draw.textlength(label, typeface) > 0.94 * width and len(label) > 2:
         label = label[:-2].rstrip() + "…"
     draw.text((width / 2, height + 0.35 * size), label, ink(background), typeface, anchor="ma")

@@ -36,6 +36,7 @@ def creased_normals(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "
     Smooth normals are means of face normals weighted by the angle at the corner, so that the way a quad is cut into
     triangles does not show.
     """
+    # Positions, not vertex indices, are shared: files split vertices at seams of their texture.
     merged, index = weld(vertices)
     flat = unit(face_vectors(vertices, faces))[:, None]
     weighted = (_corner_angles(vertices, faces)[..., None] * flat).reshape(-1, 3)
@@ -62,6 +63,7 @@ def materials(mesh: Mesh) -> Paint | None:
     vertex_colors = mesh.vertex_colors
     if vertex_colors is None and not any(part.material for part in mesh.parts):
         return None
+    # `paint` multiplies by WHITE at the end, so clay is divided by it here.
     default = to_linear(np.asarray(CLAY)) / WHITE if vertex_colors is None else np.ones(3)
     base = np.tile(default, (len(mesh.faces), 1))
     for part in mesh.parts:
@@ -79,7 +81,7 @@ def materials(mesh: Mesh) -> Paint | None:
             corners = uv[hits.corner[inside]]
             level = _mip_level(images, corners, hits.area[inside])
             position = interpolate(corners, hits.weight[inside])
-            for k in np.unique(level):
+            for k in np.unique(level):  # a few levels: one lookup each, instead of one per hit
                 color[inside[level == k]] *= _sample(images[k], position[level == k])
         return color * WHITE
 
@@ -98,6 +100,7 @@ def discs(
     right, top, back = camera.rotmat_camera_world
     angle = np.arange(8) * (np.pi / 4)
     outward = np.cos(angle)[:, None] * right + np.sin(angle)[:, None] * top
+    # Normals at the rim are tilted 64 degrees outwards: interpolated, they shade the flat disc like a ball.
     normals = np.concatenate([back[None], outward * 0.9 + back * 0.436])
     offsets = np.concatenate([np.zeros((1, 3)), outward * radius])
     fan = np.stack([np.zeros(8, int), 1 + np.arange(8), 1 + (np.arange(8) + 1) % 8], axis=1)
@@ -156,6 +159,7 @@ def _mip_maps(content: bytes) -> tuple[np.ndarray, ...]:
         return ()
     images: list[np.ndarray] = [to_linear(np.arange(256) / 255).astype(np.float32)[np.asarray(image)]]
     while min(images[-1].shape[:2]) > 1:
+        # Means of 2 x 2 texels; an odd last row or column is dropped.
         even = images[-1][: images[-1].shape[0] // 2 * 2, : images[-1].shape[1] // 2 * 2]
         images.append((even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]) / 4)
     return tuple(images)
@@ -163,6 +167,7 @@ def _mip_maps(content: bytes) -> tuple[np.ndarray, ...]:
 
 def _mip_level(images, corners, area) -> np.ndarray:
     """Choose the mip map with about one texel per pixel, for triangles of corner UVs (N, 3, 2) and areas in pixels."""
+    # Texels per pixel is a ratio of areas; each level has a quarter of the texels, hence half of log2.
     (ux, uy), (vx, vy) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
     texels = np.abs(ux * vy - uy * vx) / 2 * images[0].shape[0] * images[0].shape[1]
     # Half a level sharper than the mean over the triangle: a surface seen at an angle shrinks in one direction only.
@@ -173,6 +178,7 @@ def _mip_level(images, corners, area) -> np.ndarray:
 def _sample(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Look up colours (N, C) at UVs, bilinear and repeating beyond the edges; v counts from the lower edge."""
     height, width = image.shape[:2]
+    # Texel centres are at half integers.
     x, y = uv[:, 0] * width - 0.5, (1 - uv[:, 1]) * height - 0.5
     column, row = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
     u, v = (x - column)[:, None], (y - row)[:, None]

@@ -110,6 +110,7 @@ class Routes:
         """Send everything the page shows, once its version differs from `?since=`."""
         known_version = request.query_params.get("since", "")
         waited = 0.0
+        # Long polling: the request is answered when something has changed, or after the timeout.
         while str(self._session.version) == known_version and waited < STATE_TIMEOUT and not self._is_closing():
             await asyncio.sleep(POLL_SECONDS)
             waited += POLL_SECONDS
@@ -236,6 +237,7 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 def _use_upload(session: Session, upload: Upload, role: str) -> list[int]:
     """Unpack the archives of an upload and add its meshes or its clip to the session; returns their numbers."""
+    # Archives are replaced by their files, so the list must not be the one that changes.
     for archive in [path for path in upload.files if path.suffix.lower() == ".zip"]:
         session.uploads.unzip(upload, archive)
     if not upload.files:
@@ -250,6 +252,7 @@ async def _store_body(session: Session, upload: Upload, path: Path, request: Req
     """Write the body of a request to a file and return its size; deleted if it is too large or incomplete."""
     size, complete = 0, False
     try:
+        # The header may be missing or wrong: it only saves sending a file that is refused anyway.
         announced = request.headers.get("content-length", "")
         session.uploads.check(path, int(announced) if announced.isdigit() else 0)
         with path.open("xb") as file:
@@ -272,6 +275,7 @@ async def _json(request: Request) -> dict[str, Any]:
     """Parse the body of a request as a JSON object of at most MAX_JSON bytes."""
     import json
 
+    # Read in chunks, so that a body without a length cannot fill the memory.
     body = b""
     async for chunk in request.stream():
         body += chunk

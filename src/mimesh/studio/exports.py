@@ -83,6 +83,7 @@ def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: 
         InputError: a format or option that is not possible for these results.
     """
     _check(export, results)
+    # Written to a folder first: how many files a format makes depends on the mesh (textures, frames).
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (mesh, driving, result) in enumerate(results):
         stem = _unused(safe_name(f"{Path(mesh).stem}-{driving}"), used)

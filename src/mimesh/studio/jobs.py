@@ -52,7 +52,7 @@ class Worker:
     def submit(self, key: Hashable, work: Work, urgent: bool = False) -> Future:
         """Queue work; a job with the same key, whether it waits or runs, is cancelled."""
         job = Job(key, work, urgent)
-        with self._changed:
+        with self._changed:  # the condition's lock is reentrant, so that `cancel` may take it again
             self.cancel(key)
             if self._closed:
                 job.future.set_exception(Cancelled())

@@ -77,9 +77,11 @@ class AccessControl:
         """Return a refusal or the redirect that sets the cookie; None to pass the request to the application."""
         headers, query = Headers(scope=scope), QueryParams(scope["query_string"])
         host = headers.get("host", "")
+        # DNS rebinding: a page of another site whose name resolves to this machine sends that name.
         if not self._is_own_host(host):
             return PlainTextResponse("This host name is not that of the studio.\n", 421)
         safe = scope["method"] in ("GET", "HEAD")
+        # The token leaves the address at once, so that it is not in the history or in screenshots.
         if safe and scope["path"] == "/" and self._is_token(query.get("token", "")):
             response = RedirectResponse("/", 303)
             response.set_cookie(self._cookie, self._token, httponly=True, samesite="strict", path="/")
@@ -87,6 +89,7 @@ class AccessControl:
         by_header = self._is_token(headers.get("x-mimesh-token", ""))
         if not by_header and not self._is_token(self._from_cookie(headers.get("cookie", ""))):
             return PlainTextResponse(FORBIDDEN, 403)
+        # Browsers send Origin with requests of other sites, and with all changes; programs send the token as a header.
         origin = headers.get("origin")
         if origin is not None and origin != f"http://{host}" and not (safe and origin == "null"):
             return PlainTextResponse("Requests from other sites are refused.\n", 403)
@@ -95,10 +98,12 @@ class AccessControl:
         return None
 
     def _is_own_host(self, host: str) -> bool:
+        # Without the port; an IPv6 address in brackets may come without one.
         name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
         name = name.strip("[]").lower()
         if self._host in LOOPBACK:
             return name in LOOPBACK
+        # Reachable by others: any address of this machine may be typed, but no foreign name.
         return name in (*LOOPBACK, self._host.lower(), socket.gethostname().lower()) or _is_address(name)
 
     def _is_token(self, token: str) -> bool:

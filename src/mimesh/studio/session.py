@@ -253,6 +253,7 @@ class Session:
             self.changed()
 
         self.exports[export.number] = export
+        # Numbers grow: the smallest ones are the oldest exports.
         for number in sorted(self.exports)[:-MAX_EXPORTS]:
             self.remove_export(number)
         self.worker.submit(("export", export.number), work).add_done_callback(finish)
@@ -287,6 +288,7 @@ class Session:
 
     def _read(self, item: Item, read: Callable[[], Mesh | Clip]) -> None:
         """Let the worker read an item; results that depend on it are computed afterwards."""
+        # Callbacks run in the worker's thread; a newer reading cancels this one, so its callback then does nothing.
         item.content, item.error, item.outcome = None, "", None
         item.read += 1
         self._cancel_jobs(item)
@@ -317,6 +319,7 @@ class Session:
         inputs = (*preparation_inputs(item, self.driving, self.options), self.options)
         if getattr(item.outcome, "inputs", None) == inputs:
             return
+        # The previous result stays on the stage until the new one is finished.
         before = item.outcome or Outcome(0)
         outcome = Outcome(self.changed(), result=before.result, result_version=before.result_version, inputs=inputs)
         item.outcome = outcome
@@ -360,6 +363,7 @@ class Session:
         if cached is None or cached[0] != inputs:
             axes = (*item.axes, *driving.axes)
             cached = (inputs, False, operations.prepare_inputs(mesh, driving.content, options.model, axes))
+        # Refinement is a second step, so that switching it does not repeat the first.
         if cached[1] != options.refine:
             cached = (inputs, options.refine, cached[2].refined(options.refine))
         item.prepared = cached

@@ -97,6 +97,7 @@ class UploadFolder:
         if len(upload.files) >= MOST_FILES:
             raise InputError(f"{name}: expected {MOST_FILES:,} files or fewer at a time, found more; give fewer frames")
         path = upload.folder / safe_path(name)
+        # A folder of the path may be a file of the same upload.
         if path.exists() or any(above.is_file() for above in path.parents):
             raise InputError(f"{path.name}: expected files of different names, found two of this one; rename one")
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -222,6 +223,7 @@ def safe_name(name: str) -> str:
 
     Letters of all scripts stay; the suffix stays if the name has to be cut to MAX_NAME bytes.
     """
+    # Categories C (control, invisible) and Z (separators) could hide a part of the name, such as its suffix.
     text = unicodedata.normalize("NFC", name)
     text = "".join(
         character
@@ -232,9 +234,11 @@ def safe_name(name: str) -> str:
     stem, dot, suffix = text.rpartition(".")
     if not dot:
         stem, suffix = text, ""
+    # Windows opens a device for "con.obj", too.
     if text.split(".")[0].strip().lower() in DEVICES:
         stem = f"_{stem}"
     suffix = dot + suffix if len((dot + suffix).encode()) <= MAX_NAME // 2 else ""
+    # Cut by bytes, as file systems count; half a character at the end is dropped.
     stem = stem.encode()[: MAX_NAME - len(suffix.encode())].decode(errors="ignore")
     return (stem or "file") + suffix
 
