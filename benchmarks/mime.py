@@ -66,7 +66,7 @@ def mime_times(identity: Mesh, clip: Clip) -> dict[str, float]:
     drive = method.prepare(identity, keyframes)
     track = drive.track(iter(frames), clip.fps)
     rig = drive.rig
-    transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.places[..., None]], axis=-1)
+    transforms = np.concatenate([track.rotation @ rig.rotation.mT, track.positions[..., None]], axis=-1)
     times |= {
         "frame_ms": milliseconds(lambda: list(drive(iter(frames)))) / FRAMES,
         "follow_ms": milliseconds(lambda: drive.track(iter(frames), clip.fps)) / FRAMES,
