@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def write_inputs(folder: Path) -> tuple[Path, Path, Path]:
-    """Write a character, a motion and its first frames, and return their paths."""
+    """A character, a motion, and its first frames."""
     clip = played(load_body())
     save_mesh(character("runner"), folder / "hero.glb")
     save_clip(clip, folder / "jump.glb")
@@ -83,7 +83,7 @@ def latency(hero: Path, jump: Path) -> dict[str, float]:
 
 
 def memory(hero: Path, short: Path) -> dict[str, list[int]]:
-    """Return the memory (MiB) of this process after each round."""
+    """MiB of the process after each round, and the jobs and items that are kept then."""
     desk, after = make_desk([], LIMIT), []
     for _ in range(ROUNDS):
         item = laid(desk, hero, short)
