@@ -1,10 +1,9 @@
-"""Build the Blender extension: `dist/mimesh-blender-<version>-<platform>.zip`, with all wheels that it needs.
+"""Build the Blender extension `dist/mimesh-blender-<version>-<platform>.zip`, which contains all wheels that it needs.
 
     python scripts/build_blender.py [--platform windows-x64] [--python 3.11] [--output dist]
 
-One archive works in Blender 4.5 and 5.0 (Python 3.11) and in later versions (3.13): Blender unpacks the wheels of its
-own Python and skips the others. NumPy comes with Blender. Two builds of a commit with the same wheels are equal byte by
-byte.
+One archive is for Blender 4.5 and 5.0 (Python 3.11) and later versions (3.13): Blender unpacks the wheels for its own
+Python and skips the others. NumPy is part of Blender. Builds of one commit with the same wheels are equal byte by byte.
 """
 
 from __future__ import annotations
@@ -22,15 +21,15 @@ FOLDER = ROOT / "blender"
 PYTHONS = ("3.11", "3.13")
 """Python versions of Blender 4.5 and 5.0, and of 5.1 and later."""
 PACKAGES = ("scipy", "onnxruntime", "jaxtyping", "wadler-lindig")
-"""Packages that mimesh imports during a transfer; onnxruntime's own dependencies are only needed by its tools."""
+"""Packages that a transfer imports; the dependencies of onnxruntime are for tools that are not used."""
 PLATFORMS = {
     "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (17, 24, 27, 28)] + ["manylinux2014_x86_64"],
     "windows-x64": ["win_amd64"],
     "macos-arm64": [f"macosx_{major}_0_{arch}" for major in (11, 12, 13, 14) for arch in ("arm64", "universal2")],
 }
-"""Blender's name of a platform -> tags of wheels that run there."""
+"""Blender's names of platforms, and the tags of wheels for them."""
 EARLIEST = (1980, 1, 1, 0, 0, 0)
-"""Date of all files in the archive, so that builds are reproducible; the earliest that a zip file can store."""
+"""Date of all files in the archive, fixed for reproducible builds."""
 
 
 def build(platform: str, pythons: list[str], output: Path) -> Path:
@@ -47,7 +46,7 @@ def build(platform: str, pythons: list[str], output: Path) -> Path:
 
 
 def _download(platform: str, python: str, wheels: Path) -> None:
-    """Download the wheels of PACKAGES for a platform and a Python version into a folder."""
+    """Download the wheels of PACKAGES for a platform and Python version to a folder."""
     tags = [option for tag in PLATFORMS[platform] for option in ("--platform", tag)]
     pinned = ["--constraint", str(ROOT / "constraints.txt")]
     _pip(
@@ -57,10 +56,14 @@ def _download(platform: str, python: str, wheels: Path) -> None:
 
 
 def _write(path: Path, platform: str, wheels: list[Path]) -> None:
-    """Write the archive: the files of the add-on, its manifest with the list of wheels, and the wheels."""
+    """Write the archive: the extension's files and the wheels, with platform and wheels listed in its manifest."""
     content = {file.name: file.read_bytes() for file in FOLDER.iterdir() if file.is_file()}
-    names = "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
-    content["blender_manifest.toml"] += f'platforms = ["{platform}"]\nwheels = [\n{names}]\n'.encode()
+    lists = (
+        f'platforms = ["{platform}"]\nwheels = [\n'
+        + "".join(f'  "./wheels/{wheel.name}",\n' for wheel in wheels)
+        + "]\n"
+    )
+    content["blender_manifest.toml"] += lists.encode()
     content |= {f"wheels/{wheel.name}": wheel.read_bytes() for wheel in wheels}
     partial = path.with_suffix(".partial")
     with zipfile.ZipFile(partial, "w") as archive:
@@ -73,33 +76,34 @@ def _write(path: Path, platform: str, wheels: list[Path]) -> None:
 
 
 def _version() -> str:
-    """Return the version of the extension.
+    """Read the version of the extension, which must be that of the package.
 
     Raises:
-        ValueError: it is not that of the package.
+        ValueError: they differ.
     """
-    version = tomllib.loads((FOLDER / "blender_manifest.toml").read_text())["version"]
+    extension = tomllib.loads((FOLDER / "blender_manifest.toml").read_text())["version"]
     package = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-    if version != package:
-        raise ValueError(f"blender_manifest.toml: expected version {package}, found {version}; make them equal")
-    return version
+    if extension != package:
+        raise ValueError(f"blender_manifest.toml: expected version {package}, found {extension}; make them equal")
+    return extension
 
 
 def _pip(*arguments: str) -> None:
+    """Run pip."""
     command = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", *arguments]
     subprocess.run(command, check=True)
 
 
 def main() -> None:
-    """Build the archive for one platform."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    """Parse the command line, build, and print what was written."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--platform", choices=PLATFORMS, default="linux-x64")
     parser.add_argument(
-        "--python", choices=PYTHONS, action="append", help="only for Blender versions with this Python; half the size"
+        "--python", choices=PYTHONS, action="append", help="only for Blender with this Python, at half the size"
     )
     parser.add_argument("--output", type=Path, default=ROOT / "dist")
-    options = parser.parse_args()
-    path = build(options.platform, options.python or list(PYTHONS), options.output)
+    args = parser.parse_args()
+    path = build(args.platform, args.python or list(PYTHONS), args.output)
     print(f"{path} ({path.stat().st_size / 1e6:.0f} MB)")
     print("In Blender: Edit > Preferences > Get Extensions > Install from Disk")
 
