@@ -96,7 +96,7 @@ def _pip(*arguments: str) -> None:
 
 def main() -> None:
     """Parse the command line, build, and print what was written."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--platform", choices=PLATFORMS, default="linux-x64")
     parser.add_argument(
         "--python", choices=PYTHONS, action="append", help="only for Blender with this Python, at half the size"
