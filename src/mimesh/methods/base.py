@@ -89,8 +89,8 @@ class SkinnedDrive:
     """Index of each vertex among the distinct positions."""
     name: str
     """Name of the driving, for error messages."""
-    confidence: tuple[Confidence, Confidence]
-    """Confidence of the predictions for the identity and for the driving."""
+    confidence: tuple[Confidence, Confidence] | None = None
+    """Confidence of the predictions for the identity and for the driving; None from a method that gives none."""
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the identity's vertices for every driving frame."""

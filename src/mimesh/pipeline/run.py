@@ -123,7 +123,7 @@ def prepare(
     options.check(method)
     drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
     # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
-    if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive):
+    if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None:
         corrected = (
             reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
             reorient(method, first, norms[1], axes[2:], drive.confidence[1]),
@@ -272,9 +272,10 @@ def _joint_motion(
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
     """Add confidences and foot skate (identity heights a second) to the report; return notes on low confidence."""
     notes = ()
-    for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
-        report[which] |= confidence.facts()
-        notes += confidence.notes(name)
+    if motion.drive.confidence is not None:
+        for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
+            report[which] |= confidence.facts()
+            notes += confidence.notes(name)
     speed = foot_skate(motion.track, motion.path, motion.drive.skinned, motion.drive.feet)
     report["foot_skate"] = None if speed is None else speed / height
     return notes
