@@ -12,7 +12,7 @@ from pathlib import Path
 
 from commands import command_reference
 
-from mimesh.commands.about import WHAT
+from mimesh.commands.about import DESCRIPTIONS
 from mimesh.evaluate.tables import markdown_table, paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
@@ -53,7 +53,7 @@ def models() -> str:
     for name in MODELS:
         row = _report_row(name, "unseen")
         pmd = f"{_figure(row['pmd_e4'])}\N{NO-BREAK SPACE}({_figure(row['pmd_e4_median'])})"
-        rows.append([f"[`{name}`](#{name})", WHAT[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
+        rows.append([f"[`{name}`](#{name})", DESCRIPTIONS[name], pmd, f"{_figure(row['mm'])}\N{NO-BREAK SPACE}mm"])
     return markdown_table(["`-m`", "what it is", "PMD ×1e-4: mean (median)", "distance"], rows)
 
 

@@ -56,4 +56,4 @@ def test_unknown_figures_and_missing_data_are_reported(tmp_path, network):
         figure_command("npt-10", tmp_path / "a.png", (network,), 1, tmp_path)
     with pytest.raises(InputError, match="found neither"):
         figure_command("npt-9", tmp_path / "a.png", ("nobody",))
-    assert all(figure.count > 0 for figure in FIGURES.values())
+    assert all(figure.row_count > 0 for figure in FIGURES.values())

@@ -8,7 +8,7 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
-from test_train import TINY, losses
+from trainings import TINY, losses
 
 from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from

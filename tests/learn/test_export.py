@@ -7,7 +7,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from test_train import TINY
+from trainings import TINY
 
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError

@@ -10,32 +10,14 @@ import time
 
 import pytest
 import torch
+from trainings import TINY, losses
 
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
-from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.config import load_config
-from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTrainConfig
 from mimesh.learn.train import StopRequest, TrainingRun, choose_precision, product_rate, schedule, train, train_command
 from mimesh.learn.validation import Validation
-
-TINY = NPTTrainConfig(
-    model=NPTConfig(encoder=(8, 16, 16), decoder=(16, 8, 8)),
-    data=DataConfig("table6", 64),
-    batch=2,
-    pairs=16,
-    learning_rate=1e-3,
-    decay=0.5,
-    ema=0.9,
-    clip=1.0,
-    validation_pairs=1,
-    validate_every=8,
-)
-
-
-def losses(run: TrainingRun, steps: int) -> list[float]:
-    return [float(run.advance()) for _ in range(steps)]
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])

@@ -76,13 +76,13 @@ def transfer(
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
     """
     from ..io import MESH_WRITERS, load_mesh
-    from ..pipeline import transfer as run
+    from ..pipeline import transfer as run_transfer
 
     output = output or output_beside(identity, driving, identity.suffix)
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
     _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
-    result = run(
+    result = run_transfer(
         *meshes,
         model,
         up=up,
@@ -137,7 +137,7 @@ def animate(
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
     """
     from ..io import load_clip, load_mesh
-    from ..pipeline import animate as run
+    from ..pipeline import animate as run_animate
     from ..tools.convert import animations_note, taken_rate_note
 
     output = output or output_beside(identity, driving, ".glb")
@@ -145,7 +145,7 @@ def animate(
     _check_clip_output(output, skinned, blendshapes)
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
-        result = run(
+        result = run_animate(
             mesh,
             clip,
             model,
@@ -232,11 +232,11 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
 def _write_preview(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
     """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths."""
-    from ..tools.preview import beside
+    from ..tools.preview import write_preview
 
     if not preview:
         return {"pictures": [], "page": None}
-    picture, page = beside(result, output)
+    picture, page = write_preview(result, output)
     if open_it:
         open_page(page)
     return {"pictures": [str(picture)], "page": str(page)}

@@ -76,7 +76,7 @@ class Confidence:
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
 
     def facts(self) -> dict[str, Any]:
-        """Return the figures under the keys that reports have."""
+        """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
         limbs, unmatched = (
             {limb: round(share, 3) for limb, share in d.items()} for d in (self.limbs, self.unmatched_body)
         )

@@ -49,7 +49,7 @@ def load_network(
     if not path.is_file():
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
     session = _open_session(path, threads)
-    card = _card(session, path)
+    card = _metadata(session, path)
     if card["model"] == "aniformer":
         return AniFormerMethod(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
     if card["model"] == "limp":
@@ -76,7 +76,7 @@ def _open_session(path: Path, threads: int) -> InferenceSession:
         ) from None
 
 
-def _card(session: InferenceSession, path: Path) -> dict[str, Any]:
+def _metadata(session: InferenceSession, path: Path) -> dict[str, Any]:
     """Return the metadata of a network, checked."""
     text = session.get_modelmeta().custom_metadata_map.get("mimesh")
     if text is None:

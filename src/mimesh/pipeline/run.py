@@ -100,7 +100,7 @@ class Prepared:
     refinement: Refinement | None
     """Refines results; None leaves them as they are."""
 
-    def refined(self, refine: bool | None) -> Prepared:
+    def with_refinement(self, refine: bool | None) -> Prepared:
         """Switch refinement on or off; None takes the method's default."""
         refinement = Refinement.of(self.rest) if (self.method.rough if refine is None else refine) else None
         return dataclasses.replace(self, refinement=refinement)
@@ -128,11 +128,11 @@ def prepare(
             reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
             reorient(method, first, norms[1], axes[2:], drive.confidence[1]),
         )
-        if corrected != norms:
+        if corrected != norms:  # `reorient` returns the same object where it changes nothing
             norms = corrected
             drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
     rest = _normalised(identity, norms[0])
-    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).refined(refine)
+    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).with_refinement(refine)
 
 
 def reorient(
@@ -165,6 +165,7 @@ def reorient(
     # A small gain may be noise of the prediction: the detector's axes are then kept.
     if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
         return norm
+    # A margin of 0 makes the report say that the facing is uncertain.
     return dataclasses.replace(chosen, detected=True, margin=0.0)
 
 

@@ -365,7 +365,7 @@ class Session:
             cached = (inputs, False, operations.prepare_inputs(mesh, driving.content, options.model, axes))
         # Refinement is a second step, so that switching it does not repeat the first.
         if cached[1] != options.refine:
-            cached = (inputs, options.refine, cached[2].refined(options.refine))
+            cached = (inputs, options.refine, cached[2].with_refinement(options.refine))
         item.prepared = cached
         return cached[2]
 

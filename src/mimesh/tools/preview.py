@@ -18,7 +18,7 @@ TILE = (360, 440)
 """Width and height of one picture in pixels."""
 
 
-def beside(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
+def write_preview(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
     """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths."""
     picture, page = names_beside(output)
     save_picture(result_picture(result), picture)
