@@ -119,7 +119,7 @@ def on(*protocols: str) -> set[tuple[str, str]]:
         (load_network, ALL),
         (sample_pose, ALL),
         (type(NOISE).noisy_pair, on("noise")),
-        (type(DRESSED).sample_people, set()),
+        (type(DRESSED).unshuffled_pair, set()),
         (touching, on("contact")),
         (remesh.holes, on("noise")),
         (CrossBody.unshuffled_pair, on("cross-body")),
