@@ -171,7 +171,7 @@ def print_table(figures: dict[str, float], baseline: dict[str, dict[str, Any]]) 
     worse = []
     print(f"{'figure':<26}{'now':>10}{'baseline':>10}{'limit':>8}")
     for name, value in figures.items():
-        entry = baseline[name]
+        entry = baseline.get(name, {"value": None, "better": "lower", "gate": False})  # new figures only inform
         verdict = judge(value, entry)
         worse += [name] if verdict == "WORSE" else []
         base = "-" if entry["value"] is None else f"{entry['value']:.4g}"

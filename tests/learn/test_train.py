@@ -126,14 +126,19 @@ def test_a_signal_ends_a_training_with_a_checkpoint_that_resumes_exactly(tmp_pat
 
 
 def test_a_second_signal_acts_at_once():
-    stop = StopRequest(None)
-    stop.__enter__()
-    signal.raise_signal(signal.SIGINT)
-    assert stop()
-    with pytest.raises(KeyboardInterrupt):
+    # A shell without job control starts processes in the background with SIGINT ignored.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        stop = StopRequest(None)
+        stop.__enter__()
         signal.raise_signal(signal.SIGINT)
-    with pytest.raises(KeyboardInterrupt):
-        stop.__exit__(None)
+        assert stop()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with pytest.raises(KeyboardInterrupt):
+            stop.__exit__(None)
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_precision_is_measured_where_it_is_not_given(monkeypatch):
