@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ..core.errors import InputError
 from ..io.atomic import whole_file
+from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
@@ -141,7 +142,5 @@ def infer_onnx(
     network: onnx.ModelProto, identity: Float[np.ndarray, "B V 3"], driving: Float[np.ndarray, "B *T U 3"]
 ) -> Float[np.ndarray, "B *R V 3"]:
     """Run an exported network once, to compare it with torch."""
-    from ..methods.onnx_runtime import import_onnxruntime
-
     session = import_onnxruntime().InferenceSession(network.SerializeToString(), providers=["CPUExecutionProvider"])
     return np.asarray(session.run(["result"], {"identity": identity, "driving": driving})[0])

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
-from ..core.frame_buffer import PAGED, Progress, allocate_frames, each_frame, release_pages
+from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
 from ..core.joint_tracks import JointTrack, foot_skate
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
@@ -221,7 +221,8 @@ def play(
         if isinstance(prepared.drive, SkinnedDrive):
             # Options need the whole motion, so all joints are tracked before the first frame is made: two passes.
             passes = 2
-            driving = _counted(driving, progress, len(clip))
+            half = progress and (lambda done, total: progress(done // 2, total))
+            driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
             motion = _joint_motion(prepared.drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
@@ -280,16 +281,6 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
     speed = foot_skate(motion.track, motion.path, motion.drive.skinned, motion.drive.feet)
     report["foot_skate"] = None if speed is None else speed / height
     return notes
-
-
-def _counted(
-    frames: Iterable[Float[np.ndarray, "U 3"]], progress: Progress | None, count: int
-) -> Iterator[Float[np.ndarray, "U 3"]]:
-    """Yield frames, counting them as the first of two passes."""
-    for t, vertices in enumerate(frames):
-        yield vertices
-        if progress is not None:
-            progress((t + 1) // 2, count)
 
 
 def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
