@@ -320,12 +320,17 @@ def test_the_number_of_meshes_is_limited(session, client, monkeypatch):
 def test_unknown_numbers_are_refused(client):
     for method, path in (
         ("DELETE", "/api/meshes/99"),
-        ("POST", "/api/meshes/99/pose"),
         ("POST", "/api/uploads/9/identity"),
     ):
         assert client.request(method, path).status_code == 422
     assert client.get("/api/exports/99").status_code == 404
     assert client.post("/api/uploads/9/unknown").status_code == 404
+
+
+def test_the_pose_of_a_removed_mesh_is_no_error(client):
+    """Pages ask for poses of meshes that another page has just removed; browsers log every other status as an error."""
+    response = client.post("/api/meshes/99/pose", json={"frame": 0})
+    assert (response.status_code, response.content) == (204, b"")
 
 
 def test_results_are_exported(session, client, tmp_path):

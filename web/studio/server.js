@@ -8,12 +8,12 @@ export async function call(method, path, body) {
   return response.json();
 }
 
-/** Fetch positions of a mesh in one frame, as a Float32Array; null if a newer request cancelled this one. */
+/** Fetch positions of a mesh in one frame, as a Float32Array; null if it was cancelled: by a newer request or a removal. */
 export async function fetchPose(number, frame, signal) {
   const response = await fetch(`/api/meshes/${number}/pose`, {
     method: "POST", headers: JSON_TYPE, body: JSON.stringify({ frame }), signal,
   });
-  return response.ok ? new Float32Array(await response.arrayBuffer()) : null;
+  return response.status === 200 ? new Float32Array(await response.arrayBuffer()) : null;
 }
 
 async function send(method, path, body) {

@@ -178,13 +178,19 @@ class Routes:
         return JSONResponse({})
 
     async def pose(self, request: Request) -> Response:
-        """Send the positions of a mesh in one frame, (V, 3) little-endian float32."""
+        """Send the positions of a mesh in one frame, (V, 3) little-endian float32; nothing (204) if it was cancelled.
+
+        Cancelled by a newer request, or because the mesh has been removed, perhaps by another page. Browsers log every
+        response above 400 as an error, and this is none.
+        """
         frame = (await _json(request)).get("frame", 0)
         if isinstance(frame, bool) or not isinstance(frame, int):
             raise InputError(f"frame: expected a whole number, found {frame!r}; give one")
-        vertices = await self._unless_closing(
-            asyncio.wrap_future(self._session.pose(request.path_params["number"], frame))
-        )
+        try:
+            pose = self._session.pose(request.path_params["number"], frame)
+            vertices = await self._unless_closing(asyncio.wrap_future(pose))
+        except Cancelled:
+            return Response(status_code=204)
         return Response(np.asarray(vertices, "<f4").tobytes(), media_type="application/octet-stream")
 
     async def scene(self, request: Request) -> Response:

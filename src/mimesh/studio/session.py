@@ -222,8 +222,13 @@ class Session:
         """Compute a mesh in one frame with the current options, before other work; cancels earlier calls for it.
 
         The future gives (V, 3) positions.
+
+        Raises:
+            Cancelled: the mesh has been removed.
         """
-        item = self.item(number)
+        item = self.identities.get(number)
+        if item is None:
+            raise Cancelled
 
         def work(progress: Progress) -> Float[np.ndarray, "V 3"]:
             prepared = self._prepare(item)
