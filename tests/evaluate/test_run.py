@@ -21,11 +21,11 @@ from mimesh.evaluate.measure import (
     measure_clip,
     result_frames,
     result_vertices,
-    summary,
 )
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
 from mimesh.io import load_mesh
 from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT

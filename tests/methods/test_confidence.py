@@ -7,7 +7,14 @@ from mimesh.bodies import load_body
 from mimesh.core.mesh import Mesh
 from mimesh.core.rig import descendants
 from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.methods.confidence import Confidence
+from mimesh.methods.confidence import (
+    MAX_ENTROPY,
+    MAX_SPREAD,
+    MAX_UNMATCHED_LIMB,
+    MAX_UNMATCHED_SURFACE,
+    MIN_SHARE,
+    Confidence,
+)
 from mimesh.pipeline import transfer
 
 BODY = load_body()
@@ -94,3 +101,22 @@ def test_sparse_point_cloud_of_a_person_has_no_note():
     points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
     notes = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
     assert "whole" not in notes
+
+
+def random_confidence(rng):
+    """A confidence whose figures lie about their thresholds."""
+    near = lambda threshold: float(threshold * rng.uniform(0.3, 1.15))  # noqa: E731
+    limbs = {name: near(least) / 0.5 for name, least in MIN_SHARE.items()}
+    unmatched = {name: near(MAX_UNMATCHED_LIMB) for name in MIN_SHARE} if rng.random() < 0.7 else {}
+    return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs, unmatched, near(MAX_UNMATCHED_SURFACE))
+
+
+def test_uncertainty_is_above_one_exactly_where_there_is_a_note():
+    noted = []
+    for seed in range(500):
+        confidence = random_confidence(np.random.default_rng(seed))
+        noted.append(bool(confidence.notes("mesh")))
+        assert (confidence.uncertainty > 1) == noted[-1]
+    assert 50 < sum(noted) < 450, "both happen"
+    lost = Confidence(1.0, 0.1, dict.fromkeys(MIN_SHARE, 0.0))
+    assert 1 < lost.uncertainty < np.inf

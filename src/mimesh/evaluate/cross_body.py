@@ -202,6 +202,7 @@ def _make_pair(identity: SkinnedCharacter, driving: SkinnedCharacter, rest: Pose
         reference=reference,
         markers=np.stack([find_landmarks(identity), find_landmarks(driving)], axis=1),
         truth_name=f"{identity.mesh.name}_{pose.label}",
+        groups=(identity.mesh.name, driving.mesh.name),
     )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,7 +21,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre, radius
 from ..methods.base import Method
 from ..methods.find import find_method, weights_path
-from ..pipeline import ClipResult, animate, transfer
+from ..pipeline import ClipResult, Result, animate, transfer
 from .clip_protocols import ClipPair, on_template
 from .metrics import (
     acceleration_ratio,
@@ -43,6 +43,7 @@ from .metrics import (
 from .pairs import Pair
 
 EXTRA_INPUTS = {
+    "identity": "nothing: the identity is not moved",
     "copy": "true dense correspondence, true size",
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
@@ -57,12 +58,8 @@ TRAINED_ON = {
     "clips": "random people and motions",
 }
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
-CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
-"""Metrics that are defined for clips only, and their decimals; means are over the clips that have a value."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 """Facing of both meshes, passed to every method: axis detection is not part of what is measured."""
-BOOTSTRAP_SAMPLES = 2000
-"""Number of resamplings for the confidence intervals."""
 STATIC_FRAMES = 5
 """Number of frames of the static clip that `still_mm` is measured on."""
 
@@ -99,12 +96,32 @@ def training_summary(method: str) -> str:
     return f"{minutes}; {sum(stage['pairs'] for stage in stages):,} pairs of {count:,} vertices; {data}"
 
 
-def result_vertices(
-    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False
-) -> Float[np.ndarray, "V 3"]:
-    """Run a method on a pair and return the result's vertices in metres.
+class Output(NamedTuple):
+    """What a method gives for a pair or a clip."""
 
-    Methods that take the true size are not refined.
+    vertices: Float[np.ndarray, "*T V 3"]
+    """Vertices of the result in metres, of all frames for a clip."""
+    confidence: dict[str, Any] = {}
+    """`uncertainty` of the result (the larger of the two meshes'), and whether the user is `warned`; empty if a method
+    gives no confidence."""
+
+    @classmethod
+    def of(cls, result: Result | ClipResult) -> Output:
+        """Take vertices and confidence from a result of the library."""
+        vertices = result.vertices if isinstance(result, Result) else result.clip.vertices.astype(np.float64)
+        values = [result.report[mesh].get("uncertainty") for mesh in ("identity", "driving")]
+        known = [value for value in values if value is not None]
+        # Up and front are given, so that every note is one of low confidence.
+        return cls(vertices, {"uncertainty": max(known), "warned": bool(result.notes)} if known else {})
+
+
+def result_vertices(pair: Pair, method: str | Method, **options: Any) -> Float[np.ndarray, "V 3"]:
+    """Run a method on a pair and return the result's vertices in metres; see `run_on_pair`."""
+    return run_on_pair(pair, method, **options).vertices
+
+
+def run_on_pair(pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False) -> Output:
+    """Run a method on a pair. Methods that take the true size are not refined.
 
     Args:
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
@@ -113,17 +130,19 @@ def result_vertices(
         NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
     """
     if not isinstance(method, str):
-        return transfer(pair.identity, pair.driving, method, **AXES, refine=refine).vertices
+        return Output.of(transfer(pair.identity, pair.driving, method, **AXES, refine=refine))
+    if method == "identity":
+        return Output(pair.identity.vertices)
     if method == "copy":
-        return resized(required_input(pair.aligned, method), pair.truth)
+        return Output(resized(required_input(pair.aligned, method), pair.truth))
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(pair, method)
-        return transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs).vertices
+        return Output.of(transfer(pair.identity, driving, "deformation-transfer", **AXES, **inputs))
     network = find_method(method, ensemble=ensemble)
     if needs_true_size(network):
         clip = Clip.still(pair.driving)
-        return frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0]
-    return transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=refine).vertices
+        return Output(frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0])
+    return Output.of(transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=refine))
 
 
 def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
@@ -175,12 +194,13 @@ def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on one pair and return its metrics, or {"why": reason} if the method cannot be applied."""
     started = time.perf_counter()
     try:
-        result = result_vertices(pair, method, **options)
+        result, confidence = run_on_pair(pair, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
     faces = pair.identity.faces
-    return {**shape_metrics(result, pair.truth, faces, geometry.edges(faces), pair.height), "seconds": seconds}
+    metrics = shape_metrics(result, pair.truth, faces, geometry.edges(faces), pair.height)
+    return {**metrics, **confidence, "seconds": seconds}
 
 
 def shape_metrics(
@@ -203,35 +223,6 @@ def shape_metrics(
     }
 
 
-def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise the metrics of all pairs of one kind as a row of a report: means, and the distribution of the PMD."""
-    measured = [metrics for metrics in figures if "why" not in metrics]
-    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
-    row |= {"given": extra_inputs(method), "trained": training_summary(method)}
-    if len(measured) < len(figures):
-        row["not_applicable"] = len(figures) - len(measured)
-        row["why"] = next(metrics["why"] for metrics in figures if "why" in metrics)
-    if not measured:
-        return row
-    errors = np.array([metrics["pmd_e4"] for metrics in measured])
-    row |= {
-        "pmd_e4": round(float(errors.mean()), 4),
-        "pmd_e4_ci95": round(bootstrap_half_interval(errors), 4),
-        "pmd_e4_median": round(float(np.median(errors)), 4),
-        "pmd_e4_p90": round(float(np.quantile(errors, 0.9)), 4),
-        "pmd_e4_max": round(float(errors.max()), 4),
-    }
-    for name, digits in (("pmd_mse_e4", 4), ("chamfer_e4", 4), ("mm", 2), ("edge_score", 4), ("flipped", 5)):
-        row[name] = round(float(np.mean([metrics[name] for metrics in measured])), digits)
-    for name, digits in CLIP_METRICS.items():
-        values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
-        if values:
-            row[name] = round(float(np.mean(values)), digits)
-    row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
-    row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
-    return row
-
-
 def required_input(array: Any, method: str) -> Any:
     """Return an extra input of a method; raise NotApplicableError if the test set does not have it."""
     if array is None:
@@ -239,33 +230,33 @@ def required_input(array: Any, method: str) -> Any:
     return array
 
 
-def bootstrap_half_interval(errors: Float[np.ndarray, " N"]) -> float:
-    """Return half of the 95 % confidence interval of the mean, by bootstrap over pairs."""
-    resampled = np.random.default_rng(0).integers(len(errors), size=(BOOTSTRAP_SAMPLES, len(errors)))
-    low, high = np.quantile(errors[resampled].mean(axis=1), [0.025, 0.975])
-    return float(high - low) / 2
+def result_frames(trial: ClipPair, method: str, **options: Any) -> Float[np.ndarray, "T V 3"]:
+    """Run a method on a clip and return the result's vertices in all frames, in metres; see `run_on_clip`."""
+    return run_on_clip(trial, method, **options).vertices
 
 
-def result_frames(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Float[np.ndarray, "T V 3"]:
-    """Run a method on a clip and return the result's vertices in all frames, in metres; see `result_vertices`.
+def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False) -> Output:
+    """Run a method on a clip; see `run_on_pair`.
 
     The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
 
     Raises:
         NotApplicableError: the method cannot be applied to this clip.
     """
+    if method == "identity":
+        return Output(np.tile(trial.identity.vertices, (len(trial.clip), 1, 1)))
     if method == "copy":
         sizes = [np.mean([radius(v - v.mean(axis=0)) for v in c]) for c in (trial.truth_frames, trial.aligned_frames)]
-        return trial.aligned_frames * (sizes[0] / sizes[1])
+        return Output(trial.aligned_frames * (sizes[0] / sizes[1]))
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
         clip = Clip(driving, frames, trial.clip.fps)
-        return _frames(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
+        return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
     network = find_method(method, ensemble=ensemble)
     if needs_true_size(network):
-        return frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames)
-    return _frames(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=refine))
+        return Output(frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames))
+    return Output.of(animate(trial.identity, trial.clip, method, **AXES, ensemble=ensemble, refine=refine))
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
@@ -277,7 +268,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
     trial = on_supported_vertices(trial, method)
     started = time.perf_counter()
     try:
-        result = result_frames(trial, method, **options)
+        result, confidence = run_on_clip(trial, method, **options)
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = (time.perf_counter() - started) / len(result)
@@ -294,6 +285,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         "liveliness": acceleration_ratio(result, truth),
         "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
+        **confidence,
         "seconds": seconds,
     }
 
@@ -311,7 +303,3 @@ def repeat_first_frame(trial: ClipPair) -> ClipPair:
     }  # fmt: skip
     clip = dataclasses.replace(trial.clip, vertices=np.repeat(trial.clip.vertices[:1], STATIC_FRAMES, axis=0))
     return dataclasses.replace(trial, clip=clip, **frames)
-
-
-def _frames(result: ClipResult) -> Float[np.ndarray, "T V 3"]:
-    return result.clip.vertices.astype(np.float64)

@@ -44,6 +44,8 @@ class Pair:
     """Identity and driving vertex of each landmark of the body; -1 where the driving mesh lacks it."""
     truth_name: str = "truth"
     """Name of the true result's file: id<person>_<pose>."""
+    groups: tuple[str, str] = ("", "")
+    """The identity person, and the driving person (in clips the take): pairs that share one are not independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,7 @@ def make_pair(identity: Person, driving: Person, rest: Pose, pose: Pose) -> Pair
         reference=driving.posed_vertices(rest.rotmat),
         markers=np.stack([points, points], axis=1),
         truth_name=f"id{identity.label}_{pose.label}",
+        groups=(identity.label, driving.label),
     )
 
 

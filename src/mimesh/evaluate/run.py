@@ -6,6 +6,7 @@ import contextlib
 import dataclasses
 import datetime
 import json
+import re
 import zlib
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,12 @@ from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, fin
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
-from .measure import EXTRA_INPUTS, measure, measure_clip, summary
+from .frozen_sets import pair_checksum
+from .measure import EXTRA_INPUTS, measure, measure_clip
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import commit, libraries, machine
+from .summary import summary
 
 FOLDERS = ("cross-body", "clips-aniformer")
 """Names of the protocols that read a folder."""
@@ -92,14 +95,27 @@ def evaluate_command(
     }
     if out is not None:
         with whole_file(out) as temporary:
-            temporary.write_text(json.dumps(report, indent=2) + "\n")
+            temporary.write_text(report_text(report))
         ledger.close()
     return report
 
 
+def report_text(report: dict[str, Any]) -> str:
+    """Format a report as indented JSON, with one line for each list of figures."""
+    text = json.dumps(report, indent=2)
+    # Innermost lists: no brackets inside, spread over lines by `indent`. Line breaks in strings are escaped.
+    return re.sub(r"\[\n[^\[\]{}]*\]", _on_one_line, text) + "\n"
+
+
+def _on_one_line(found: re.Match[str]) -> str:
+    return re.sub(r"\n\s*", "", re.sub(r",\n\s*", ", ", found[0]))
+
+
 def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Measure a method on one trial, a pair of meshes or a clip, and return its metrics."""
-    return measure_clip(trial, method, **options) if isinstance(trial, ClipPair) else measure(trial, method, **options)
+    """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
+    labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
+    chosen = measure_clip if isinstance(trial, ClipPair) else measure
+    return labels | chosen(trial, method, **options)
 
 
 class PartialReport:

@@ -39,6 +39,9 @@ the surface is far from the body. Holes in a mesh exceed only the first, clothes
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
+SMALLEST_SHARE = 1e-3
+"""Share of the surface that a limb has at least in ratios: keeps them finite."""
+
 
 @dataclass(frozen=True)
 class Confidence:
@@ -75,12 +78,22 @@ class Confidence:
         """Whether the predictions are those of a person."""
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
 
+    @property
+    def uncertainty(self) -> float:
+        """The largest ratio of one of the figures to its threshold; above 1 there is a note for the user."""
+        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
+        # A body that is far from the surface counts only where the surface is far from the body as well.
+        unmatched = min(unmatched_limb / MAX_UNMATCHED_LIMB, self.unmatched_surface / MAX_UNMATCHED_SURFACE)
+        incomplete = max(self._incompleteness(limb) for limb in MIN_SHARE)
+        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, unmatched, incomplete)
+
     def facts(self) -> dict[str, Any]:
         """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
         limbs, unmatched = (
             {limb: round(share, 3) for limb, share in d.items()} for d in (self.limbs, self.unmatched_body)
         )
         facts: dict[str, Any] = {
+            "uncertainty": round(self.uncertainty, 3),
             "readings_apart": round(self.prediction_spread, 2),
             "undecided": round(self.weight_entropy, 3),
             "limbs": limbs,
@@ -89,7 +102,7 @@ class Confidence:
 
     def notes(self, name: str) -> tuple[str, ...]:
         """Return a note for the user if the mesh `name` does not look like a whole person, with the reasons."""
-        incomplete = [limb for limb in MIN_SHARE if self._incomplete(limb)]
+        incomplete = [limb for limb in MIN_SHARE if self._incompleteness(limb) > 1]
         uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
         unmatched = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
         reasons = []
@@ -105,12 +118,15 @@ class Confidence:
             return ()
         return (f"{name} hardly looks like a whole person: {'; '.join(reasons)}; do not trust the result",)
 
-    def _incomplete(self, limb: str) -> bool:
-        """Whether a limb has too small a share of the surface, or too much of it is far from the surface."""
+    def _incompleteness(self, limb: str) -> float:
+        """Return how much of a limb is missing: above 1, its share of the surface is too small, or too much of it is
+        far from the surface.
+        """
         side, _, kind = limb.partition(" ")
         counterpart = self.limbs.get(f"{'right' if side == 'left' else 'left'} {kind}", 0.0)
         least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart)
-        return self.limbs.get(limb, 1.0) < least or self.unmatched_body.get(limb, 0.0) > MISSING_LIMB
+        share = max(self.limbs.get(limb, 1.0), SMALLEST_SHARE)
+        return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
 
 
 def mean_angle(first: Rig, second: Rig) -> float:

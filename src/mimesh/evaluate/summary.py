@@ -1,0 +1,145 @@
+"""Summarise the figures of single pairs as rows of a report, and compare methods pair by pair."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .measure import extra_inputs, training_summary
+
+DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector_pct": 2}
+"""Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
+MEANS = {"chamfer_e4": 4, "edge_score": 4, "flipped": 5}
+"""Metrics with a mean only, and their decimals."""
+CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
+"""The same for metrics that are defined for clips only; means are over the clips that have a value."""
+LIMB_METRICS = {"joint_pct": 2, "sole_height_pct": 2, "touching": 3, "penetration_pct": 2}
+"""The same for metrics of results without a true mesh (`limb_metrics`)."""
+LABELS = ("pair", "identity", "driving")
+"""What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
+DIGITS = 6
+"""Significant digits of the figures of single pairs."""
+BOOTSTRAP_SAMPLES = 2000
+"""Number of resamplings for the confidence intervals."""
+BAD_E4, GOOD_E4 = 50.0, 10.0
+"""PMD x1e4 above which a result is bad, and below which it is good, where warnings are measured."""
+UNCERTAINTY_BINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, np.inf)
+"""Borders of the uncertainty in the calibration table; above 1 the user is warned."""
+
+
+def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
+    """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair."""
+    measured = [metrics for metrics in figures if "why" not in metrics]
+    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
+    row |= {"given": extra_inputs(method), "trained": training_summary(method)}
+    if len(measured) < len(figures):
+        row["not_applicable"] = len(figures) - len(measured)
+        row["why"] = next(metrics["why"] for metrics in figures if "why" in metrics)
+    if not measured:
+        return row
+    for name, digits in DISTRIBUTIONS.items():
+        chosen = [metrics for metrics in measured if metrics.get(name) is not None]
+        if chosen:
+            row |= {f"{name}{end}": round(value, digits) for end, value in _distribution(name, chosen).items()}
+    for name, digits in (MEANS | CLIP_METRICS | LIMB_METRICS).items():
+        values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
+        if values:
+            row[name] = round(float(np.mean(values)), digits)
+    if "stretch" in measured[0]:
+        row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
+    row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
+    return row | {"each": _columns(figures)}
+
+
+def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
+    """Compute mean, half of its 95 % interval, median, 90th percentile and maximum of a metric, by the key's ending."""
+    values = np.array([metrics[name] for metrics in figures])
+    groups = [[metrics.get(label, str(k)) for k, metrics in enumerate(figures)] for label in ("identity", "driving")]
+    return {
+        "": float(values.mean()),
+        "_ci95": half_interval(values, *groups),
+        "_median": float(np.median(values)),
+        "_p90": float(np.quantile(values, 0.9)),
+        "_max": float(values.max()),
+    }
+
+
+def _columns(figures: list[dict[str, Any]]) -> dict[str, list]:
+    """Return the figures of all pairs as one list for each metric; None where a pair has no such figure."""
+    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
+    return {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def half_interval(errors: Float[np.ndarray, " N"], identities: list[str], drivings: list[str]) -> float:
+    """Return half of the 95 % confidence interval of the mean, by bootstrap over people.
+
+    Pairs that share a person are not independent. The variance of the mean is that over identities plus that over
+    driving people minus that over pairs (Cameron, Gelbach and Miller 2011, two-way clustering), each by bootstrap; at
+    least the largest of the three is taken. Where no person recurs, all three are equal: the bootstrap over pairs.
+    """
+    pairs = np.arange(len(errors))
+    over_pairs, *over_people = (
+        _variance_of_mean(errors, np.unique(groups, return_inverse=True)[1]) for groups in (pairs, identities, drivings)
+    )
+    return 1.96 * float(np.sqrt(max(sum(over_people) - over_pairs, over_pairs, *over_people)))
+
+
+def _variance_of_mean(errors: Float[np.ndarray, " N"], group: Int[np.ndarray, " N"]) -> float:
+    """Compute the variance of the mean over resamplings of whole groups."""
+    sums, counts = np.bincount(group, errors), np.bincount(group)
+    drawn = np.random.default_rng(0).integers(len(counts), size=(BOOTSTRAP_SAMPLES, len(counts)))
+    return float((sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)).var())
+
+
+def win_share(row: dict[str, Any], baseline: dict[str, Any]) -> float | None:
+    """Return the share of the pairs measured for both rows in which `row` has the smaller PMD; None without any."""
+    errors, others = _errors_by_pair(row), _errors_by_pair(baseline)
+    common = errors.keys() & others.keys()
+    return sum(errors[pair] < others[pair] for pair in common) / len(common) if common else None
+
+
+def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
+    """Return the PMD of each measured pair by the pair's checksum."""
+    each = row.get("each", {})
+    pairs = zip(each.get("pair", ()), each.get("pmd_e4", ()), strict=True)
+    return {pair: error for pair, error in pairs if error is not None}
+
+
+def warnings_count(rows: list[dict[str, Any]]) -> dict[str, int] | None:
+    """Count bad and good results, and how many of each came with a warning; None if the method gives no confidence."""
+    figures = confidence_figures(rows)
+    if not len(figures):
+        return None
+    error, _, warned = figures.T
+    bad, good = error > BAD_E4, error < GOOD_E4
+    counts = {"pairs": len(figures), "bad": bad.sum(), "bad_warned": (bad & (warned > 0)).sum()}
+    counts |= {"good": good.sum(), "good_warned": (good & (warned > 0)).sum()}
+    return {name: int(count) for name, count in counts.items()}
+
+
+def calibration(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
+    """Return what the uncertainty says about the error: for each of its bins the PMD and the share of bad results."""
+    figures = confidence_figures(rows)
+    lines = []
+    for low, high in zip(UNCERTAINTY_BINS, UNCERTAINTY_BINS[1:], strict=False):
+        error = figures[(figures[:, 1] >= low) & (figures[:, 1] < high), 0]
+        if len(error):
+            quantiles = {"median": np.median(error), "p90": np.quantile(error, 0.9), "bad": (error > BAD_E4).mean()}
+            lines.append({"from": low, "to": high, "pairs": len(error), **{k: float(v) for k, v in quantiles.items()}})
+    return lines
+
+
+def confidence_figures(rows: list[dict[str, Any]]) -> Float[np.ndarray, "N 3"]:
+    """Return PMD x1e4, uncertainty and whether there was a warning, of all pairs of rows that have them."""
+    found = []
+    for row in rows:
+        each = row.get("each", {})
+        columns = [each.get(name, ()) for name in ("pmd_e4", "uncertainty", "warned")]
+        found += [line for line in zip(*columns, strict=False) if None not in line]
+    return np.array(found, dtype=float).reshape(-1, 3)

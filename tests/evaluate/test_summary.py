@@ -1,0 +1,96 @@
+"""Rows of reports: figures of every pair, intervals over people, wins, and what warnings are worth."""
+
+import json
+
+import numpy as np
+import pytest
+
+from mimesh.evaluate.run import evaluate_command, report_text
+from mimesh.evaluate.summary import calibration, half_interval, summary, warnings_count, win_share
+
+
+def figures(pmd, pair="", identity="a", driving="b", **more):
+    metrics = {"pmd_e4": pmd, "pmd_mse_e4": pmd / 3, "mm": np.sqrt(pmd), "seconds": 0.1}
+    return {"pair": pair or str(pmd), "identity": identity, "driving": driving, **metrics, **more}
+
+
+def row(errors, **more):
+    return summary("copy", "seen", [figures(error, **more) for error in errors])
+
+
+def test_a_report_has_the_figures_of_every_pair_and_their_statistics():
+    result = evaluate_command("human-npt", ["copy", "identity"], split="val", pairs=4)
+    for line in result["results"]:
+        each = line["each"]
+        assert {len(column) for column in each.values()} == {4}
+        for name in ("pmd_e4", "pmd_mse_e4", "mm"):
+            np.testing.assert_allclose(line[name], np.mean(each[name]), rtol=1e-2)
+            np.testing.assert_allclose(line[f"{name}_median"], np.median(each[name]), rtol=1e-2)
+            np.testing.assert_allclose(line[f"{name}_p90"], np.quantile(each[name], 0.9), rtol=1e-2)
+    copy, identity = (line for line in result["results"] if line["split"] == "seen")
+    assert copy["each"]["pair"] == identity["each"]["pair"], "both methods got the same pairs"
+    assert len(set(copy["each"]["pair"])) == 4
+    assert win_share(copy, identity) == 1.0, "the driving person's vertices are nearer than the identity at rest"
+
+
+def test_people_are_named_in_reports():
+    """Fourteen people in human-npt; pairs of another protocol have people of their own."""
+    seen = evaluate_command("human-npt", ["identity"], split="val", pairs=30)["results"][0]["each"]
+    assert len({*seen["identity"], *seen["driving"]}) <= 14
+    assert all(a != b for a, b in zip(seen["identity"], seen["driving"], strict=True))
+    wide = evaluate_command("human-wide", ["identity"], split="val", pairs=3)["results"][0]["each"]
+    assert len({*wide["identity"], *wide["driving"]}) == 6
+
+
+def test_interval_without_shared_people_is_that_of_independent_pairs():
+    errors = np.random.default_rng(1).exponential(3.0, 200)
+    names = [str(k) for k in range(200)]
+    expected = 1.96 * errors.std() / np.sqrt(200)
+    assert half_interval(errors, names, names) == pytest.approx(expected, rel=0.05)
+
+
+def test_interval_grows_with_the_pairs_that_share_a_person():
+    """40 people with errors of their own, measured five times each, are 40 samples and not 200."""
+    people = np.repeat(np.random.default_rng(2).exponential(3.0, 40), 5)
+    identities, drivings = [str(k // 5) for k in range(200)], [str(k) for k in range(200)]
+    independent = half_interval(people, drivings, drivings)
+    assert half_interval(people, identities, drivings) == pytest.approx(np.sqrt(5) * independent, rel=0.1)
+    assert half_interval(people, drivings, identities) == pytest.approx(np.sqrt(5) * independent, rel=0.1)
+
+
+def test_interval_holds_the_mean_of_crossed_people_as_often_as_it_says():
+    """Errors with a part of each identity, of each driving person, and of the pair: 95 % of intervals hold the mean."""
+    rng, held = np.random.default_rng(3), 0
+    for _ in range(60):
+        identity, driving = rng.integers(0, 14, (2, 72))
+        errors = rng.normal(0, 1, 14)[identity] + rng.normal(0, 1, 14)[driving] + rng.normal(0, 1, 72)
+        held += abs(errors.mean()) <= half_interval(errors, list(map(str, identity)), list(map(str, driving)))
+    assert 0.85 <= held / 60 <= 1.0
+
+
+def test_win_share_is_over_common_pairs():
+    ours = summary("copy", "seen", [figures(1.0, "a"), figures(5.0, "b"), figures(2.0, "c"), {"pair": "d", "why": "-"}])
+    theirs = summary("copy", "seen", [figures(2.0, "c"), figures(2.0, "a"), figures(2.0, "b"), figures(9.0, "d")])
+    assert win_share(ours, theirs) == pytest.approx(1 / 3)
+    assert win_share(theirs, ours) == pytest.approx(1 / 3)
+    assert win_share(ours, summary("copy", "seen", [figures(1.0, "e")])) is None
+    assert win_share({"method": "copy"}, ours) is None, "a report of before"
+
+
+def test_warnings_are_counted_for_bad_and_for_good_results():
+    rows = [
+        summary("copy", "seen", [figures(80.0, warned=True, uncertainty=2.5), figures(60.0, warned=False, uncertainty=0.9)]),
+        summary("copy", "unseen", [figures(1.0, warned=True, uncertainty=1.2), figures(20.0, warned=True, uncertainty=3.0)]),
+    ]  # fmt: skip
+    assert warnings_count(rows) == {"pairs": 4, "bad": 2, "bad_warned": 1, "good": 1, "good_warned": 1}
+    assert warnings_count([row([1.0, 2.0])]) is None
+    lines = calibration(rows)
+    assert [line["pairs"] for line in lines] == [1, 1, 2]
+    assert [line["bad"] for line in lines] == [1.0, 0.0, 0.5]
+
+
+def test_lists_of_a_report_are_on_one_line_and_unchanged():
+    report = {"results": [{"each": {"pair": ["a, b", "c\n[d]"], "mm": [1.5, None]}}], "empty": [], "deep": [[1], [2]]}
+    text = report_text(report)
+    assert json.loads(text) == report
+    assert '"mm": [1.5, null]' in text
