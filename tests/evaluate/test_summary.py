@@ -78,10 +78,9 @@ def test_win_share_is_over_common_pairs():
 
 
 def test_warnings_are_counted_for_bad_and_for_good_results():
-    rows = [
-        summary("copy", "seen", [figures(80.0, warned=True, uncertainty=2.5), figures(60.0, warned=False, uncertainty=0.9)]),
-        summary("copy", "unseen", [figures(1.0, warned=True, uncertainty=1.2), figures(20.0, warned=True, uncertainty=3.0)]),
-    ]  # fmt: skip
+    seen = [figures(80.0, warned=True, uncertainty=2.5), figures(60.0, warned=False, uncertainty=0.9)]
+    unseen = [figures(1.0, warned=True, uncertainty=1.2), figures(20.0, warned=True, uncertainty=3.0)]
+    rows = [summary("copy", "seen", seen), summary("copy", "unseen", unseen)]
     assert warnings_count(rows) == {"pairs": 4, "bad": 2, "bad_warned": 1, "good": 1, "good_warned": 1}
     assert warnings_count([row([1.0, 2.0])]) is None
     lines = calibration(rows)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -101,7 +103,7 @@ class Output(NamedTuple):
 
     vertices: Float[np.ndarray, "*T V 3"]
     """Vertices of the result in metres, of all frames for a clip."""
-    confidence: dict[str, Any] = {}
+    confidence: Mapping[str, Any] = MappingProxyType({})
     """`uncertainty` of the result (the larger of the two meshes'), and whether the user is `warned`; empty if a method
     gives no confidence."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -127,7 +128,7 @@ def calibration(rows: list[dict[str, Any]]) -> list[dict[str, float]]:
     """Return what the uncertainty says about the error: for each of its bins the PMD and the share of bad results."""
     figures = confidence_figures(rows)
     lines = []
-    for low, high in zip(UNCERTAINTY_BINS, UNCERTAINTY_BINS[1:], strict=False):
+    for low, high in pairwise(UNCERTAINTY_BINS):
         error = figures[(figures[:, 1] >= low) & (figures[:, 1] < high), 0]
         if len(error):
             quantiles = {"median": np.median(error), "p90": np.quantile(error, 0.9), "bad": (error > BAD_E4).mean()}
