@@ -1,4 +1,4 @@
-"""Write docs/RESULTS.md from the reports in docs/results.
+"""Write docs/RESULTS.md and the table of README.md from the reports in docs/results.
 
 python scripts/write_results.py
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mimesh.evaluate.results import results_page
+from mimesh.evaluate.results import readme_table, results_page, with_readme_table
 from mimesh.io.atomic import whole_file
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -15,10 +15,14 @@ RESULTS = DOCS / "results"
 
 
 def main() -> None:
-    """Write the page."""
-    with whole_file(DOCS / "RESULTS.md") as temporary:
-        temporary.write_text(results_page(RESULTS))
-    print(f"{DOCS / 'RESULTS.md'}: written")
+    """Write the page and the table."""
+    readme = DOCS.parent / "README.md"
+    pages = {DOCS / "RESULTS.md": results_page(RESULTS)}
+    pages[readme] = with_readme_table(readme.read_text(), readme_table(RESULTS))
+    for path, text in pages.items():
+        with whole_file(path) as temporary:
+            temporary.write_text(text)
+        print(f"{path}: written")
 
 
 if __name__ == "__main__":

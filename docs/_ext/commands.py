@@ -6,7 +6,7 @@ import typer
 from typer.main import get_command
 
 from mimesh.cli import app
-from mimesh.evaluate.tables import markdown_table
+from mimesh.evaluate.markdown import markdown_table
 
 
 def command_reference() -> str:

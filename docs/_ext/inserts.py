@@ -13,7 +13,8 @@ from pathlib import Path
 from commands import command_reference
 
 from mimesh.commands.about import DESCRIPTIONS
-from mimesh.evaluate.tables import markdown_table, paper_table
+from mimesh.evaluate.markdown import markdown_table
+from mimesh.evaluate.tables import paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
 

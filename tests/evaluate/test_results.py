@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.evaluate.results import overview_table, results_page
+from mimesh.evaluate.results import README_MARKS, readme_table, results_page, with_readme_table
 from mimesh.evaluate.run import fingerprint
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -22,27 +22,68 @@ def report(protocol, rows, split="test"):
     return {"protocol": protocol, "version": 1, "provenance": provenance, "results": rows}
 
 
-def row(method, split, pmd):
-    figures = {"pairs": 2, "pmd_e4": pmd, "seconds_per_frame": 0.5, "given": "nothing", "trained": "none"}
-    return {"method": method, "split": split, **figures}
+def row(method, split, *errors, given="nothing", **more):
+    """A row of a report with the figures of pairs 0, 1, ..."""
+    each = {"pair": list(map(str, range(len(errors)))), "pmd_e4": list(errors), **more}
+    mean = sum(errors) / len(errors)
+    figures = {"pairs": len(errors), "pmd_e4": mean, "pmd_e4_median": mean, "seconds_per_frame": 0.5, "mm": 5.0}
+    return {"method": method, "split": split, "given": given, "trained": "none", **figures, "each": each}
 
 
-NOISE = report(
-    "noise", [row("npt", "holes", 1.0), row("npt", "cropped", 2.0), row("npt", "half", 6.0), row("copy", "holes", 1.0)]
-)
+def written(folder, *reports):
+    for k, content in enumerate(reports):
+        (folder / f"{content['protocol']}-{k}.json").write_text(json.dumps(content))
+    return folder
 
 
-def test_overview_is_the_mean_over_kinds_and_empty_if_one_is_missing():
-    lines = overview_table([NOISE]).splitlines()
-    cells = {line.split("|")[1].strip(): [c.strip() for c in line.split("|")[2:]] for line in lines[2:]}
-    column = [c.strip() for c in lines[0].split("|")[2:]].index("damaged")
-    assert cells["`npt`"][column] == "3"
-    assert cells["`copy`"][column] == "-"
+def table_after(page, heading):
+    """The cells of the first table after a heading, by method."""
+    lines = page[page.index(heading) :].split("\n\n| ")[1].split("\n\n")[0].splitlines()
+    head = [cell.strip() for cell in lines[0].strip("| ").split(" | ")]
+    cells = [[cell.strip() for cell in line.strip("| ").split(" | ")] for line in lines[2:]]
+    return {line[0]: dict(zip(head, line, strict=True)) for line in cells}
+
+
+def test_wins_are_counted_over_the_reports(tmp_path):
+    """The same pairs in two files."""
+    ours = report("noise", [row("npt", "holes", 1.0, 5.0, 2.0, 1.0)])
+    page = results_page(written(tmp_path, ours, report("noise", [row("copy", "holes", 2.0, 2.0, 3.0, 4.0)])))
+    cells = table_after(page, "### holes")
+    assert cells["`npt`"]["better than `copy`"] == "75 %"
+    assert cells["`copy`"]["better than `copy`"] == "-"
+
+
+def test_rows_of_the_papers_tables_stand_apart_from_what_users_get(tmp_path):
+    rows = [row("npt-table", "seen", 7.0), row("npt", "seen", 12.0), row("mime-table-network", "seen", 3.0)]
+    fits = row("mime", "seen", 0.3, given="trained on our body, which it fits")
+    page = results_page(written(tmp_path, report("human-npt", [*rows, fits])))
+    ours, papers = page.split("## The papers' tables")
+    assert "`npt-table`" not in ours
+    assert "`mime-table-network`" not in ours
+    assert set(table_after(ours, "### Table 6, the papers' training poses")) == {"`npt`"}
+    assert set(table_after(ours, "With the shipped body's model:")) == {"`mime`"}
+    assert "| `npt-table` | 1.1 | 9.3 | 7 |" in papers
+
+
+def test_warnings_have_their_share_and_curve(tmp_path):
+    figures = {"uncertainty": [0.1, 2.5, 1.2], "warned": [False, True, True]}
+    page = results_page(written(tmp_path, report("noise", [row("mime", "holes", 60.0, 80.0, 5.0, **figures)])))
+    cells = table_after(page, "## Warnings")
+    assert list(cells["all"].values()) == ["all", "3", "2", "1 (50 %)", "1", "1 (100 %)"]
+    assert set(table_after(page, "All pairs together")) == {"0 to 0.25", "1 to 1.5", "2 to inf"}
+
+
+def test_table_of_the_readme_is_replaced_between_its_marks(tmp_path):
+    rows = [row("mime", "unseen", 0.28), row("copy", "unseen", 15.0)]
+    table = readme_table(written(tmp_path, report("human-npt", rows)))
+    assert "| not measured | not measured | not measured | 5 mm, 0.28 (0.28) |" in table
+    text = f"before {README_MARKS[0]} old {README_MARKS[1]} after"
+    assert with_readme_table(text, table) == f"before {README_MARKS[0]}\n\n{table}\n\n{README_MARKS[1]} after"
 
 
 def test_page_has_reasons_and_provenance(tmp_path):
     why = {**row("deformation-transfer-13", "points", 0), "pairs": 0, "why": "no faces", "not_applicable": 2}
-    del why["pmd_e4"]
+    del why["pmd_e4"], why["each"]
     (tmp_path / "cross-topology.json").write_text(json.dumps(report("cross-topology", [why])))
     page = results_page(tmp_path)
     assert "`deformation-transfer-13`, 2 of 2 pairs of points (no faces)" in page
@@ -56,14 +97,11 @@ def test_reports_of_another_split_are_refused(tmp_path):
         results_page(tmp_path)
 
 
-def test_overview_is_empty_for_kinds_with_missing_pairs():
-    rows = [{**row("npt", kind, 1.0), "not_applicable": 1} for kind in ("holes", "cropped", "half")]
-    assert "| 1 |" not in overview_table([report("noise", rows)])
-
-
 @pytest.mark.skipif(not (DOCS / "RESULTS.md").exists(), reason="a package without its docs")
 def test_page_in_the_docs_is_the_generated_one():
     assert (DOCS / "RESULTS.md").read_text() == results_page(DOCS / "results")
+    readme = (DOCS.parent / "README.md").read_text()
+    assert with_readme_table(readme, readme_table(DOCS / "results")) == readme
 
 
 @pytest.mark.skipif(not (DOCS / "results").exists(), reason="a package without its docs")

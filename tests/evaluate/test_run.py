@@ -14,6 +14,7 @@ from mimesh.core.normalization import bbox_centre, radius
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER
 from mimesh.evaluate.dump import dump_worst
 from mimesh.evaluate.generate import generate_command
+from mimesh.evaluate.markdown import markdown
 from mimesh.evaluate.measure import (
     EXTRA_INPUTS,
     extra_inputs,
@@ -26,7 +27,7 @@ from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
 from mimesh.evaluate.run import evaluate_command
 from mimesh.evaluate.summary import summary
-from mimesh.evaluate.tables import TABLES, markdown, paper_table, table_command
+from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
 from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT
 from mimesh.pipeline import transfer
@@ -127,10 +128,10 @@ def test_row_of_an_inapplicable_method_has_the_reason():
     report = {
         "protocol": "cross-topology",
         "version": 1,
-        "provenance": {"config": {"pairs": 2}},
+        "provenance": {"config": {"pairs": 2, "split": "val"}},
         "results": [row],
     }
-    assert "not applicable" in markdown(report)
+    assert "Not applicable: `copy`, 1 of 1 pairs of points" in markdown(report)
 
 
 def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
@@ -144,7 +145,7 @@ def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
     assert "| 12.1 | 16.9 |" in paper_table("npt-2", report)
     assert "| 27.4 | 31.1 |" in paper_table("npt-7", report)
     # A method that was measured on another protocol has no values here.
-    assert paper_table("aniformer-1", report).count("not measured") == 5 * len(TABLES["aniformer-1"].rows)
+    assert paper_table("aniformer-1", report).count("not measured") == 8 * len(TABLES["aniformer-1"].rows)
     with pytest.raises(InputError, match="npt-1, npt-2, npt-7"):
         table_command("npt-3")
 
@@ -265,7 +266,7 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
     assert set(report["results"][0]) >= CLIP_COLUMNS | {"pmd_e4", "mm", "edge_score", "seconds_per_frame"}
     text = markdown(report)
     assert "jitter, m/s²" in text
-    assert ", 1 pairs a column" in text
+    assert "| `copy` | 1 |" in text
     with pytest.raises(InputError, match="found one of clips"):
         generate_command("clips-aniformer", tmp_path, "val")
 

@@ -9,16 +9,22 @@ import pytest
 import torch
 from trainings import TINY
 
+import mimesh
 from mimesh.bodies import load_body
 from mimesh.core.errors import InputError
+from mimesh.evaluate.tables import PAPER_PFLOP
 from mimesh.learn import checkpoint
-from mimesh.learn.export import compress, export_command, infer_onnx, to_onnx
+from mimesh.learn.config import config_from, load_config
+from mimesh.learn.export import compress, export_command, infer_onnx, to_onnx, training_pflop
 from mimesh.learn.models.mime import POINTS, MimeConfig, MimeNetwork
 from mimesh.learn.models.npt import NPT, NPTConfig
 from mimesh.learn.tasks.mime import MimeTask
 from mimesh.learn.tasks.npt import NPTTask
 from mimesh.learn.train import TrainingRun
 from mimesh.methods.onnx_runtime import import_onnxruntime
+
+ZOO = Path(mimesh.__file__).parent / "zoo"
+CARDS = [path for folder in (ZOO, ZOO.parents[2] / "ablations") for path in sorted(folder.glob("*.json"))]
 
 
 @pytest.mark.parametrize("pose_code", ["per_vertex", "global_max"])
@@ -99,3 +105,17 @@ def test_shipped_files_hold_no_paths_of_sources():
     folder = Path(__file__).parents[2]
     for path in [*(folder / "src" / "mimesh" / "zoo").glob("*.onnx"), *(folder / "rows").glob("*.onnx")]:
         assert b".py" not in path.read_bytes(), path.name
+
+
+@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+def test_cards_have_the_arithmetic_of_their_training(path):
+    card = json.loads(path.read_text())
+    pairs = sum(stage["pairs"] for stage in (card, *card.get("before", [])))
+    assert card["pflop"] == training_pflop(config_from(card["config"], path.name), pairs)
+
+
+def test_arithmetic_of_the_papers_is_that_of_their_schedules():
+    """200 epochs of 4,000 pairs at 6,890 vertices; AniFormer: of 400 windows."""
+    for network, pflop in PAPER_PFLOP.items():
+        config = load_config("paper", network)
+        assert training_pflop(config, config.pairs) == pytest.approx(pflop, rel=0.01)

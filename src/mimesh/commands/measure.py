@@ -45,8 +45,8 @@ def evaluate(
 
     PMD is Eq. 7 of the papers, x1e-4, in the truth's unit sphere.
     """
+    from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
-    from ..evaluate.tables import markdown
 
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:

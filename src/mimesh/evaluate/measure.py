@@ -80,22 +80,24 @@ def extra_inputs(method: str) -> str:
     return "trained on our body, which it fits" if getattr(network, "fits_body", False) else "trained on our body"
 
 
-def training_summary(method: str) -> str:
-    """Describe the training of a method, for reports, from the card next to its weights.
+def training_facts(method: str) -> dict[str, Any]:
+    """Describe the training of a method for reports, from the card next to its weights: `trained`, and `pflop`.
 
     `before` in a card lists the earlier stages of a training in several stages; time and pairs are their sums.
     """
     path = weights_path(method)
     if method in EXTRA_INPUTS:
-        return "none"
+        return {"trained": "none"}
     if not path.with_suffix(".json").exists():
-        return "unknown"
+        return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text())
     count = card["config"]["data"]["vertices"] or 6890
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     stages = [card, *card.get("before", [])]
     minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
-    return f"{minutes}; {sum(stage['pairs'] for stage in stages):,} pairs of {count:,} vertices; {data}"
+    pairs = sum(stage["pairs"] for stage in stages)
+    facts = {"trained": f"{minutes}; {pairs:,} pairs of {count:,} vertices; {data}"}
+    return facts | ({"pflop": card["pflop"]} if "pflop" in card else {})
 
 
 class Output(NamedTuple):

@@ -1,89 +1,159 @@
-"""Write docs/RESULTS.md from the reports in docs/results: overview tables, the papers' tables, then every report."""
+"""Write docs/RESULTS.md and the README's table from the reports in docs/results.
+
+Two parts that are never mixed: what users get (all shipped methods), and the reproduction of the papers' tables.
+"""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..core.errors import InputError
-from .tables import TABLES, markdown, markdown_table, paper_table
+from ..methods.find import TABLE_MODELS, WITHOUT_FIT
+from .markdown import calibration_table, cell, kind_table, markdown_table, not_applicable, warnings_table
+from .tables import TABLES, paper_table
 
-COLUMNS = {
-    "Table 6, seen": ("human-npt", ("seen",)),
-    "Table 6, unseen": ("human-npt", ("unseen",)),
-    "joint limits": ("human-wide", ("limits",)),
-    "motions": ("human-wide", ("clips",)),
-    "other meshings": ("cross-topology", ("decimated", "retriangulated", "subdivided")),
-    "points only": ("cross-topology", ("points",)),
-    "noise 2 %": ("noise", ("noise-2",)),
-    "damaged": ("noise", ("holes", "cropped", "half")),
-    "dressed": ("dressed", ("identity", "driving", "both")),
-    "limbs touch": ("contact", ("hands", "arms", "legs")),
-    "others' rigs": ("cross-body", ("table6", "limits", "clips")),
-    "clips, seen": ("clips-aniformer", ("seen",)),
-    "clips, unseen": ("clips-aniformer", ("unseen",)),
-}
-"""Columns of the overview tables: protocol, and the kinds of pair that the mean is taken over."""
 FITS_SHIPPED_BODY = ("our body model and its joint limits", "trained on our body, which it fits")
 """Values of `given` (`measure.extra_inputs`) of methods that fit the shipped body.
 
 They have tables of their own, because the truth of most test sets is made with that body.
 """
-METRICS = {"pmd_e4": "mean PMD", "pmd_e4_median": "median PMD", "mm": "mean distance, mm"}
-"""Metric -> name of the metrics of the overview tables."""
+Key = tuple[str, str]
+"""Name of a protocol and kind of pair."""
+
+
+class Set(NamedTuple):
+    """A test set of the page."""
+
+    title: str
+    key: Key
+    about: str = ""
+
+
+class Section(NamedTuple):
+    """A part of the page: test sets that answer one question."""
+
+    title: str
+    about: str
+    sets: tuple[Set, ...]
+
+
+CHARACTERS = Section(
+    "Characters of other makers",
+    """Rigged characters of four makers, none of which the shipped weights were trained on, in the packs that are held
+back for tests. Within one skeleton the truth is the identity under the same bone rotations as the driving character.
+Across skeletons there is no true mesh: limbs are compared by their directions, wrists and ankles by their place in
+units of the limb, soles and penetration with those of the driving character ([conventions](conventions.md)).""",
+    (
+        Set("Table 6, one skeleton", ("characters", "table6")),
+        Set("joint limits, one skeleton", ("characters", "limits")),
+        Set("the makers' clips, one skeleton", ("characters", "clips")),
+        Set("Table 6, two skeletons", ("characters", "across-table6")),
+        Set("joint limits, two skeletons", ("characters", "across-limits")),
+        Set("the makers' clips, two skeletons", ("characters", "across-clips")),
+        Set(
+            "six people of one maker, Table 6",
+            ("cross-body", "table6"),
+            "Development data: looked at while `mime` was made.",
+        ),
+        Set("six people of one maker, joint limits", ("cross-body", "limits"), "Development data."),
+        Set("six people of one maker, captured poses", ("cross-body", "clips"), "Development data."),
+    ),
+)
+STRESS = Section(
+    "Stress",
+    """Where methods break: acrobatics, the limits of the joints, crossed legs, missing limbs. All of it is development
+data.""",
+    (
+        Set("acrobatics (clips of DeepMimic)", ("clips-aniformer", "stress")),
+        Set("joint limits", ("human-wide", "limits"), "Poses drawn uniformly within the limits of the joints."),
+        Set("legs touch", ("contact", "legs")),
+        Set("a limb is missing", ("noise", "cropped")),
+        Set("holes", ("noise", "holes")),
+        Set("seen from one side", ("noise", "half")),
+    ),
+)
+SHIPPED_BODY = Section(
+    "People of the shipped body",
+    """New people; truth and training people are made with one body model. `mime` and `skeleton` fit that model, so they
+have tables of their own.""",
+    (
+        Set(
+            "Table 6, the papers' training poses",
+            ("human-npt", "seen"),
+            "The 16 x 400 poses that the rows of the papers' tables are trained on; the shipped weights, trained on "
+            "random poses of these ranges, have not seen them.",
+        ),
+        Set("Table 6, new poses", ("human-npt", "unseen")),
+        Set(
+            "captured poses",
+            ("human-wide", "clips"),
+            "Later seconds of the two takes that the shipped weights were trained on: from the median test frame the "
+            "nearest training frame is 4.5 degrees away (mean over the joints).",
+        ),
+        Set("clips: the 80 motions of AniFormer's tables", ("clips-aniformer", "seen")),
+        Set("clips: held-out takes", ("clips-aniformer", "held-out")),
+        Set("clips: new walks and splines", ("clips-aniformer", "procedural")),
+        Set("driving mesh decimated", ("cross-topology", "decimated")),
+        Set("driving mesh retriangulated", ("cross-topology", "retriangulated")),
+        Set("driving mesh subdivided", ("cross-topology", "subdivided")),
+        Set("driving points without faces", ("cross-topology", "points")),
+        *(Set(f"noise of up to {p} % on the driving mesh", ("noise", f"noise-{p}")) for p in range(6)),
+        *(
+            Set(f"new garments on {who}", ("dressed", f"new-{kind}"), "No training wore these garments.")
+            for kind, who in (("identity", "the identity"), ("driving", "the driving person"), ("both", "both"))
+        ),
+        *(
+            Set(f"garments of the training on {who}", ("dressed", kind), "`mime` was trained with these garments.")
+            for kind, who in (("identity", "the identity"), ("driving", "the driving person"), ("both", "both"))
+        ),
+        Set("hands touch", ("contact", "hands")),
+        Set("arms touch", ("contact", "arms")),
+    ),
+)
+SECTIONS = (CHARACTERS, STRESS, SHIPPED_BODY)
+README_SETS = {
+    "characters of others": ("characters", "table6"),
+    "their clips": ("characters", "clips"),
+    "joint limits": ("human-wide", "limits"),
+    "Table 6": ("human-npt", "unseen"),
+}
+"""Heading -> test set of the README's table."""
+README_METHODS = {
+    "mime": "`mime`, our default",
+    "mime-network": "`mime-network`, mime without the body fit",
+    "npt": "`npt`, Neural Pose Transfer (CVPR 2020)",
+    "deformation-transfer-13": "deformation transfer, with a third mesh and 13 markers",
+    "copy": "`copy`, the driving vertices, true correspondence and size",
+}
+"""Method -> its name in the README's table."""
+README_MARKS = ("<!-- results:begin -->", "<!-- results:end -->")
 HEAD = """# Results
 
-Generated by `scripts/write_results.py` from the reports in [results/](results); not written by hand.
+Generated by `scripts/write_results.py` from the reports in [results/](results); not written by hand. The reports have
+the figures of every single pair (`each`), with the pair's checksum.
 
-**PMD** is Eq. 7 of both papers, x1e-4: the mean *squared* distance between result and truth, both centred and in
-the truth's unit sphere. Lower is better. Because it is squared, a tenth of the PMD is about a third of the
-distance: read it beside the **mm** (mean distance for a person 1.7 m tall). The **median** over the pairs shows the
-typical error, the mean is dominated by the worst pairs. Behind ± is half of the 95 % interval of the mean, by
-bootstrap over pairs.
+**PMD** is Eq. 7 of both papers, x1e-4: the mean *squared* distance between result and truth, both centred and in the
+truth's unit sphere. Lower is better. It is squared: a tenth of the PMD is about a third of the distance, so read the
+**mm** beside it (mean distance for a person 1.7 m tall). The mean is dominated by the worst pairs, the median shows the
+typical one. *Public formula* is the error of the papers' public evaluators (mean square over the coordinates, each mesh
+centred on its box); which of the two the papers print is not known. Behind ± is half of the 95 % interval of the mean,
+by bootstrap over people (in clips over people and takes). *Better than* is the share of pairs with a lower PMD.
 
-**What is tested.** All test people are new.
-
-* *Table 6, seen* and *unseen*: poses of the papers' 16 x 400 training table, and new poses of the same ranges.
-  Methods "as shipped" were trained on random poses of these ranges, not on that table.
-* *joint limits*: poses drawn uniformly within the limits of the joints.
-* *motions*: later seconds of the two captured takes whose earlier seconds are in the training data of the shipped
-  weights. The poses are close to those of the training: from the median test frame the nearest training frame is
-  4.5 degrees away (mean angle over the 31 joints).
-* *other meshings*, *points only*, *noise 2 %*: the driving mesh is decimated, retriangulated or subdivided; a point
-  cloud; or has noise of up to 2 % of its radius on each coordinate.
-* *damaged*: the driving mesh has holes, lacks a limb, or is seen from one side (the mean of the three).
-* *dressed*: people in the shipped skirt, tights and hair. `mime` was trained with these same three garments, so
-  only the people and poses are new.
-* *limbs touch*: hands, arms or legs touch the body in the driving or the identity mesh.
-* *others' rigs*: rigged characters made by others, posed through their own skins.
-* *clips*: one second each. *seen* are of the 80 motions that the rows of AniFormer's tables were trained on:
-  captured seconds, walks and splines. The shipped weights were trained on frames of the same captured seconds.
-  *unseen* are the 20 clips of DeepMimic, which nothing here was trained on.
-
-No training used these pairs, and options were chosen on the split `val`. But *others' rigs*, *damaged* and *clips,
-unseen* were measured between trainings of `mime`, and what failed led to changes of its training data and tracking
-([log](LOG.md)): treat these three as development data.
+**Which data.** `test` sets are frozen by name and checksum and were measured when the weights shipped. Development
+sets were looked at while methods were made; they are named so. Options were chosen on the split `val`.
 
 **What is given.** Up and front are given to all methods. The column *given* says what else: the third mesh is the
-driving person in the identity's pose, control points are marked by name, the true size is the truth's radius. The
-row `copy` is the driving person's own vertices with the true correspondence, without damage and dressed as the
-identity (noise stays): a method with a larger error than `copy` is worse than no transfer.
-
-**Which body.** The truth of all columns but *others' rigs* is made with the shipped body model. Methods that fit
-this body (`mime`, `skeleton`) have an advantage there that no other method has, so they have tables of their own.
-Networks that were only trained on people of this body (`mime-network`, `npt`, `aniformer` and others) are in the
-second group.
-
-**The papers' figures** are on SMPL and on their own data; ours are on the shipped body. Compare orders, not digits.
-The papers' networks were trained for 200 epochs on a GPU, the rows here for 20 to 42 minutes on one CPU core.
+driving person in the identity's pose, control points are marked by name, the true size is the truth's radius. The row
+`copy` is the driving person's own vertices with the true correspondence, without damage and dressed as the identity
+(noise stays): a method with a larger error is worse than no transfer. The row `identity` is the identity, not moved.
 """
-DIRTY = " The working tree had uncommitted changes (`-dirty`), so the commit does not identify the code exactly."
-LOWEST = (
-    "The method with the lowest value in each column, whatever it is given. `mime` fits the body of which the truth is "
-    "made in all columns but *others' rigs*. Where a column covers several kinds of pair, every figure is the mean "
-    "over the kinds."
-)
+REPRODUCTION = """The rows of the papers' tables, trained and tested as the papers say, on the shipped body instead of
+SMPL: compare orders, not digits. All were trained with a small share of the paper's compute, on one CPU core. *Seen*
+are the poses or motions of the training."""
+CONFIDENCE = """`mime` warns when it does not recognise a mesh. *Uncertainty* is the largest ratio of a figure of the
+report to its threshold; above 1 the user is warned. Bad results should be warned of, good ones should not."""
 
 
 def results_page(folder: Path) -> str:
@@ -92,94 +162,88 @@ def results_page(folder: Path) -> str:
     Raises:
         InputError: a report of another split than `test`.
     """
+    reports = read_reports(folder)
+    rows = rows_by_set(reports)
+    parts = [HEAD]
+    for section in SECTIONS:
+        parts += [f"## {section.title}", section.about]
+        parts += [part for test_set in section.sets for part in _set_tables(test_set, rows.get(test_set.key, []))]
+    parts += ["## The papers' tables", REPRODUCTION]
+    parts += [part for name in TABLES for part in (f"### Table {name}", paper_table(name, *reports.values()))]
+    parts += ["## Warnings", CONFIDENCE, *_confidence_tables(rows), "## Where the figures come from"]
+    parts += [_origin(stem, report) for stem, report in reports.items()]
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
+    """Read the reports of a folder by file name without suffix.
+
+    Raises:
+        InputError: a report of another split than `test`.
+    """
     reports = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
     for stem, report in reports.items():
         if report["provenance"]["config"]["split"] != "test":
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
-    every = list(reports.values())
-    parts = [HEAD, "## Everything on one page", LOWEST, best_methods_table(every)]
-    for title, fits in (("Methods that fit the shipped body", True), ("Other methods", False)):
-        for metric, label in METRICS.items():
-            parts += [f"### {title}: {label}", overview_table(every, metric, fits)]
-    for name in TABLES:
-        parts += [f"## Table {name}", paper_table(name, *every)]
-    for stem, report in reports.items():
-        provenance = report["provenance"]
-        origin = f"`{stem}.json`: commit {provenance['commit']}, {provenance['machine']}, {provenance['date'][:10]}."
-        parts += [f"## {stem}", origin + (DIRTY if provenance["commit"].endswith("-dirty") else ""), markdown(report)]
-        parts += _not_applicable(report)
-    return "\n\n".join(part.strip() for part in parts) + "\n"
+    return reports
 
 
-def overview_table(reports: list[dict[str, Any]], metric: str = "pmd_e4", fits: bool | None = None) -> str:
-    """Format the overview table of one metric, methods x COLUMNS; a dash where a method has no value.
+def rows_by_set(reports: dict[str, dict[str, Any]]) -> dict[Key, list[dict[str, Any]]]:
+    """Collect the rows of all reports by protocol and kind of pair."""
+    rows: dict[Key, list[dict[str, Any]]] = {}
+    for report in reports.values():
+        for row in report["results"]:
+            rows.setdefault((report["protocol"], row["split"]), []).append(row)
+    return rows
 
-    Args:
-        metric: one of METRICS. The table of mean PMD also has the edge score, time, extra inputs and training.
-        fits: only methods that fit the shipped body, or only the others; None for all.
-    """
-    rows = _rows(reports)
+
+def readme_table(folder: Path) -> str:
+    """Format the README's table: for each test set mean distance, then PMD as mean and median."""
+    rows = rows_by_set(read_reports(folder))
     lines = []
-    for method in _methods(rows):
-        of_method = {key: row for key, row in rows.items() if key[1] == method}
-        any_row = next(iter(of_method.values()))
-        if fits is not None and fits != (any_row["given"] in FITS_SHIPPED_BODY):
-            continue
-        cells = [_text(_mean(rows, method, column, metric)) for column in COLUMNS]
-        if metric == "pmd_e4":
-            times = sorted(row["seconds_per_frame"] for row in of_method.values() if "seconds_per_frame" in row)
-            unseen = of_method.get(("human-npt", method, "unseen"), {})
-            edge_score = f"{unseen['edge_score']:.2g}" if "edge_score" in unseen else "-"
-            seconds = f"{times[len(times) // 2]:.2g}" if times else "-"
-            cells += [edge_score, seconds, any_row["given"], any_row["trained"]]
-        lines.append([f"`{method}`", *cells])
-    more = ("edge score, unseen", "s a mesh", "given", "trained") if metric == "pmd_e4" else ()
-    return markdown_table(["method", *COLUMNS, *more], lines)
-
-
-def best_methods_table(reports: list[dict[str, Any]]) -> str:
-    """Format a table of the method with the lowest value of each metric in each column of the overview."""
-    rows = _rows(reports)
-    lines = []
-    for column in COLUMNS:
+    for method, label in README_METHODS.items():
         cells = []
-        for metric in METRICS:
-            means = {method: _mean(rows, method, column, metric) for method in _methods(rows)}
-            measured = {method: value for method, value in means.items() if value is not None}
-            best = min(measured, key=measured.__getitem__, default=None)
-            cells.append("-" if best is None else f"`{best}` {_text(measured[best])}")
-        lines.append([column, *cells])
-    return markdown_table(["column", *METRICS.values()], lines)
+        for key in README_SETS.values():
+            row = next((row for row in rows.get(key, []) if row["method"] == method), None)
+            known = row is not None and "pmd_e4" in row
+            figures = f"{cell(row, 'mm')} mm, {cell(row, 'pmd_e4')} ({cell(row, 'pmd_e4_median')})"
+            cells.append(figures if known else "not possible" if key in rows else "not measured")
+        lines.append([label, *cells])
+    return markdown_table(["method", *README_SETS], lines)
 
 
-def _rows(reports: list[dict[str, Any]]) -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Return the rows of all reports by protocol, method and kind of pair."""
-    return {(r["protocol"], row["method"], row["split"]): row for r in reports for row in r["results"]}
+def with_readme_table(text: str, table: str) -> str:
+    """Return the text of the README with the table between its two marks replaced."""
+    before, rest = text.split(README_MARKS[0])
+    return f"{before}{README_MARKS[0]}\n\n{table}\n\n{README_MARKS[1]}{rest.split(README_MARKS[1])[1]}"
 
 
-def _methods(rows: dict[tuple[str, str, str], dict[str, Any]]) -> list[str]:
-    """Return the names of all methods, in the order of the reports."""
-    return list(dict.fromkeys(method for _, method, _ in rows))
+def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
+    """Format the tables of a test set: methods without a body model, then those that fit the shipped body."""
+    ours = [row for row in rows if WITHOUT_FIT.get(row["method"], row["method"]) not in TABLE_MODELS]
+    parts = [f"### {test_set.title}", f"`{' '.join(test_set.key)}`. {test_set.about}"]
+    if not ours:
+        return [*parts, "Not measured."]
+    for title, fits in (("Without a body model:", False), ("With the shipped body's model:", True)):
+        chosen = [row for row in ours if fits == (row["given"] in FITS_SHIPPED_BODY)]
+        if chosen:
+            parts += [title, kind_table(chosen, ours)]
+    return [*parts, *not_applicable(ours)]
 
 
-def _mean(rows: dict[tuple[str, str, str], dict[str, Any]], method: str, column: str, metric: str) -> float | None:
-    """Compute the mean of a metric over the kinds of a column; None unless every pair of each kind was measured."""
-    protocol, kinds = COLUMNS[column]
-    of_kinds = [rows.get((protocol, method, kind), {}) for kind in kinds]
-    if any(metric not in row or row.get("not_applicable") for row in of_kinds):
-        return None
-    return sum(row[metric] for row in of_kinds) / len(of_kinds)
+def _confidence_tables(rows: dict[Key, list[dict[str, Any]]]) -> list[str]:
+    """Format what the warnings of `mime` are worth on each test set, and the calibration curve over all of them."""
+    sets = {
+        f"{section.title}: {test_set.title}": [row for row in rows.get(test_set.key, []) if row["method"] == "mime"]
+        for section in SECTIONS
+        for test_set in section.sets
+    }
+    every = [row for found in sets.values() for row in found]
+    return [warnings_table(sets | {"all": every}), "All pairs together:", calibration_table(every)]
 
 
-def _text(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3g}" if value < 999.5 else f"{value:.0f}"
-
-
-def _not_applicable(report: dict[str, Any]) -> list[str]:
-    """Format one line for each method that could not be applied to some pairs, with the reason."""
-    kinds: dict[tuple[str, str], list[str]] = {}
-    for row in report["results"]:
-        if "why" in row:
-            share = f"{row['not_applicable']} of {row['not_applicable'] + row['pairs']} pairs of {row['split']}"
-            kinds.setdefault((row["method"], row["why"]), []).append(share)
-    return [f"Not applicable: `{method}`, {', '.join(shares)} ({why})." for (method, why), shares in kinds.items()]
+def _origin(stem: str, report: dict[str, Any]) -> str:
+    """Say where a report was measured, and that its commit does not identify the code if files had been changed."""
+    provenance = report["provenance"]
+    text = f"* `{stem}.json`: commit {provenance['commit']}, {provenance['machine']}, {provenance['date'][:10]}."
+    return f"{text} The working tree had uncommitted changes." if provenance["commit"].endswith("-dirty") else text

@@ -114,8 +114,9 @@ def _on_one_line(found: re.Match[str]) -> str:
 def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
-    chosen = measure_clip if isinstance(trial, ClipPair) else measure
-    return labels | chosen(trial, method, **options)
+    if isinstance(trial, ClipPair):
+        return labels | measure_clip(trial, method, **options)
+    return labels | measure(trial, method, **options)
 
 
 class PartialReport:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
-from .measure import extra_inputs, training_summary
+from .measure import extra_inputs, training_facts
 
 DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector_pct": 2}
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
@@ -34,7 +34,7 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, 
     """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair."""
     measured = [metrics for metrics in figures if "why" not in metrics]
     row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
-    row |= {"given": extra_inputs(method), "trained": training_summary(method)}
+    row |= {"given": extra_inputs(method), **training_facts(method)}
     if len(measured) < len(figures):
         row["not_applicable"] = len(figures) - len(measured)
         row["why"] = next(metrics["why"] for metrics in figures if "why" in metrics)

@@ -1,13 +1,13 @@
-"""Format reports as Markdown tables: the rows of a protocol, and the papers' tables with their values next to ours."""
+"""The papers' tables, with their values next to ours."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from .markdown import cell, markdown_table, with_interval
 from .run import evaluate_command
 
 
@@ -29,22 +29,18 @@ class Table(NamedTuple):
 
     title: str
     protocol: str
-    """Name of the protocol that it is measured on, whose first two kinds are `seen` and `unseen`."""
+    """Name of the protocol that it is measured on."""
     rows: tuple[Row, ...]
+    kinds: tuple[str, str] = ("seen", "unseen")
+    """Kinds of pair for the paper's two columns."""
+    labels: tuple[str, str] = ("seen", "unseen")
+    """Headings of our columns."""
 
 
-LAST_KIND_COLUMNS = {
-    "mm": "mm",
-    "edge_score": "edge score",
-    "flipped": "flipped",
-    "path_mm": "path, mm",
-    "jitter": "jitter, m/s²",
-    "liveliness": "acceleration / truth's",
-    "still_mm": "motion while the driving is still, mm",
-    "skate_cm_s": "foot skate, cm/s",
-    "seconds_per_frame": "s a pair",
-}
-"""Metric -> heading of the columns that a report has for its last kind of pair only."""
+PAPER_PFLOP = {"npt": 200.0, "aniformer": 187.0}
+"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.export.training_pflop` counts
+it for the configurations `paper`: 200 epochs of 4,000 pairs of 6,890 vertices, 200 epochs of 400 windows. The public
+code of AniFormer computes its attention over more keys: 434 by its own arithmetic."""
 LONGEST = Row("NPT, the paper's 16 people x 400 poses, longest training", "npt-table", 1.1, 9.3)
 MIME_TABLE = Row("mime (ours, fits the shipped body), same people, poses and training time", "mime-table")
 MIME_TABLE_NETWORK = Row("the same without the body fit: the network alone", "mime-table-network")
@@ -113,6 +109,8 @@ TABLES = {
             MIME_ON_CLIPS,
             COPY,
         ),
+        kinds=("seen", "held-out"),
+        labels=("seen", "held out"),
     ),
     "aniformer-2": Table(
         "AniFormer Table 2: against other methods, which work frame by frame (LIMP on its 2,100 vertices; the paper's "
@@ -130,6 +128,8 @@ TABLES = {
             DENSE,
             COPY,
         ),
+        kinds=("seen", "held-out"),
+        labels=("seen", "held out"),
     ),
 }
 
@@ -160,72 +160,32 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
     measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []
     for row in table.rows:
-        means = [_mean_and_interval(measured.get((row.method, kind))) for kind in ("seen", "unseen")]
-        unseen = measured.get((row.method, "unseen"))
-        seconds = _cell(unseen, "seconds_per_frame")
+        kinds = seen, unseen = [measured.get((row.method, kind)) for kind in table.kinds]
         paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
         described = [unseen.get("given", "-"), unseen.get("trained", "-")] if unseen else ["-", "-"]
-        more = [_cell(unseen, key) for key in ("pmd_e4_median", "mm")]
-        lines.append([row.label, f"`{row.method}`", *paper, *means, *more, seconds, *described])
-    columns = ("ours", "paper, seen", "paper, unseen", "ours, seen", "ours, unseen", "unseen: median", "unseen: mm")
-    head = ["row", *columns, "s a mesh", "given", "trained"]
-    title = f"{table.title}. PMD (Eq. 7) x1e-4, mean; the paper's figures on SMPL, ours on the shipped body."
+        lines.append(
+            [
+                row.label,
+                f"`{row.method}`",
+                *paper,
+                *(with_interval(figures, "pmd_e4") for figures in kinds),
+                *(cell(figures, "pmd_mse_e4") for figures in kinds),
+                *(cell(unseen, key) for key in ("pmd_e4_median", "pmd_e4_p90", "mm", "mm_median")),
+                _share_of_compute(row, seen),
+                *described,
+            ]
+        )  # fmt: skip
+    head = ["row", "ours", "paper, seen", "paper, unseen"]
+    head += [f"ours, {label}" for label in table.labels] + [f"{label}: public formula" for label in table.labels]
+    head += [f"{table.labels[1]}: {figure}" for figure in ("median", "90 %", "mm", "median mm")]
+    head += ["share of the paper's compute", "given", "trained"]
+    title = f"{table.title}. PMD (Eq. 7) x1e-4, mean; the paper's figures on its own data, ours on the shipped body."
     return f"{title}\n\n" + markdown_table(head, lines)
 
 
-def markdown(report: dict[str, Any]) -> str:
-    """Format a report: one row per method, one column per kind of pair, and further metrics of the last kind.
-
-    A second table has median, 90th percentile and maximum, because a mean alone hides failures.
-    """
-    rows = report["results"]
-    kinds = list(dict.fromkeys(row["split"] for row in rows))
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    by_kind = {(row["method"], row["split"]): row for row in rows}
-    # Some metrics are defined for clips only.
-    measured = [name for name in LAST_KIND_COLUMNS if any(name in row for row in rows)]
-    labels = LAST_KIND_COLUMNS | ({"seconds_per_frame": "s a frame"} if "path_mm" in measured else {})
-    counts = dict.fromkeys(str(row["pairs"] + row.get("not_applicable", 0)) for row in rows)
-    lines = []
-    for method in methods:
-        of_method = [by_kind[method, kind] for kind in kinds]
-        means = [_mean_and_interval(row) for row in of_method]
-        of_last_kind = [_cell(of_method[-1], name) for name in measured]
-        lines.append([f"`{method}`", *means, *of_last_kind, of_method[-1].get("given", "-")])
-    head = ["method", *kinds, *(f"{kinds[-1]}: {labels[name]}" for name in measured), "given"]
-    title = f"{report['protocol']} version {report['version']}, PMD (Eq. 7) x1e-4 in the truth's unit sphere"
-    tails = [[f"`{method}`", *(_tail(by_kind[method, kind]) for kind in kinds)] for method in methods]
-    return (
-        f"{title}, {'/'.join(counts)} pairs a column.\n\n{markdown_table(head, lines)}\n\n"
-        f"Median, 90th percentile and largest of the pairs:\n\n{markdown_table(['method', *kinds], tails)}"
-    )
-
-
-def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a Markdown table from its head and its rows."""
-    rule = ["---"] * len(head)
-    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *rows))
-
-
-def _mean_and_interval(row: dict[str, Any] | None) -> str:
-    """Format the mean PMD and half of its 95 % interval, with the number of pairs where some were not applicable."""
-    text = _cell(row, "pmd_e4")
-    if row is not None and "pmd_e4_ci95" in row:
-        text += f" ± {row['pmd_e4_ci95']:.2g}"
-    if row is not None and row.get("not_applicable") and row["pairs"]:
-        text += f" ({row['pairs']} of {row['pairs'] + row['not_applicable']})"
-    return text
-
-
-def _tail(row: dict[str, Any]) -> str:
-    """Format median, 90th percentile and maximum of the PMD."""
-    return " / ".join(_cell(row, f"pmd_e4_{name}") for name in ("median", "p90", "max")) if row["pairs"] else "-"
-
-
-def _cell(row: dict[str, Any] | None, name: str) -> str:
-    """Format one metric of a row with three digits, or say why there is none."""
-    if row is None:
-        return "not measured"
-    if name not in row:
-        return "not applicable"
-    return f"{row[name]:.3g}" if abs(row[name]) < 100 else f"{row[name]:.0f}"
+def _share_of_compute(row: Row, figures: dict[str, Any] | None) -> str:
+    """Format the arithmetic of a row's training over that of its paper; a dash for methods that are not of a paper."""
+    paper = PAPER_PFLOP.get(row.method.split("-")[0])
+    if paper is None or figures is None or "pflop" not in figures:
+        return "-"
+    return f"1 / {paper / figures['pflop']:,.0f}"

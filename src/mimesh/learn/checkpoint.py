@@ -48,6 +48,11 @@ class Checkpoint:
         """Give the time and the pairs of this training so far."""
         return {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
 
+    @property
+    def pairs(self) -> int:
+        """Pairs of this training so far and of those before it."""
+        return sum(stage["pairs"] for stage in (self.spent(), *self.before))
+
     def weights(self) -> dict[str, Tensor]:
         """Give the weights to use: the moving average if there is one."""
         prefix = "ema." if any(k.startswith("ema.") for k in self.tensors) else "model."

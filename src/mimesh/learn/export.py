@@ -17,6 +17,7 @@ from ..core.errors import InputError
 from ..io.atomic import whole_file
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
+from .config import TrainConfig
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
 
@@ -128,9 +129,19 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
+        "pflop": training_pflop(trained.config, trained.pairs),
         **({"before": list(trained.before)} if trained.before else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
+
+
+def training_pflop(config: TrainConfig, pairs: int) -> float:
+    """Compute the arithmetic of a training, 10^15 operations: three times the forward pass for each pair.
+
+    Pairs of earlier stages count with this configuration. The optimiser's arithmetic is not counted.
+    """
+    task = find_task(config.network)(config, torch.device("cpu"))
+    return float(f"{3 * pairs * task.flops_per_pair(task.make_model()) / 1e15:.3g}")
 
 
 def test_set(card: dict[str, Any]) -> str:

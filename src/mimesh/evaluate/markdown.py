@@ -1,0 +1,148 @@
+"""Format the rows of reports as Markdown tables: every mean with its interval, median, 90th percentile and wins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from .summary import calibration, warnings_count, win_share
+
+BASELINES = ("copy", "deformation-transfer-13")
+"""Methods against which wins are counted."""
+CLIP_COLUMNS = {
+    "path_mm": "path, mm",
+    "jitter": "jitter, m/s²",
+    "liveliness": "acceleration / truth's",
+    "still_mm": "motion while the driving is still, mm",
+    "skate_cm_s": "foot skate, cm/s",
+}
+"""Metric of clips -> heading."""
+LIMB_COLUMNS = {
+    "joint_pct": "limb ends, % of height",
+    "sole_height_pct": "soles, % of leg",
+    "touching": "contacts that agree",
+    "penetration_pct": "penetration, % of surface",
+}
+"""Metric of results without a true mesh -> heading."""
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """Format a report: for each kind of pair one table, with a row for each method."""
+    rows = report["results"]
+    kinds = list(dict.fromkeys(row["split"] for row in rows))
+    tables = [f"**{kind}**\n\n{kind_table([row for row in rows if row['split'] == kind])}" for kind in kinds]
+    title = f"{report['protocol']} version {report['version']}, split {report['provenance']['config']['split']}."
+    return "\n\n".join([title, *tables, *not_applicable(rows)])
+
+
+def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] | None = None) -> str:
+    """Format the rows of all methods on one kind of pair.
+
+    Args:
+        baselines: rows of the same kind that wins are counted against; those of BASELINES among `rows` by default.
+    """
+    measured = [row for row in rows if row["pairs"]]
+    if any("limb_deg" in row for row in measured):
+        return _limb_table(measured)
+    against = [row for row in (baselines or rows) if row["method"] in BASELINES and "pmd_e4" in row]
+    clips = {name: label for name, label in CLIP_COLUMNS.items() if any(name in row for row in measured)}
+    head = ["method", "pairs", *(f"PMD: {name}" for name in ("mean", "median", "90 %", "largest", "public formula"))]
+    head += ["mm: mean", "mm: median", "mm: 90 %"]
+    head += [f"better than `{row['method']}`" for row in against]
+    head += ["edge score", "flipped", *clips.values(), "s a frame" if clips else "s a pair", "given"]
+    lines = []
+    for row in measured:
+        cells = [_pairs(row), with_interval(row, "pmd_e4")]
+        cells += [cell(row, f"pmd_e4_{end}") for end in ("median", "p90", "max")]
+        cells += [cell(row, name) for name in ("pmd_mse_e4", "mm", "mm_median", "mm_p90")]
+        cells += [_wins(row, baseline) for baseline in against]
+        cells += [cell(row, name) for name in ("edge_score", "flipped", *clips, "seconds_per_frame")]
+        lines.append([f"`{row['method']}`", *cells, row["given"]])
+    return markdown_table(head, lines)
+
+
+def _limb_table(rows: list[dict[str, Any]]) -> str:
+    """Format the rows of a kind without true meshes: limb directions, limb ends, contacts and penetration."""
+    quantities = ("limbs, degrees", "wrists and ankles, % of the limb")
+    head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
+    head += [*LIMB_COLUMNS.values(), "s a pair", "given"]
+    lines = []
+    for row in rows:
+        cells = [_pairs(row)]
+        for name in ("limb_deg", "end_effector_pct"):
+            cells += [with_interval(row, name), cell(row, f"{name}_median"), cell(row, f"{name}_p90")]
+        cells += [cell(row, name) for name in (*LIMB_COLUMNS, "seconds_per_frame")]
+        lines.append([f"`{row['method']}`", *cells, row["given"]])
+    return markdown_table(head, lines)
+
+
+def warnings_table(rows_of: dict[str, list[dict[str, Any]]]) -> str:
+    """Format how many bad and good results came with a warning, for each set of rows by its name."""
+    head = ["set", "pairs", "bad (PMD above 50)", "bad and warned of", "good (PMD below 10)", "good and warned of"]
+    lines = []
+    for name, rows in rows_of.items():
+        if (counts := warnings_count(rows)) is not None:
+            shares = [_share(counts[f"{kind}_warned"], counts[kind]) for kind in ("bad", "good")]
+            lines.append([name, str(counts["pairs"]), str(counts["bad"]), shares[0], str(counts["good"]), shares[1]])
+    return markdown_table(head, lines)
+
+
+def calibration_table(rows: list[dict[str, Any]]) -> str:
+    """Format the calibration curve: what the uncertainty of the report says about the error."""
+    head = ["uncertainty", "pairs", "median PMD", "90 %", "PMD above 50"]
+    lines = [
+        [f"{line['from']:g} to {line['to']:g}", str(line["pairs"]), _number(line["median"]), _number(line["p90"]),
+         f"{100 * line['bad']:.0f} %"]
+        for line in calibration(rows)
+    ]  # fmt: skip
+    return markdown_table(head, lines)
+
+
+def not_applicable(rows: list[dict[str, Any]]) -> list[str]:
+    """Format one line for each method that could not be applied to some pairs, with the reason."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for row in rows:
+        if "why" in row:
+            share = f"{row['not_applicable']} of {row['not_applicable'] + row['pairs']} pairs of {row['split']}"
+            kinds.setdefault((row["method"], row["why"]), []).append(share)
+    return [f"Not applicable: `{method}`, {', '.join(shares)} ({why})." for (method, why), shares in kinds.items()]
+
+
+def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Format a Markdown table from its head and its rows."""
+    rule = ["---"] * len(head)
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *rows))
+
+
+def with_interval(row: dict[str, Any] | None, name: str) -> str:
+    """Format a mean and half of its 95 % interval."""
+    text = cell(row, name)
+    return f"{text} ± {row[f'{name}_ci95']:.2g}" if row is not None and f"{name}_ci95" in row else text
+
+
+def cell(row: dict[str, Any] | None, name: str) -> str:
+    """Format one figure of a row with three digits, or say why there is none."""
+    if row is None:
+        return "not measured"
+    if not row["pairs"]:
+        return "not applicable"
+    return _number(row[name]) if name in row else "-"
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
+
+
+def _pairs(row: dict[str, Any]) -> str:
+    """Format the number of pairs, and of how many where some were not applicable."""
+    missing = row.get("not_applicable", 0)
+    return f"{row['pairs']} of {row['pairs'] + missing}" if missing else str(row["pairs"])
+
+
+def _wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:
+    share = None if row["method"] == baseline["method"] else win_share(row, baseline)
+    return "-" if share is None else f"{100 * share:.0f} %"
+
+
+def _share(part: int, whole: int) -> str:
+    return f"{part} ({100 * part / whole:.0f} %)" if whole else "-"
