@@ -1,9 +1,10 @@
 """Measure all methods on all test sets, write docs/results and docs/RESULTS.md. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--people DIR] [--clips DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [PROTOCOL ...]
 
-Run it in the root of a checkout, which contains `ablations/`. cross-body is measured if --people is a folder of rigged
-characters, clips-aniformer if --clips is the folder of the DeepMimic clips. Existing reports are replaced.
+Run it in the root of a checkout, which contains `ablations/`. characters is measured if --characters is a pool of rigged
+characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of motions. Existing
+reports are replaced. Several of these can run at the same time, on different protocols.
 """
 
 from __future__ import annotations
@@ -18,7 +19,10 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.run import FOLDERS, evaluate_command
 from mimesh.evaluate.tables import TABLES
 
-METHODS = ("copy", "deformation-transfer-dense", "deformation-transfer-13", "skeleton", "mime", "npt", "npt-maxpool")
+METHODS = (
+    *("identity", "copy", "mime", "mime-network", "npt", "npt-maxpool"),
+    *("deformation-transfer-dense", "deformation-transfer-13", "skeleton"),
+)
 """Methods that are measured on every protocol."""
 SLOW = ("skeleton",)
 """Left out on clips: they need seconds per frame."""
@@ -28,10 +32,11 @@ def main() -> None:
     """Measure one protocol after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*PROTOCOLS, *FOLDERS)))
+    parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
     args = parser.parse_args()
-    folders = {"cross-body": args.people, "clips-aniformer": args.clips}
+    folders = {"characters": args.characters, "cross-body": args.people, "clips-aniformer": args.clips}
     for name in args.protocols or (*PROTOCOLS, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
