@@ -213,7 +213,7 @@ def check_arrays(arrays: dict[str, np.ndarray], path: Path) -> None:
     total = weights.astype(float).sum(axis=1)
     if not (weights >= 0).all() or not (total > 0).all() or not np.isfinite(total).all():
         raise InputError(f"{path}: expected weights that sum to 1, found vertices without; bind the mesh again")
-    if used.size and not (0 <= used.min() and used.max() < joints):
+    if used.size and not (used.min() >= 0 and used.max() < joints):
         raise InputError(f"{path}: expected weights of its {joints} joints, found others; bind the mesh again")
 
 
@@ -248,7 +248,9 @@ def _meta(array: np.ndarray | None, path: Path) -> CharacterMeta:
     try:
         values: dict[str, Any] = json.loads(str(array))
         meta = CharacterMeta(
-            **{name: str(values.get("class" if name == "body_class" else name, "")) for name in names if name != "file"},
+            **{
+                name: str(values.get("class" if name == "body_class" else name, "")) for name in names if name != "file"
+            },
             file=path.stem,
         )
     except (ValueError, AttributeError) as error:
@@ -311,7 +313,9 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
                 raise ValueError(f"clip {n} of shape {rotations.shape}")
             clips[str(name)] = CharacterClip(rotations / norms, translations)
     except (KeyError, IndexError, ValueError) as error:
-        raise InputError(f"{path}: expected clips of the pool's format, found {error!r:.80}; export it again") from error
+        raise InputError(
+            f"{path}: expected clips of the pool's format, found {error!r:.80}; export it again"
+        ) from error
     return {name: clip for name, clip in clips.items() if len(clip)}
 
 
@@ -321,9 +325,7 @@ def _sampled_poses(
     """Compute the joints' transforms from rest in some frames of all clips, in the file's order of joints."""
     inverse = np.linalg.inv(rig.T_world_joint)
     step = max(sum(map(len, clips.values())) // FOOT_SAMPLES, 1)
-    poses = [
-        _world_frames(clip, np.arange(0, len(clip), step), rig.parents, turn) @ inverse for clip in clips.values()
-    ]
+    poses = [_world_frames(clip, np.arange(0, len(clip), step), rig.parents, turn) @ inverse for clip in clips.values()]
     return np.concatenate(poses) if poses else np.zeros((0, len(rig.parents), 4, 4))
 
 
