@@ -45,7 +45,8 @@ class Limb:
 def name_limb_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
     """Find the joint of each joint of the shipped body, as `named_joints` does, for figures with fewer joints too.
 
-    A leg of one joint is the thigh, hips are where the legs meet, and sides are those of the figure: some makers name
+    A leg of one joint is the thigh; hips are the joint by this name or where the legs meet, or the lowest joint of the
+    trunk that has weights; sides are those of the figure: some makers name
     them as seen by the viewer. Limb joints that move no vertex are left out.
 
     Raises:
@@ -70,6 +71,11 @@ def name_limb_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
     if "Hips" not in found:
         right = ancestors(rig.parents, found["RightUpLeg"])
         found["Hips"] = next((j for j in ancestors(rig.parents, found["LeftUpLeg"]) if j in right), 0)
+    # Figures of blocks have a root that moves them and one joint for the trunk, which may turn without the root.
+    weighted = np.unique(rig.joint_of[rig.weights > 0])
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and found[name] in weighted]
+    if found["Hips"] not in weighted and trunk:
+        found["Hips"] = found.pop(trunk[0])
     for side in SIDES:
         for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")):
             chain = ancestors(rig.parents, found.get(side + lower, found[side + upper]))

@@ -99,9 +99,9 @@ class Characters(Wide):
         if rng.random() >= 2 / 3:
             pose = self.sample_rest_pose(split, base, number, rng)
             rest, rest_label = pose_character(identity, pose.rotmat), pose.label
-        transforms, rotmat, label = self.draw_pose(driving, split, base, number, rng)
+        transforms, label = self.draw_pose(driving, split, base, number, rng)
         make = _make_across_pair if across else _make_pair
-        return make(identity, driving, rest, transforms, rotmat, (rest_label, label))
+        return make(identity, driving, rest, transforms, (rest_label, label))
 
     def pair(self, split: str, kind: str, i: int) -> CharacterPair:
         """Generate pair `i` with the vertices of both meshes shuffled, and the weights of both characters with them."""
@@ -134,15 +134,14 @@ class Characters(Wide):
 
     def draw_pose(
         self, driving: PoolCharacter, split: str, kind: str, number: int, rng: np.random.Generator
-    ) -> tuple[Transforms, Float[np.ndarray, "B 3 3"], str]:
-        """Draw a pose of the driving character: transforms of its joints, the pose on the shipped body, and a name."""
+    ) -> tuple[Transforms, str]:
+        """Draw a pose of the driving character, as transforms of its joints from rest, and its name."""
         if kind == "clips" and driving.clips:
             name = list(driving.clips)[rng.integers(len(driving.clips))]
             frame = int(rng.integers(len(driving.clips[name])))
-            transforms = driving.clip_transforms(name, frame)
-            return transforms, body_pose(driving, transforms), f"{name.replace('/', '-')}{frame}"
+            return driving.clip_transforms(name, frame), f"{name.replace('/', '-')}{frame}"
         pose = self.sample_driving_pose(split, kind, number, rng)
-        return pose_character(driving, pose.rotmat), pose.rotmat, pose.label
+        return pose_character(driving, pose.rotmat), pose.label
 
 
 def characters(data: str | Path) -> Characters:
@@ -192,7 +191,7 @@ def _across(data: Path, split: str) -> list[tuple[list[PoolCharacter], list[Pool
     return choices
 
 
-def _make_pair(identity, driving, rest, transforms, rotmat, labels) -> CharacterPair:
+def _make_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
     """Make a pair of one skeleton, whose truth is the identity under the bone rotations of the driving character.
 
     The baseline `copy` needs a true correspondence, which exists only if both characters have the same triangles.
@@ -213,9 +212,10 @@ def _make_pair(identity, driving, rest, transforms, rotmat, labels) -> Character
     )
 
 
-def _make_across_pair(identity, driving, rest, transforms, rotmat, labels) -> CharacterPair:
+def _make_across_pair(identity, driving, rest, transforms, labels) -> CharacterPair:
     """Make a pair of two skeletons; its `truth` is an estimate, see `CharacterPair.truth_known`."""
-    estimate = identity.rig.skinned(pose_character(identity, rotmat))
+    # From what the driving mesh shows, not from the pose drawn: an arm of one joint has lost the bend of the elbow.
+    estimate = identity.rig.skinned(pose_character(identity, body_pose(driving, transforms)))
     return _pair(identity, driving, rest, transforms, labels, estimate, truth_known=False)
 
 

@@ -159,7 +159,9 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         return cross_body(data)
     if name == "characters":
         if data is None:
-            raise InputError("characters: expected a pool of rigged characters, found none; give its folder with --data")
+            raise InputError(
+                "characters: expected a pool of rigged characters, found none; give its folder with --data"
+            )
         return characters(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
