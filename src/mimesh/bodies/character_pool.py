@@ -101,7 +101,7 @@ class PoolCharacter:
         """Height of the hips above the lowest vertex at rest: the unit in which figures of all sizes move."""
         return float(self.limbs["Trunk"].start[1] - self.rig.mesh.vertices[:, 1].min())
 
-    def clip_transforms(self, clip: str, frame: int) -> Float[np.ndarray, "J+1 4 4"]:
+    def clip_transforms(self, clip: str, frame: int) -> Float[np.ndarray, "K 4 4"]:
         """Compute each joint's transform from rest to a frame of a clip, for `SkinnedCharacter.skinned`."""
         frames = _world_frames(self.clips[clip], np.array([frame]), self.file_parents, self.turn)[0][self.order]
         return np.concatenate([frames @ np.linalg.inv(self.rig.T_world_joint), np.eye(4)[None]])
@@ -218,22 +218,23 @@ def check_arrays(arrays: dict[str, np.ndarray], path: Path) -> None:
 
 
 def transferred_transforms(
-    source: SkinnedCharacter, target: SkinnedCharacter, transforms: Float[np.ndarray, "J+1 4 4"], scale: float
-) -> Float[np.ndarray, "J+1 4 4"]:
+    source: SkinnedCharacter, target: SkinnedCharacter, transforms: Float[np.ndarray, "K 4 4"], scale: float
+) -> Float[np.ndarray, "K 4 4"]:
     """Compute a pose of `target` with the bone rotations of a pose of `source`, which has the same skeleton.
 
     Bone rotations are those of a joint's frame in its parent's frame. Joints keep their places in the parent's frame,
     but for what they are moved from rest in `source`, times `scale` (size of `target` over that of `source`).
     """
     posed = transforms[:-1] @ source.T_world_joint
-    frames = np.empty_like(posed)
-    for j, parent in enumerate(source.parents):
-        local, source_rest, target_rest = (
-            array[j] if parent < 0 else np.linalg.inv(array[parent]) @ array[j]
-            for array in (posed, source.T_world_joint, target.T_world_joint)
-        )
-        local[:3, 3] = target_rest[:3, 3] + scale * (local[:3, 3] - source_rest[:3, 3])
-        frames[j] = local if parent < 0 else frames[parent] @ local
+    parents = np.array(source.parents)
+    local, source_rest, target_rest = (
+        _locals(world, parents) for world in (posed, source.T_world_joint, target.T_world_joint)
+    )
+    frames = local.copy()
+    frames[:, :3, 3] = target_rest[:, :3, 3] + scale * (local[:, :3, 3] - source_rest[:, :3, 3])
+    for j, parent in enumerate(parents):  # parents come first, so theirs are in the world already
+        if parent >= 0:
+            frames[j] = frames[parent] @ frames[j]
     return np.concatenate([frames @ np.linalg.inv(target.T_world_joint), np.eye(4)[None]])
 
 
@@ -299,23 +300,25 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
     arrays = _clip_arrays(path)
     count = len(character["parents"])
     rest = _locals(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]
-    clips = {}
     try:
-        if any(arrays[name].tolist() != character[name].tolist() for name in ("joint_names", "parents")):
-            raise InputError(f"{path}: expected clips of the character's skeleton, found another; export it again")
+        same = all(arrays[name].tolist() == character[name].tolist() for name in ("joint_names", "parents"))
         moved = arrays["clip_translated"].astype(np.int64)
-        for n, name in enumerate(arrays["clip_names"]):
+        clips = {}
+        for n, name in enumerate(arrays["clip_names"].tolist()):
             rotations = arrays[f"clip{n}_rotations"].astype(np.float64)
             translations = np.tile(rest, (len(rotations), 1, 1))
             translations[:, moved] = arrays[f"clip{n}_translations"]
             norms = np.linalg.norm(rotations, axis=-1, keepdims=True)
-            if rotations.shape[1:] != (count, 4) or not (norms > 0).all() or not np.isfinite(translations).all():
+            finite = np.isfinite(norms).all() and np.isfinite(translations).all()
+            if rotations.shape[1:] != (count, 4) or not (norms > 0).all() or not finite:
                 raise ValueError(f"clip {n} of shape {rotations.shape}")
             clips[str(name)] = CharacterClip(rotations / norms, translations)
-    except (KeyError, IndexError, ValueError) as error:
+    except (KeyError, IndexError, ValueError, TypeError) as error:
         raise InputError(
             f"{path}: expected clips of the pool's format, found {error!r:.80}; export it again"
         ) from error
+    if not same:
+        raise InputError(f"{path}: expected clips of the character's skeleton, found another; export it again")
     return {name: clip for name, clip in clips.items() if len(clip)}
 
 

@@ -71,7 +71,7 @@ class SkinnedCharacter:
         """Compute the vertices under local joint rotations (see the module); morph targets are not animated."""
         return self.skinned(self.skinning_transforms(local_rotmat, root))
 
-    def skinned(self, transforms: Float[np.ndarray, "J+1 4 4"]) -> Float[np.ndarray, "V 3"]:
+    def skinned(self, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "V 3"]:
         """Compute the vertices under given transforms from rest to a pose, as `skinning_transforms` returns them."""
         # Each influence has its own rest point, so transforms cannot be blended first, as `core.skinning` does.
         influences = transforms[self.joint_of]

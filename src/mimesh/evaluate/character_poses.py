@@ -25,7 +25,7 @@ FRONTAL = np.array([1.0, 1.0, 0.0])
 """Mask of the frontal plane: feet get only this part of their shin's calibration; see `retarget.alignments`."""
 
 
-def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"]) -> Float[np.ndarray, "J+1 4 4"]:
+def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"]) -> Float[np.ndarray, "K 4 4"]:
     """Compute the transforms of a character's joints, from rest, that give it a pose of the shipped body."""
     body, rig, aligned = human(), character.rig, rest_alignments(character)
     rotation, translation = body.skinning_transforms(body.joints, rotmat)
@@ -47,7 +47,7 @@ def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"])
     return rig.skinning_transforms(to_local(world[None], rig.parents)[0])
 
 
-def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "J+1 4 4"]) -> Float[np.ndarray, "B 3 3"]:
+def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "B 3 3"]:
     """Compute the local joint rotations that give the shipped body the pose of a character.
 
     Args:

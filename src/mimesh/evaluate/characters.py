@@ -32,7 +32,7 @@ ACROSS = "across-"
 ACROSS_POSES = 5_000
 """Number of the first pose of these kinds, beyond the poses of the others."""
 KINDS = ("table6", "limits", "clips")
-Transforms = Float[np.ndarray, "J+1 4 4"]
+Transforms = Float[np.ndarray, "K 4 4"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -111,7 +111,7 @@ def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
 
 def as_body(
     rig: SkinnedCharacter,
-    t_pose: Float[np.ndarray, "J+1 4 4"],
+    t_pose: Float[np.ndarray, "K 4 4"],
     index: dict[str, int],
     points: dict[str, tuple[int, Float[np.ndarray, " 3"]]],
 ) -> RiggedBody:
