@@ -15,14 +15,14 @@ from ..core.errors import InputError
 
 PARTS = {
     "HipJoint": "hipjoint",
-    "Leg": "lowerleg lowleg shin calf tibia knee leg",
+    "Leg": "lowerleg lowleg downleg shin calf tibia knee leg",
     "UpLeg": "upleg upperleg thigh thighbend femur hip leg",
     "Foot": "ankle foot",
     "ToeBase": "toebase toe toes toe0 ball metatarsals foot",
     "ForeArm": "forearm lowerarm lowarm forearmbend elbow radius",
     "Arm": "upperarm uparm humerus shldr shldrbend arm shoulder",
     "Shoulder": "clavicle collar collarbone shoulder",
-    "Hand": "wrist hand",
+    "Hand": "wrist hand fist",
 }
 """Limb joints of the shipped body without their side, and words that others use for them, the least ambiguous first.
 

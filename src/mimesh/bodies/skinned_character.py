@@ -1,4 +1,4 @@
-"""SkinnedCharacter: the rigged character of a glTF file, posed by linear blend skinning (NumPy).
+"""SkinnedCharacter: a rigged character of a file, posed by linear blend skinning (NumPy).
 
 Joint rotations are defined as in `RiggedBody`: about world axes (y up, +z front, +x the left side) through the joint at
 rest, in the frame of its parent. They do not depend on the joint frames of the file, so one set of rotations gives the
@@ -7,12 +7,13 @@ same pose to all characters with the same rest pose.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.mesh import Mesh
+from ..core.mesh import Mesh, permute_vertices
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,17 @@ class SkinnedCharacter:
         self, local_rotmat: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, "3"] | None = None
     ) -> Float[np.ndarray, "V 3"]:
         """Compute the vertices under local joint rotations (see the module); morph targets are not animated."""
+        return self.skinned(self.skinning_transforms(local_rotmat, root))
+
+    def skinned(self, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "V 3"]:
+        """Compute the vertices under given transforms from rest to a pose, as `skinning_transforms` returns them."""
         # Each influence has its own rest point, so transforms cannot be blended first, as `core.skinning` does.
-        transforms = self.skinning_transforms(local_rotmat, root)[self.joint_of]
-        moved = (transforms[..., :3] @ self.points[..., None])[..., :3, 0] + transforms[..., :3, 3]
+        influences = transforms[self.joint_of]
+        moved = (influences[..., :3] @ self.points[..., None])[..., :3, 0] + influences[..., :3, 3]
         return (self.weights[..., None] * moved).sum(axis=1)
+
+    def permuted(self, order: Int[np.ndarray, " V"]) -> SkinnedCharacter:
+        """Reorder the vertices with their weights: new vertex k is old vertex `order[k]`."""
+        mesh = permute_vertices(self.mesh, order)
+        rows = {name: getattr(self, name)[order] for name in ("joint_of", "weights", "points")}
+        return dataclasses.replace(self, mesh=mesh, **rows)

@@ -13,7 +13,8 @@ Protocol = Annotated[
     str,
     typer.Argument(
         metavar="PROTOCOL",
-        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body or clips-aniformer.",
+        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters or "
+        "clips-aniformer.",
     ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
@@ -24,7 +25,11 @@ Figures = Annotated[
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(help="Folder: rigged characters for cross-body, DeepMimic clips for clips-aniformer.", metavar="DIR"),
+    typer.Option(
+        help="Folder: rigged characters for cross-body, a pool of them for characters, DeepMimic clips for "
+        "clips-aniformer.",
+        metavar="DIR",
+    ),
 ]
 
 

@@ -100,20 +100,36 @@ def pose_at_rest(rig: SkinnedCharacter, body: RiggedBody) -> Float[np.ndarray, "
 
 
 def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
-    """Find the vertices of a rig at the landmarks of the shipped body (`body_model.LANDMARKS`).
-
-    The rig in the body's T-pose and at its height is wrapped as a RiggedBody with the body's joints, on which
-    `landmarks` works as on the shipped body. Each vertex is weighted to the nearest named joint above its own joint.
-    """
+    """Find the vertices of a rig at the landmarks of the shipped body (`body_model.LANDMARKS`)."""
     body, index = human(), named_joints(rig.joint_names, rig.parents)
     t_pose = pose_on_rig(rig, body, np.tile(np.eye(3), (len(body.parents), 1, 1)))
-    transforms = rig.skinning_transforms(t_pose)
-    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
-    joints, body_joint = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
     # Rigs without toes get the position of the ankle for them; where toes exist, `index` overrides it.
     substitutes = {joint: index[joint.replace("ToeBase", "Foot")] for joint in ("LeftToeBase", "RightToeBase")}
-    for joint, j in {**substitutes, **index}.items():
-        joints[body.joint(joint)] = scale * (transforms[j] @ [*rig.joints[j], 1.0])[:3]
+    points = {joint: (j, rig.joints[j]) for joint, j in {**substitutes, **index}.items()}
+    return np.array(list(landmarks(as_body(rig, rig.skinning_transforms(t_pose), index, points)).values()))
+
+
+def as_body(
+    rig: SkinnedCharacter,
+    t_pose: Float[np.ndarray, "K 4 4"],
+    index: dict[str, int],
+    points: dict[str, tuple[int, Float[np.ndarray, " 3"]]],
+) -> RiggedBody:
+    """Wrap a rig in the shipped body's T-pose and at its height as a RiggedBody with the body's joints.
+
+    Functions of the shipped body such as `landmarks` work on it. Each vertex is weighted to the nearest named joint
+    above its own joint.
+
+    Args:
+        t_pose: transforms of the rig's joints from rest to the T-pose.
+        index: the rig's joint of each joint of the body that it has.
+        points: place of each joint of the body: a joint of the rig, and the point at rest that it carries.
+    """
+    body = human()
+    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
+    joints, body_joint = body.joints.copy(), {j: body.joint(joint) for joint, j in index.items()}
+    for joint, (j, point) in points.items():
+        joints[body.joint(joint)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
     for j, parent in enumerate(rig.parents):
         body_joint.setdefault(j, body_joint.get(parent, 0))
     weights = np.zeros((len(rig.weights), len(body.parents)))
@@ -121,9 +137,8 @@ def find_landmarks(rig: SkinnedCharacter) -> Int[np.ndarray, "M"]:
     columns = np.array([body_joint[j] for j in range(len(rig.parents))] + [0])[rig.joint_of]
     np.add.at(weights, (np.arange(len(weights))[:, None], columns), rig.weights)
     no_shapes, no_joint_shapes = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
-    wrapped = RiggedBody("", scale * rig.posed(t_pose), rig.mesh.faces, no_shapes, joints, no_joint_shapes, weights,
-                         body.joint_names, body.parents)  # fmt: skip
-    return np.array(list(landmarks(wrapped).values()))
+    return RiggedBody("", scale * rig.skinned(t_pose), rig.mesh.faces, no_shapes, joints, no_joint_shapes, weights,
+                      body.joint_names, body.parents)  # fmt: skip
 
 
 def check_character(rig: SkinnedCharacter, path: str | Path) -> SkinnedCharacter:

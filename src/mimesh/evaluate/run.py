@@ -15,6 +15,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, find_method, weights_path
+from .characters import characters
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
@@ -25,7 +26,7 @@ from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 from .summary import summary
 
-FOLDERS = ("cross-body", "clips-aniformer")
+FOLDERS = ("cross-body", "characters", "clips-aniformer")
 """Names of the protocols that read a folder."""
 
 
@@ -173,6 +174,12 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         if data is None:
             raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
         return cross_body(data)
+    if name == "characters":
+        if data is None:
+            raise InputError(
+                "characters: expected a pool of rigged characters, found none; give its folder with --data"
+            )
+        return characters(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
     if name not in PROTOCOLS:

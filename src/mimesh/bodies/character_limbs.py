@@ -1,0 +1,242 @@
+"""Find the limbs of a rigged humanoid of any maker: the joint that carries each limb, and its two ends at rest.
+
+Rigs that `named_joints` alone cannot use: feet on roots of their own (inverse kinematics), no hand joint, and figures
+of blocks with one joint a limb. Character frame: y up, facing +z, the left side is +x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ..core.errors import InputError
+from .joint_names import named_joints
+from .skinned_character import SkinnedCharacter
+
+SIDES = ("Left", "Right")
+TAILS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand",), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot",)}
+"""Limbs without their side, and the joints at their other end: the first one that a character has."""
+END_SLICE = 0.2
+"""Share of a limb's length over which its end is averaged, where no joint marks the end. Chosen by eye."""
+CARRIED = 0.5
+"""A vertex belongs to a limb if the limb's joint and those below it have more than this share of its weight."""
+LOOSE_FOOT = 0.05
+"""Largest median movement of a foot relative to its shin over the clips, in heights of the figure.
+
+Measured: up to 0.003 for feet that a solver keeps on the shin, 0.08 and more for the other leg's shin.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Limb:
+    """A limb of a character at rest, in the frame and unit of its vertices."""
+
+    joint: int
+    """The joint that carries the limb."""
+    start: Float[np.ndarray, " 3"]
+    """The end nearer to the hips."""
+    end: Float[np.ndarray, " 3"]
+    """The other end."""
+
+
+def name_limb_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
+    """Find the joint of each joint of the shipped body, as `named_joints` does, for figures with fewer joints too.
+
+    A leg of one joint is the thigh; hips are the joint by this name or where the legs meet, or the lowest joint of the
+    trunk that has weights; sides are those of the figure: some makers name
+    them as seen by the viewer. Limb joints that move no vertex are left out.
+
+    Raises:
+        InputError: an upper arm or a thigh is not found by name, or a limb is not a chain.
+    """
+    found = named_joints(rig.joint_names, rig.parents)
+    for side in SIDES:
+        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
+            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
+    moving = moves_vertices(rig)
+    for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
+        if name in found and not moving[found[name]]:
+            del found[name]
+    missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
+    if missing:
+        raise InputError(
+            f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
+            f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
+        )
+    if rig.joints[found["LeftUpLeg"], 0] < rig.joints[found["RightUpLeg"], 0]:
+        found = {_other_side(name): joint for name, joint in found.items()}
+    if "Hips" not in found:
+        right = ancestors(rig.parents, found["RightUpLeg"])
+        found["Hips"] = next((j for j in ancestors(rig.parents, found["LeftUpLeg"]) if j in right), 0)
+    # Figures of blocks have a root that moves them and one joint for the trunk, which may turn without the root.
+    weighted = np.unique(rig.joint_of[rig.weights > 0])
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found and found[name] in weighted]
+    if found["Hips"] not in weighted and trunk:
+        found["Hips"] = found.pop(trunk[0])
+    for side in SIDES:
+        for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")):
+            chain = ancestors(rig.parents, found.get(side + lower, found[side + upper]))
+            if found[side + upper] not in chain:
+                raise InputError(
+                    f"{path}: expected the joint of the {side}{lower} below that of the {side}{upper}, found it "
+                    "elsewhere in the skeleton; export the deforming bones as chains"
+                )
+        # A hand elsewhere in the skeleton is a handle of the animator: the end of the forearm is used instead.
+        if f"{side}Hand" in found:
+            arm = found.get(f"{side}ForeArm", found[f"{side}Arm"])
+            if arm not in ancestors(rig.parents, found[f"{side}Hand"])[1:]:
+                del found[f"{side}Hand"]
+    return found
+
+
+def attach_feet(
+    rig: SkinnedCharacter, joints: dict[str, int], poses: Float[np.ndarray, "N J 4 4"], path: object
+) -> tuple[SkinnedCharacter, dict[str, int], Int[np.ndarray, " J"]]:
+    """Make each foot a child of the shin that it moves with.
+
+    Args:
+        poses: transforms of each joint from rest to some poses; without any, a foot goes to the shin of its side.
+
+    Returns the rig, its joints by name, and the new order of its joints (parents first): new joint k is old `order[k]`.
+
+    Raises:
+        InputError: a foot moves with neither shin.
+    """
+    shins = {side: joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) for side in SIDES}
+    parents, joints = list(rig.parents), dict(joints)
+    for side in SIDES:
+        foot = joints.get(f"{side}Foot")
+        if foot is None or shins[side] in ancestors(rig.parents, foot):
+            continue
+        movement = {
+            other: np.median(_relative_movement(poses, rig.joints[foot], shin, foot)) if len(poses) else other != side
+            for other, shin in shins.items()
+        }
+        nearest = min(movement, key=movement.__getitem__)
+        if movement[nearest] > LOOSE_FOOT * np.ptp(rig.mesh.vertices[:, 1]):
+            raise InputError(
+                f"{path}: expected feet that move with a shin in the clips, found a foot that moves with neither; "
+                "export the deforming bones as chains"
+            )
+        parents[foot] = shins[nearest]
+    depth = [len(ancestors(tuple(parents), j)) for j in range(len(parents))]
+    in_order = all(parent < j for j, parent in enumerate(parents))
+    order = np.arange(len(parents)) if in_order else np.argsort(depth, kind="stable")
+    return _reordered(rig, parents, order), {name: int(np.argsort(order)[j]) for name, j in joints.items()}, order
+
+
+def find_limbs(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> dict[str, Limb]:
+    """Find the limbs: LeftArm, LeftForeArm, LeftUpLeg, LeftLeg, the same of the right side, Trunk and Head.
+
+    A limb of one joint reaches from the shoulder to the end of the hand, or from the hip to the sole, and its ends are
+    centres of its surface, because blocks turn about joints at their edges. The head is left out where none is named.
+
+    Raises:
+        InputError: a limb has no length.
+    """
+    limbs = {}
+    for side in SIDES:
+        for part, tails in TAILS.items():
+            if (joint := joints.get(side + part)) is not None:
+                tail = next((joints[side + name] for name in tails if side + name in joints), None)
+                limbs[side + part] = _limb(rig, joint, tail, whole=len(tails) > 1)
+    hips = (rig.joints[joints["LeftUpLeg"]] + rig.joints[joints["RightUpLeg"]]) / 2
+    shoulders = (rig.joints[joints["LeftArm"]] + rig.joints[joints["RightArm"]]) / 2
+    neck = next((rig.joints[joints[name]] for name in ("Neck", "Head") if name in joints), shoulders)
+    limbs["Trunk"] = Limb(joints["Hips"], hips, neck)
+    head = carried_vertices(rig, joints["Head"]) if "Head" in joints else np.zeros(len(rig.weights), bool)
+    if head.any():
+        top = np.array([neck[0], rig.mesh.vertices[head, 1].max(), neck[2]])
+        limbs["Head"] = Limb(joints["Head"], neck, top)
+    short = [name for name, limb in limbs.items() if not (np.linalg.norm(limb.end - limb.start) > 0)]
+    if short:
+        raise InputError(
+            f"{path}: expected limbs with a length at rest, found none for {', '.join(short)}; "
+            "export the skeleton with its bones"
+        )
+    return limbs
+
+
+def carried_vertices(rig: SkinnedCharacter, joint: int) -> Bool[np.ndarray, " V"]:
+    """Select the vertices that a joint and those below it carry with more than the share CARRIED."""
+    below = np.array([joint in ancestors(rig.parents, j) for j in range(len(rig.parents))] + [False])
+    return (rig.weights * below[rig.joint_of]).sum(axis=1) > CARRIED
+
+
+def moves_vertices(rig: SkinnedCharacter) -> Bool[np.ndarray, " J"]:
+    """Select the joints that have a weight, or a joint with a weight below them."""
+    moving = np.zeros(len(rig.parents) + 1, bool)
+    moving[rig.joint_of[rig.weights > 0]] = True
+    for j in range(len(rig.parents) - 1, -1, -1):
+        moving[rig.parents[j]] |= moving[j]  # parent -1 is the last entry, which is cut off
+    return moving[:-1]
+
+
+def ancestors(parents: tuple[int, ...], joint: int) -> list[int]:
+    """List a joint and its ancestors, up to the root."""
+    chain = []
+    while joint >= 0:
+        chain.append(joint)
+        joint = parents[joint]
+    return chain
+
+
+def _limb(rig: SkinnedCharacter, joint: int, tail: int | None, whole: bool) -> Limb:
+    """Find the ends of a limb, whose `tail` is the joint at its end, if there is one.
+
+    Without a tail the end is on the surface; for a `whole` limb, all of an arm or leg, so is the start.
+    """
+    start = rig.joints[joint]
+    if tail is not None:
+        return Limb(joint, start, rig.joints[tail])
+    moving = moves_vertices(rig)
+    children = [j for j, parent in enumerate(rig.parents) if parent == joint and moving[j]]
+    if children and not whole:  # fingers begin where the hand does
+        return Limb(joint, start, rig.joints[children].mean(axis=0))
+    vertices = rig.mesh.vertices[carried_vertices(rig, joint)]
+    if len(vertices) == 0:
+        return Limb(joint, start, start)
+    end = vertices.mean(axis=0)
+    for _ in range(3):  # the axis defines the slices, whose centres define the axis
+        axis = end - start
+        along = (vertices - start) @ axis
+        low, high = along.min(), along.max()
+        end = _centre(vertices[along >= high - END_SLICE * (high - low)])
+        if whole:
+            start = _centre(vertices[along <= low + END_SLICE * (high - low)])
+    return Limb(joint, start, end)
+
+
+def _centre(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, " 3"]:
+    """Compute the centre of the bounding box of points; a mean would follow the density of the vertices."""
+    return (points.min(axis=0) + points.max(axis=0)) / 2
+
+
+def _relative_movement(poses, point, joint, moved):
+    """Compute how far a point that one joint carries is from its median place in the frame of another, per pose."""
+    homogeneous = np.append(point, 1.0)
+    local = (np.linalg.inv(poses[:, joint]) @ poses[:, moved] @ homogeneous)[:, :3]
+    return np.linalg.norm(local - np.median(local, axis=0), axis=1)
+
+
+def _other_side(name: str) -> str:
+    """Swap left and right in the name of a joint of the shipped body."""
+    for one, other in (("Left", "Right"), ("Right", "Left"), ("LHip", "RHip"), ("RHip", "LHip")):
+        if name.startswith(one):
+            return other + name[len(one) :]
+    return name
+
+
+def _reordered(rig: SkinnedCharacter, parents: list[int], order: Int[np.ndarray, " J"]) -> SkinnedCharacter:
+    """Return the rig with other parents (given in the old order) and its joints in a new order."""
+    rank = np.append(np.argsort(order), len(order))  # the world stays the last
+    return dataclasses.replace(
+        rig,
+        joint_names=tuple(rig.joint_names[j] for j in order),
+        parents=tuple(int(rank[parents[j]]) if parents[j] >= 0 else -1 for j in order),
+        T_world_joint=rig.T_world_joint[order],
+        joint_of=rank[rig.joint_of],
+    )

@@ -1,0 +1,250 @@
+"""Pairs of a pool: within one skeleton the truth has the bone rotations of the driving; across, limbs agree."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from foreign_names import renamed
+from pools import BLOCKS, blocks, write_character
+
+from mimesh.bodies import load_body
+from mimesh.bodies.character_pool import Limb, PoolCharacter, read_character, read_pool, transferred_transforms
+from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
+from mimesh.core.errors import InputError
+from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
+from mimesh.evaluate.characters import Characters, characters, skeleton
+from mimesh.evaluate.measure import measure
+from mimesh.evaluate.run import evaluate_command, find_protocol
+
+POOL = os.environ.get("MIMESH_CHARACTERS", "")
+"""Folder of a real pool, which is not part of the project."""
+WITHIN = ("table6", "limits", "clips")
+ACROSS = tuple(f"across-{kind}" for kind in WITHIN)
+HANDS = [name for name in load_body().joint_names if "Hand" in name or "Finger" in name or "Thumb" in name]
+WITHOUT_BLOCKS = [name for name in load_body().joint_names if name not in BLOCKS]
+FEET = ("LeftFoot", "RightFoot")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    """Three packs: people, one of them without clips; figures without hands and with loose feet; one of blocks."""
+    folder = tmp_path_factory.mktemp("pool")
+    for i in range(3):
+        write_character(folder, f"man{i}", i, size=1 + i / 2, pack="people", clip=i < 2)
+    for i in range(2):
+        options = {"without": HANDS, "on_root": FEET, "spell": renamed("mixamo"), "frames": 4}
+        write_character(folder, f"elf{i}", 3 + i, pack="elves", maker="others", **options)
+    write_character(folder, "block", 6, pack="blocks", without=WITHOUT_BLOCKS, spell=blocks)
+    write_character(folder, "broken", 7, spell=lambda name: f"bone{len(name)}")
+    write_character(folder, "alone", 8, split="test")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def protocol(folder) -> Characters:
+    return characters(folder)
+
+
+def direction(limb: Limb, transforms: np.ndarray) -> np.ndarray:
+    vector = transforms[limb.joint, :3, :3] @ (limb.end - limb.start)
+    return vector / np.linalg.norm(vector)
+
+
+def limb_degrees(
+    one: PoolCharacter, pose: np.ndarray, other: PoolCharacter, other_pose: np.ndarray
+) -> dict[str, float]:
+    """Angle between the directions of each limb that two characters have."""
+    return {
+        name: np.degrees(np.arccos(np.clip(direction(limb, pose) @ direction(other.limbs[name], other_pose), -1, 1)))
+        for name, limb in one.limbs.items()
+        if name in other.limbs and name not in ("Trunk", "Head")
+    }
+
+
+def drawn(protocol: Characters, kind: str, i: int) -> tuple[PoolCharacter, PoolCharacter]:
+    return protocol.draw_characters("val", kind, i, protocol.rng("val", kind, i))
+
+
+def limits(i: int) -> np.ndarray:
+    return rotvec_to_rotmat(sample_pose(load_body(), 5, i, JOINT_LIMITS))
+
+
+def test_limbs_have_the_directions_of_the_body(folder):
+    body = load_body()
+    for i, character in enumerate(read_pool(folder, "val").characters):
+        rotation, translation = body.skinning_transforms(body.joints, limits(i))
+        posed = np.einsum("jkl,jl->jk", rotation, body.joints) + translation
+        transforms = pose_character(character, limits(i))
+        tails = {"Arm": "ForeArm", "ForeArm": "Hand", "UpLeg": "Leg", "Leg": "Foot"}
+        if "LeftForeArm" not in character.limbs:
+            tails = {"Arm": "Hand", "UpLeg": "Foot"}
+        for part, tail in tails.items():
+            bone = posed[body.joint(f"Right{tail}")] - posed[body.joint(f"Right{part}")]
+            found = direction(character.limbs[f"Right{part}"], transforms)
+            np.testing.assert_allclose(found, bone / np.linalg.norm(bone), atol=1e-6)
+
+
+def test_body_takes_back_the_pose_of_a_character(folder):
+    for i, character in enumerate(read_pool(folder, "val").characters):
+        transforms = pose_character(character, limits(i))
+        again = pose_character(character, body_pose(character, transforms))
+        assert max(limb_degrees(character, transforms, character, again).values()) < 1e-3
+
+
+@pytest.mark.parametrize("kind", WITHIN)
+def test_truth_is_the_identity_under_the_bone_rotations_of_the_driving(kind, protocol):
+    """Checked against another pose, which must be far from the truth."""
+    for i in range(4):
+        pair = protocol.pair("val", kind, i)
+        assert pair.truth_known
+        one, other = pair.identity_character, pair.driving_character
+        assert skeleton_of(one) == skeleton_of(other)
+        size = one.limbs["Trunk"].start[1] - one.rig.mesh.vertices[:, 1].min()
+        size /= other.limbs["Trunk"].start[1] - other.rig.mesh.vertices[:, 1].min()
+        expected = one.rig.skinned(transferred_transforms(other.rig, one.rig, other.transforms, size))
+        np.testing.assert_allclose(pair.truth, expected, atol=1e-9)
+        posed = transferred_transforms(other.rig, one.rig, other.transforms, size) @ rest_frames(one)
+        np.testing.assert_allclose(bone_rotations(posed, one), bone_rotations_of(other), atol=1e-6)
+        foreign = protocol.pair("val", "limits" if kind == "table6" else "table6", i).driving_character
+        if skeleton_of(foreign) == skeleton_of(one):
+            wrong = transferred_transforms(foreign.rig, one.rig, foreign.transforms, 1.0) @ rest_frames(one)
+            assert np.abs(bone_rotations(wrong, one) - bone_rotations_of(other)).max() > 0.1
+
+
+def skeleton_of(posed) -> tuple:
+    return posed.rig.joint_names, posed.rig.parents
+
+
+def rest_frames(posed) -> np.ndarray:
+    return np.concatenate([posed.rig.T_world_joint, np.eye(4)[None]])
+
+
+def bone_rotations(frames: np.ndarray, posed) -> np.ndarray:
+    parents = np.array(posed.rig.parents)[1:]
+    return np.swapaxes(frames[parents, :3, :3], 1, 2) @ frames[1:-1, :3, :3]
+
+
+def bone_rotations_of(posed) -> np.ndarray:
+    return bone_rotations(posed.transforms @ rest_frames(posed), posed)
+
+
+@pytest.mark.parametrize("kind", ACROSS)
+def test_limbs_of_another_skeleton_stand_as_in_the_driving_mesh(kind, protocol):
+    """The estimate is measured like a result: by the rotation of a limb's vertices."""
+    for i in range(6):
+        identity, driving = drawn(protocol, kind, i)
+        pair = protocol.unshuffled_pair("val", kind, i, protocol.rng("val", kind, i))
+        assert not pair.truth_known
+        assert identity.meta.pack != driving.meta.pack
+        assert skeleton(identity) != skeleton(driving)
+        pose = pose_character(identity, body_pose(driving, pair.driving_character.transforms))
+        np.testing.assert_allclose(pair.truth, identity.rig.skinned(pose), atol=1e-9)
+        if len(identity.limbs) == len(driving.limbs):
+            angles = limb_degrees(identity, pose, driving, pair.driving_character.transforms)
+            assert max(angles.values()) < 1e-3
+        for part in ("LeftArm", "RightUpLeg"):
+            one, other = whole_limb(identity, pose, part), whole_limb(driving, pair.driving_character.transforms, part)
+            # In a bent limb the direction depends on the lengths of both halves, which differ between characters.
+            assert np.degrees(np.arccos(one @ other)) < 20
+
+
+def whole_limb(character: PoolCharacter, transforms: np.ndarray, upper: str) -> np.ndarray:
+    """Direction from a shoulder to the hand, or from a hip to the foot, in a pose."""
+    lower = character.limbs.get(upper.replace("Arm", "ForeArm").replace("UpLeg", "Leg"), character.limbs[upper])
+    points = ((character.limbs[upper].joint, character.limbs[upper].start), (lower.joint, lower.end))
+    start, end = ((transforms[joint] @ [*point, 1.0])[:3] for joint, point in points)
+    return (end - start) / np.linalg.norm(end - start)
+
+
+@pytest.mark.parametrize("kind", ["table6", "across-clips"])
+def test_weights_are_shuffled_with_the_vertices(kind, protocol):
+    plain = protocol.unshuffled_pair("val", kind, 1, protocol.rng("val", kind, 1))
+    pair = protocol.pair("val", kind, 1)
+    for name in ("identity", "driving"):
+        mesh, posed = getattr(pair, name), getattr(pair, f"{name}_character")
+        assert np.abs(mesh.vertices - getattr(plain, name).vertices).max() > 0.01
+        np.testing.assert_allclose(posed.vertices, mesh.vertices, atol=1e-12)
+        np.testing.assert_array_equal(posed.rig.mesh.faces, mesh.faces)
+
+
+@pytest.mark.parametrize("kind", [*WITHIN, *ACROSS])
+def test_pairs_are_a_pure_function_of_split_kind_and_number(kind, protocol, folder):
+    one, again, other = (
+        p.pair("val", kind, i) for p, i in ((protocol, 2), (characters(folder), 2), (protocol, 2 + 6))
+    )  # fmt: skip
+    np.testing.assert_array_equal(one.truth, again.truth)
+    np.testing.assert_array_equal(one.driving.vertices, again.driving.vertices)
+    assert one.driving.vertices.shape != other.driving.vertices.shape or (
+        np.abs(one.driving.vertices - other.driving.vertices).max() > 1e-3
+    )
+
+
+def test_packs_take_turns(protocol):
+    within = Counter(drawn(protocol, "table6", i)[0].meta.pack for i in range(12))
+    assert within == {"people": 6, "elves": 6}
+    across = Counter(tuple(c.meta.pack for c in drawn(protocol, "across-limits", i)) for i in range(12))
+    assert len(across) == 6
+    assert set(across.values()) == {2}
+
+
+def test_clips_of_the_file_are_preferred_to_captures(protocol, folder):
+    labels = {protocol.pair("val", "clips", i).driving.name.split("_")[-1][:5] for i in range(24)}
+    assert labels == {"dance", "clips"}
+
+
+def test_landmarks_of_characters_are_those_of_the_body(folder):
+    """The head's top and the soles' fronts are the extremes of the mesh."""
+    for character in read_pool(folder, "val").characters:
+        vertices = character.rig.mesh.vertices
+        found = find_character_landmarks(character)
+        assert len(found) == 13
+        assert vertices[found[0], 1] > vertices[:, 1].max() - 0.12 * np.ptp(vertices[:, 1])
+        assert vertices[found[5], 0] > 0 > vertices[found[6], 0]
+
+
+def test_deformation_transfer_is_near_the_truth(protocol):
+    """Twins of another size: all that deformation transfer needs is in the pair."""
+    metrics = measure(protocol.pair("val", "table6", 1), "deformation-transfer-13")
+    assert metrics["pmd_e4"] < 60
+
+
+def test_refused_files_are_counted(protocol):
+    assert list(protocol.pool("val").refused) == ["broken"]
+
+
+def test_pools_without_pairs_are_refused(protocol, tmp_path):
+    with pytest.raises(InputError, match=r"two characters of one skeleton.*1 of ours"):
+        protocol.check("test")
+    with pytest.raises(InputError, match="expected a split"):
+        protocol.check("all")
+    with pytest.raises(InputError, match=r"index\.json"):
+        characters(tmp_path).check("val")
+    with pytest.raises(InputError, match="--data"):
+        find_protocol("characters")
+
+
+def test_characters_are_evaluated(folder):
+    report = evaluate_command("characters", ["copy"], split="val", pairs=1, data=folder)
+    assert [row["split"] for row in report["results"]] == [*WITHIN, *ACROSS]
+
+
+def test_characters_of_one_file_are_read_alone(folder):
+    assert read_character(folder / "man1.npz").meta.pack == "people"
+
+
+@pytest.mark.skipif(not POOL, reason="MIMESH_CHARACTERS names no pool of characters")
+@pytest.mark.parametrize("split", ["train", "val", "test"])
+def test_pairs_of_a_real_pool(split):
+    """Of `test` nothing is looked at but that pairs exist."""
+    protocol = characters(POOL)
+    protocol.check(split)
+    for kind in protocol.kinds:
+        for i in range(0, 36, 5):
+            pair = protocol.pair(split, kind, i)
+            assert np.isfinite(pair.truth).all()
+            assert pair.truth_known == (kind in WITHIN)
+            np.testing.assert_allclose(pair.driving_character.vertices, pair.driving.vertices, atol=1e-9)
