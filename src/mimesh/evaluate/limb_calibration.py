@@ -1,9 +1,9 @@
 """Limbs of a rigged character: their axes at rest from the surface, and their rigid motions from moved vertices.
 
 A limb is sampled where its surface is cut by planes across it (cross-sections). The axis of an arm or a leg at rest is
-the line through the centroids of the cross-sections, so it does not depend on where a maker placed the joints inside the
-limb; the joints only say between which heights the limb is cut. Trunk and head are no rods (bellies, hair, snouts), so
-their axis is vertical at rest: characters stand upright in their files. The motion is the rigid one that moves the
+the line through the centroids of the cross-sections, so it does not depend on where a maker placed the joints inside
+the limb; the joints only say between which heights the limb is cut. Trunk and head are no rods (bellies, hair, snouts),
+so their axis is vertical at rest: characters stand upright in their files. The motion is the rigid one that moves the
 points of the cross-sections best (weighted Kabsch). `retarget`, in contrast, aligns directions from joint to joint.
 
 Frame: y up, the character faces +z, its left side is +x, as in `bodies.skinned_character`.
@@ -24,7 +24,9 @@ from ..core.surface_points import interpolate
 from .self_penetration import LimbSamples, sample_limbs
 
 SIDES = ("Left", "Right")
-CHAINS = {f"{side}{upper}": f"{side}{lower}" for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")) for side in SIDES}
+CHAINS = {
+    f"{side}{upper}": f"{side}{lower}" for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")) for side in SIDES
+}
 """Upper limbs and the limb at their end; a character with one joint for both has the upper one only."""
 UP = np.array([0.0, 1.0, 0.0])
 UPRIGHT = ("Trunk", "Head")
@@ -38,7 +40,10 @@ Chosen on 165 characters of five packs: of the ranges .1-.9, .2-.8, .25-.75, .3-
 the line of joints and between left and right.
 """
 MIN_WEIGHT = 0.2
-"""Smallest mean weight of the limb in a triangle that is cut: coarse meshes have triangles from one joint to the next."""
+"""Smallest mean weight of the limb in a triangle that is cut: coarse meshes have triangles that span a limb."""
+MOTION_POWER = 4
+"""Power of the limb's skinning weight at a point, for its motion: cloth between two limbs follows neither. The axis
+at rest takes the weight itself, because rings with a gap have their centroids off the middle."""
 MAX_RADIUS = 2.0
 """Points farther from the line of joints than this multiple of the median are left out: swords, shields, brims."""
 MIN_CUTS, MIN_WIDTH = 3, 1e-3
@@ -66,7 +71,7 @@ class Sections:
     barycentric: Float[np.ndarray, "N 3"]
     """Weights of the corners, rows sum to 1."""
     weight: Float[np.ndarray, " N"]
-    """Length of the cut through the triangle times the limb's skinning weight there, sums to 1."""
+    """Length of the cut through the triangle times a power of the limb's skinning weight there, sums to 1."""
     rest: Float[np.ndarray, "N 3"]
     """The points at rest."""
     start: Float[np.ndarray, " 3"]
@@ -217,16 +222,18 @@ def cut_limb(
     lengths = np.linalg.norm(fraction[:, :1] * edge[:, 0] - fraction[:, 1:] * edge[:, 1], axis=1)
     barycentric = np.concatenate([1 - fraction.mean(axis=1, keepdims=True), fraction / 2], axis=1)
     points = interpolate(vertices, corners, barycentric)
-    weight = lengths * (weights[corners] * barycentric).sum(axis=1)
-    if not weight.any():
+    share = (weights[corners] * barycentric).sum(axis=1)
+    if not (lengths * share).any():
         return None
     distance = _radial(points, limb.start, limb.end)
-    near = distance <= MAX_RADIUS * _weighted_median(distance, weight)
+    near = distance <= MAX_RADIUS * _weighted_median(distance, lengths * share)
     corners, barycentric, points, cut = corners[near], barycentric[near], points[near], cut[near]
-    weight = weight[near] / weight[near].sum()
+    lengths, share = lengths[near], share[near]
+    weight = lengths * share**MOTION_POWER
+    weight = weight / max(weight.sum(), np.finfo(float).tiny)
     if not _measurable(points, weight, cut):
         return None
-    start, end = _axis(points, weight, cut)
+    start, end = _axis(points, lengths * share, cut)
     return Sections(corners, barycentric, weight, points, start, end)
 
 
@@ -251,7 +258,9 @@ def _measurable(points, weight, cut):
     """Tell whether points of cross-sections define a rigid motion (MIN_CUTS, MIN_WIDTH)."""
     centred = points - weight @ points
     deviation = np.linalg.svd(np.sqrt(weight)[:, None] * centred, compute_uv=False)
-    return len(np.unique(cut[weight > 0])) >= MIN_CUTS and len(deviation) > 1 and deviation[1] > MIN_WIDTH * deviation[0]
+    return (
+        len(np.unique(cut[weight > 0])) >= MIN_CUTS and len(deviation) > 1 and deviation[1] > MIN_WIDTH * deviation[0]
+    )
 
 
 def _radial(points, start, end):
@@ -277,7 +286,9 @@ def calibration_report(character: SkinnedCharacter, limbs: dict[str, Limb]) -> d
     """
     measured = LimbedCharacter(character, limbs).cuts
     axes = {name: sections.axis for name, sections in measured.items()}
-    report = {f"joint {name}": float(angle_deg(axis, limbs[name].end - limbs[name].start)) for name, axis in axes.items()}
+    report = {
+        f"joint {name}": float(angle_deg(axis, limbs[name].end - limbs[name].start)) for name, axis in axes.items()
+    }
     for name, axis in axes.items():
         right = axes.get(name.replace("Left", "Right"))
         if name.startswith("Left") and right is not None:
@@ -291,7 +302,9 @@ def calibration_report(character: SkinnedCharacter, limbs: dict[str, Limb]) -> d
     return report
 
 
-def angle_deg(first: Float[np.ndarray, "*N 3"], second: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N"] | np.float64:
+def angle_deg(
+    first: Float[np.ndarray, "*N 3"], second: Float[np.ndarray, "*N 3"]
+) -> Float[np.ndarray, "*N"] | np.float64:
     """Compute the angle between vectors in degrees; exact for small angles too, unlike the arc cosine."""
     first, second = unit_vectors(first), unit_vectors(second)
     difference, total = (np.linalg.norm(v, axis=-1) for v in (first - second, first + second))

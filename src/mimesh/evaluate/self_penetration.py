@@ -1,9 +1,9 @@
 """Self-penetration of a posed character: the share of its surface that lies inside another limb.
 
-Game meshes are open and made of several parts, so there is no inside in the strict sense. A sample of the surface counts
-as inside a limb if the nearest sample of that limb faces away from it (along its normal, not sideways) and is between
-two depths. Limbs next to each other are not compared, and what is inside at rest never counts: coats over legs, necks
-in collars.
+Game meshes are open and made of several parts, so there is no inside in the strict sense. A sample of the surface
+counts as inside a limb if the nearest sample of that limb faces away from it (along its normal, not sideways) and is
+between two depths. Limbs next to each other are not compared, and what is inside at rest never counts: coats over legs,
+necks in collars.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MIN_DEPTH = 0.01
 MAX_DEPTH = 1.5
 """Largest distance from the surface that counts, in mean radii of the limb: larger ones are gaps of open meshes."""
 MIN_COSINE = 0.7
-"""Smallest cosine between the direction to the nearest sample and its normal (45 degrees): excludes rims of openings."""
+"""Smallest cosine between the direction to the nearest sample and its normal (45 degrees): excludes rims."""
 PLASTIC = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018), which fills a square evenly: 1/p and 1/p², p the plastic number."""
 NEXT_TO = {frozenset(("Trunk", "Head"))} | {
@@ -48,7 +48,7 @@ class LimbSamples:
     barycentric: Float[np.ndarray, "N 3"]
     """Weights of the corners, rows sum to 1."""
     limb: Int[np.ndarray, " N"]
-    """Index of each sample's limb in `names`, -1 without one."""
+    """Index of each sample's limb in `names`, one more than the last without a limb."""
     names: tuple[str, ...]
     max_depth: tuple[float, ...]
     """Largest distance from the surface of each limb that counts, in the unit of the file; 0 leaves the limb out."""
@@ -98,7 +98,8 @@ def sample_limbs(
     flip = u + v > 1  # outside the triangle: reflect to the other half of the parallelogram
     u, v = np.where(flip, 1 - u, u), np.where(flip, 1 - v, v)
     barycentric = np.stack([1 - u - v, u, v], axis=1)
-    weight = at_barycentric(weights, faces, chosen, barycentric)
-    limb = np.where(weight.any(axis=1), weight.argmax(axis=1), -1)
+    # A last column for samples that no limb carries.
+    weight = np.pad(at_barycentric(weights, faces, chosen, barycentric), ((0, 0), (0, 1)), constant_values=1e-6)
+    limb = weight.argmax(axis=1)
     max_depth = tuple(MAX_DEPTH * radius for radius in radii.values())
     return LimbSamples(faces[chosen], barycentric, limb, tuple(radii), max_depth, MIN_DEPTH * leg)
