@@ -9,9 +9,11 @@ import pytest
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.core.geometry import face_vectors
 from mimesh.core.mesh import Mesh, permute_vertices
 from mimesh.evaluate.limb_calibration import LIMBS, Limb, LimbedCharacter, calibration_report
 from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics, sole_slide
+from mimesh.evaluate.self_penetration import LimbSamples
 
 FIGURES = ("limb_deg", "end_effector", "joint_pct", "sole_height", "penetration")
 ENDS = {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftHand", "LeftUpLeg": "LeftLeg", "LeftLeg": "LeftFoot"}
@@ -119,6 +121,20 @@ def with_mesh(figure: LimbedCharacter, mesh: Mesh, gather: np.ndarray, weights: 
     return LimbedCharacter(new, figure.limbs)
 
 
+def with_finer_front(figure: LimbedCharacter, vertices: np.ndarray) -> tuple[LimbedCharacter, np.ndarray]:
+    """Split each triangle of the front into four at the middles of its edges; some vertices of the character follow."""
+    faces, count = figure.character.mesh.faces, len(vertices)
+    front = face_vectors(figure.rest, faces)[:, 2] > 0
+    split = faces[front]
+    pairs = np.sort(split[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    pairs, index = np.unique(pairs, axis=0, return_inverse=True)
+    middle = count + index.reshape(-1, 3)
+    corners = [np.stack([split[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
+    gather = np.concatenate([np.tile(np.arange(count)[:, None], 2), pairs])
+    mesh = Mesh(figure.rest[gather].mean(axis=1), np.concatenate([faces[~front], *corners, middle]))
+    return with_mesh(figure, mesh, gather, np.full(gather.shape, 0.5)), vertices[gather].mean(axis=1)
+
+
 def scaled(figure: LimbedCharacter, size: float) -> LimbedCharacter:
     rig = figure.character
     transforms = rig.T_world_joint.copy()
@@ -213,20 +229,14 @@ def test_figures_do_not_depend_on_the_order_of_vertices():
 
 
 def test_figures_hardly_depend_on_the_triangulation():
-    """Every triangle becomes four."""
+    """Every triangle of the front becomes sixteen: four, twice."""
     identity, driving = human(0), human(1)
     result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
-    faces, count = identity.character.mesh.faces, len(result)
-    pairs, index = np.unique(
-        np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2), axis=0, return_inverse=True
-    )
-    middle = count + index.reshape(-1, 3)
-    corners = [np.stack([faces[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
-    gather = np.concatenate([np.tile(np.arange(count)[:, None], 2), pairs])
-    mesh = Mesh(identity.rest[gather].mean(axis=1), np.concatenate([*corners, middle]))
-    fine = with_mesh(identity, mesh, gather, np.full(gather.shape, 0.5))
+    fine, fine_result = identity, result
+    for _ in range(2):
+        fine, fine_result = with_finer_front(fine, fine_result)
     first = limb_metrics(identity, driving, result, posed)
-    second = limb_metrics(fine, driving, result[gather].mean(axis=1), posed)
+    second = limb_metrics(fine, driving, fine_result, posed)
     assert second["limb_deg"] == pytest.approx(first["limb_deg"], abs=0.1)
     assert second["end_effector"] == pytest.approx(first["end_effector"], abs=0.003)
     assert second["joint_pct"] == pytest.approx(first["joint_pct"], abs=0.1)
@@ -315,6 +325,63 @@ def test_a_lifted_foot_changes_the_sole():
     assert limb_metrics(figure, figure, lifted, lifted)["touching"] == 1
 
 
+def test_a_knee_is_no_sole():
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, LeftLeg=(120, 0, 0)), figure.rest)
+    foot = 0.5 + 0.5 * np.sin(np.pi / 6) - 0.06 * np.sin(np.pi / 3)  # the knee is at 0.5, the foot above it
+    assert metrics["sole_height"] == pytest.approx(foot / 2, abs=1e-6)
+
+
+def test_cloth_between_limbs_does_not_turn_them():
+    """A strip of cloth from the forearm to the trunk follows each by a half."""
+    figure = prisms()
+    rig, forearm = figure.character, figure.limbs["LeftForeArm"]
+    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
+    mesh = Mesh(
+        np.concatenate([figure.rest, strip]),
+        np.concatenate([rig.mesh.faces, len(figure.rest) + np.array([[0, 1, 2], [2, 1, 3]])]),
+    )
+    weights = np.concatenate([rig.weights, np.zeros((4, len(rig.parents)))])
+    weights[-4:, [forearm.joint, 0]] = 0.5
+    names, parents = rig.joint_names, rig.parents
+    cloth = LimbedCharacter(character(mesh.vertices, mesh.faces, names, parents, rig.joints, weights), figure.limbs)
+    metrics = limb_metrics(cloth, figure, turned(cloth, LeftForeArm=(0, 0, 60)), turned(figure, LeftForeArm=(0, 0, 60)))
+    assert metrics["limb_deg LeftForeArm"] < 3
+
+
+def test_a_belly_does_not_turn_the_trunk():
+    figure = prisms()
+    mesh = figure.character.mesh
+    low = (figure.weights[:, list(figure.limbs).index("Trunk")] > 0.5) & (mesh.vertices[:, 1] < 1.2)
+    belly = np.where(low[:, None], mesh.vertices + [0, 0, 0.1], mesh.vertices)
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, vertices=belly))
+    assert calibration_report(rig, figure.limbs)["up Trunk"] > 5
+    metrics = limb_metrics(LimbedCharacter(rig, figure.limbs), figure, belly, figure.rest)
+    assert metrics["limb_deg Trunk"] == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((0.4, 0.4, -0.1), True),
+        ((0.4, 0.4, 0.1), False),  # above
+        ((0.4, 0.4, -0.005), False),  # less than the smallest depth
+        ((0.4, 0.4, -0.5), False),  # more than the largest distance
+        ((1.1, 0.5, -0.1), False),  # beside the rim
+    ],
+)
+def test_a_point_is_inside_below_a_surface_only(point, expected):
+    """The surface is a square with normal +z; a far small triangle makes the bounding box larger."""
+    side = np.linspace(0, 1, 41)
+    corners = np.array([[x, y, 0] for x in side for y in side] + [[-2.0, -2, -2], [2, 2, 2]])
+    tiny = np.array([[0.0, 0, 0], [1e-6, 0, 0], [0, 1e-6, 0]])
+    vertices = (np.concatenate([corners, [point]])[:, None] + tiny).reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    limb = np.array([0] * len(corners) + [1])
+    samples = LimbSamples(faces, np.full(faces.shape, 1 / 3), limb, ("LeftLeg", "RightLeg"), (0.15, 0.15), 0.01, 0.025)
+    assert samples.inside(vertices)[-1] == expected
+
+
 def test_a_hand_in_the_chest_penetrates():
     figure, free = human(), human().character
     body = load_body()
@@ -377,12 +444,14 @@ def test_an_open_mesh_in_parts_does_not_penetrate_by_being_open():
         )
 
 
-def test_limbs_with_too_little_surface_are_left_out():
+@pytest.mark.parametrize("triangles", [0, 1])
+def test_limbs_with_too_little_surface_are_left_out(triangles):
+    """Nothing is left of the forearm, or a triangle, which does not say how the limb is turned about it."""
     figure = prisms()
     forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
     mesh = figure.character.mesh
-    faces = mesh.faces[~forearm[mesh.faces].all(axis=1)]
-    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=faces))
+    removed = np.flatnonzero(forearm[mesh.faces].all(axis=1))[triangles:]
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=np.delete(mesh.faces, removed, 0)))
     bare = LimbedCharacter(rig, figure.limbs)
     metrics = limb_metrics(bare, figure, bare.rest, figure.rest)
     assert bare.left_out == ["LeftForeArm"]

@@ -22,8 +22,9 @@ MIN_DEPTH = 0.01
 """Leg lengths: smallest depth under the surface that counts, more than the error of planes through samples."""
 MAX_DEPTH = 1.5
 """Largest distance from the surface that counts, in mean radii of the limb: larger ones are gaps of open meshes."""
-MIN_COSINE = 0.7
-"""Smallest cosine between the direction to the nearest sample and its normal (45 degrees): excludes rims."""
+MAX_SLOPE = 0.5
+"""Largest sideways distance from the nearest sample, in depths under it (27 degrees), beyond the distance between samples:
+next to the rim of an opening the nearest sample is beside a point, not above it."""
 PLASTIC = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018), which fills a square evenly: 1/p and 1/p², p the plastic number."""
 NEXT_TO = {frozenset(("Trunk", "Head"))} | {
@@ -54,6 +55,8 @@ class LimbSamples:
     """Largest distance from the surface of each limb that counts, in the unit of the file; 0 leaves the limb out."""
     min_depth: float
     """Smallest depth that counts, in the unit of the file."""
+    spacing: float
+    """Typical distance of samples from each other, in the unit of the file."""
 
     def inside(self, vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " N"]:
         """Tell which samples are inside a limb that theirs is not next to."""
@@ -73,8 +76,9 @@ class LimbSamples:
             others = np.flatnonzero(within & np.isin(self.limb, apart))
             distance, nearest = KDTree(points[own]).query(points[others])
             depth = ((points[own[nearest]] - points[others]) * normals[own[nearest]]).sum(axis=1)
-            below = (depth > self.min_depth) & (depth > MIN_COSINE * distance) & (distance < self.max_depth[k])
-            inside[others[below]] = True
+            sideways = np.sqrt(np.maximum(distance**2 - depth**2, 0.0))
+            below = (depth > self.min_depth) & (sideways < MAX_SLOPE * depth + self.spacing)
+            inside[others[below & (distance < self.max_depth[k])]] = True
         return inside
 
 
@@ -101,5 +105,6 @@ def sample_limbs(
     # A last column for samples that no limb carries.
     weight = np.pad(at_barycentric(weights, faces, chosen, barycentric), ((0, 0), (0, 1)), constant_values=1e-6)
     limb = weight.argmax(axis=1)
+    spacing = float(np.sqrt(total[-1] / SAMPLES))
     max_depth = tuple(MAX_DEPTH * radius for radius in radii.values())
-    return LimbSamples(faces[chosen], barycentric, limb, tuple(radii), max_depth, MIN_DEPTH * leg)
+    return LimbSamples(faces[chosen], barycentric, limb, tuple(radii), max_depth, MIN_DEPTH * leg, spacing)
