@@ -1,0 +1,492 @@
+"""Metrics of results without true vertices, on characters of prisms and on the shipped body."""
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.core.geometry import face_vectors
+from mimesh.core.mesh import Mesh, permute_vertices
+from mimesh.evaluate.limb_calibration import LIMBS, Limb, LimbedCharacter, calibration_report
+from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics, sole_slide
+from mimesh.evaluate.self_penetration import LimbSamples
+
+FIGURES = ("limb_deg", "end_effector", "joint_pct", "sole_height", "penetration")
+ENDS = {"LeftArm": "LeftForeArm", "LeftForeArm": "LeftHand", "LeftUpLeg": "LeftLeg", "LeftLeg": "LeftFoot"}
+ENDS |= {joint.replace("Left", "Right"): end.replace("Left", "Right") for joint, end in ENDS.items()}
+# Joints of the character of prisms: parent, and the limb from start to end with its radius.
+PRISMS = {
+    "Trunk": (None, (0, 1.0, 0), (0, 1.5, 0), 0.15),
+    "Head": ("Trunk", (0, 1.55, 0), (0, 1.8, 0), 0.1),
+    "LeftArm": ("Trunk", (0.2, 1.45, 0), (0.5, 1.45, 0), 0.04),
+    "LeftForeArm": ("LeftArm", (0.5, 1.45, 0), (0.8, 1.45, 0), 0.04),
+    "RightArm": ("Trunk", (-0.2, 1.45, 0), (-0.5, 1.45, 0), 0.04),
+    "RightForeArm": ("RightArm", (-0.5, 1.45, 0), (-0.8, 1.45, 0), 0.04),
+    "LeftUpLeg": ("Trunk", (0.1, 1.0, 0), (0.1, 0.5, 0), 0.06),
+    "LeftLeg": ("LeftUpLeg", (0.1, 0.5, 0), (0.1, 0.0, 0), 0.06),
+    "RightUpLeg": ("Trunk", (-0.1, 1.0, 0), (-0.1, 0.5, 0), 0.06),
+    "RightLeg": ("RightUpLeg", (-0.1, 0.5, 0), (-0.1, 0.0, 0), 0.06),
+}
+
+
+def prism(start, end, radius: float, sides: int = 8) -> tuple[np.ndarray, np.ndarray]:
+    """Make a closed prism with outward normals between two points."""
+    axis = (end - start) / np.linalg.norm(end - start)
+    first = np.cross(axis, [0.0, 0.0, 1.0])
+    angles = 2 * np.pi * np.arange(sides)[:, None] / sides
+    ring = radius * (np.cos(angles) * first + np.sin(angles) * np.cross(axis, first))
+    vertices = np.concatenate([start + ring, end + ring, [start, end]])
+    k, following = np.arange(sides), (np.arange(sides) + 1) % sides
+    side = np.concatenate(
+        [np.stack([k, following, sides + k], 1), np.stack([following, sides + following, sides + k], 1)]
+    )
+    caps = [np.stack([following, k, np.full(sides, 2 * sides)], 1)]
+    caps += [np.stack([sides + k, sides + following, np.full(sides, 2 * sides + 1)], 1)]
+    return vertices, np.concatenate([side, *caps])
+
+
+def character(vertices, faces, joint_names, parents, joints, weights) -> SkinnedCharacter:
+    """Make a rigged character of dense weights."""
+    transforms = np.tile(np.eye(4), (len(parents), 1, 1))
+    transforms[:, :3, 3] = joints
+    all_joints = np.tile(np.arange(len(parents)), (len(vertices), 1))
+    points = np.repeat(vertices[:, None], len(parents), axis=1)
+    return SkinnedCharacter(Mesh(vertices, faces), joint_names, parents, transforms, all_joints, weights, points)
+
+
+def prisms(without: tuple[str, ...] = (), arms: float = 1.0) -> LimbedCharacter:
+    """Make a character of rigid prisms; limbs in `without` are part of the limb above, `arms` scales upper arms."""
+    names = [name for name in PRISMS if name not in without]
+    vertices, faces, owner, limbs, count = [], [], [], {}, 0
+    for j, name in enumerate(names):
+        start, end = (np.array(point, float) for point in PRISMS[name][1:3])
+        lower = {"Arm": "ForeArm", "UpLeg": "Leg"}
+        below = next((name.replace(up, low) for up, low in lower.items() if name[-len(up) :] == up), None)
+        if below in without:
+            end = np.array(PRISMS[below][2], float)
+        if name.endswith("Arm"):  # other proportions of upper arm and forearm, as long as before
+            elbow = np.sign(start[0]) * (0.2 + 0.3 * arms)
+            start[0], end[0] = (start[0], elbow) if not name.endswith("ForeArm") else (elbow, end[0])
+            if below in without:
+                end[0] = PRISMS[below][2][0]
+        limbs[name] = Limb(j, start, end)
+        points, triangles = prism(start, end, PRISMS[name][3])
+        vertices.append(points), faces.append(triangles + count), owner.extend([j] * len(points))
+        count += len(points)
+    parents = tuple(names.index(parent) if (parent := PRISMS[name][0]) else -1 for name in names)
+    joints = np.array([limb.start for limb in limbs.values()])
+    rig = character(
+        np.concatenate(vertices), np.concatenate(faces), tuple(names), parents, joints, np.eye(len(names))[owner]
+    )
+    return LimbedCharacter(rig, limbs)
+
+
+def turned(figure: LimbedCharacter, **rotvecs) -> np.ndarray:
+    """Pose a character of prisms: rotation vectors in degrees of the joints of limbs."""
+    local = np.zeros((len(figure.character.parents), 3))
+    for name, rotvec in rotvecs.items():
+        local[figure.limbs[name].joint] = np.radians(rotvec)
+    return figure.character.posed(rotvec_to_rotmat(local))
+
+
+@cache
+def human(i: int | None = None) -> LimbedCharacter:
+    """Wrap the shipped body, of the mean shape or a random one, and find its limbs by joint names."""
+    body = load_body()
+    vertices, joints = body.shaped(np.zeros(1) if i is None else sample_shape(body, 3, i))
+    rig = character(vertices, body.faces, body.joint_names, body.parents, joints, body.weights)
+    at = {name: joints[body.joint(name)] for name in body.joint_names}
+    limbs = {name: Limb(body.joint(name), at[name], at[end]) for name, end in ENDS.items()}
+    limbs["Trunk"] = Limb(body.joint("Hips"), at["Hips"], at["Neck"])
+    limbs["Head"] = Limb(body.joint("Neck"), at["Neck"], np.array([0.0, vertices[:, 1].max(), at["Head"][2]]))
+    return LimbedCharacter(rig, limbs)
+
+
+def pose(i: int) -> np.ndarray:
+    body = load_body()
+    return rotvec_to_rotmat(sample_pose(body, 5, i, JOINT_LIMITS))
+
+
+def with_mesh(figure: LimbedCharacter, mesh: Mesh, gather: np.ndarray, weights: np.ndarray) -> LimbedCharacter:
+    """Replace the mesh of a character: row n of `weights` (dense) mixes the old vertices `gather[n]`."""
+    rig = figure.character
+    dense = np.zeros((len(rig.weights), len(rig.parents)))
+    np.add.at(dense, (np.arange(len(dense))[:, None], rig.joint_of), rig.weights)
+    mixed = (dense[gather] * weights[..., None]).sum(axis=1)
+    new = character(mesh.vertices, mesh.faces, rig.joint_names, rig.parents, rig.joints, mixed)
+    return LimbedCharacter(new, figure.limbs)
+
+
+def with_finer_front(figure: LimbedCharacter, vertices: np.ndarray) -> tuple[LimbedCharacter, np.ndarray]:
+    """Split each triangle of the front into four at the middles of its edges; some vertices of the character follow."""
+    faces, count = figure.character.mesh.faces, len(vertices)
+    front = face_vectors(figure.rest, faces)[:, 2] > 0
+    split = faces[front]
+    pairs = np.sort(split[:, [[0, 1], [1, 2], [2, 0]]], axis=2).reshape(-1, 2)
+    pairs, index = np.unique(pairs, axis=0, return_inverse=True)
+    middle = count + index.reshape(-1, 3)
+    corners = [np.stack([split[:, k], middle[:, k], middle[:, k - 1]], axis=1) for k in range(3)]
+    gather = np.concatenate([np.tile(np.arange(count)[:, None], 2), pairs])
+    mesh = Mesh(figure.rest[gather].mean(axis=1), np.concatenate([faces[~front], *corners, middle]))
+    return with_mesh(figure, mesh, gather, np.full(gather.shape, 0.5)), vertices[gather].mean(axis=1)
+
+
+def scaled(figure: LimbedCharacter, size: float) -> LimbedCharacter:
+    rig = figure.character
+    transforms = rig.T_world_joint.copy()
+    transforms[:, :3, 3] *= size
+    mesh = dataclasses.replace(rig.mesh, vertices=size * rig.mesh.vertices)
+    rig = dataclasses.replace(rig, mesh=mesh, T_world_joint=transforms, points=size * rig.points)
+    limbs = {name: Limb(limb.joint, size * limb.start, size * limb.end) for name, limb in figure.limbs.items()}
+    return LimbedCharacter(rig, limbs)
+
+
+@pytest.mark.parametrize("i", range(3))
+def test_the_same_character_in_the_same_pose_has_no_error(i):
+    figure = human(i)
+    posed = figure.character.posed(pose(i))
+    metrics = limb_metrics(figure, figure, posed + [1.0, 2.0, 3.0], posed)
+    assert [metrics[name] for name in FIGURES] == pytest.approx([0] * 5, abs=1e-6)
+    assert metrics["touching"] == 1
+    assert metrics["limbs_left_out"] == 0
+    assert set(LIMBS) == {name.removeprefix("limb_deg ") for name in metrics if name.startswith("limb_deg ")}
+
+
+@pytest.mark.parametrize("name", ["LeftForeArm", "RightLeg"])
+def test_a_turned_limb_has_its_angle_as_error(name):
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, **{name: (0, 0, 20)}), figure.rest)
+    wrong = {key: value for key, value in metrics.items() if key.startswith("limb_deg ") and value > 1e-6}
+    assert wrong == {f"limb_deg {name}": pytest.approx(20)}
+    assert metrics["limb_deg"] == pytest.approx(2)
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_a_turned_limb_of_the_body_has_its_angle_as_error(name):
+    body, figure = load_body(), human()
+    rotvec = np.zeros((len(body.parents), 3))
+    rotvec[body.joint(name), 2 if "Arm" in name else 0] = np.radians(20)
+    metrics = limb_metrics(figure, figure, figure.character.posed(rotvec_to_rotmat(rotvec)), figure.rest)
+    assert metrics[f"limb_deg {name}"] == pytest.approx(20, abs=1.5)
+
+
+def test_twist_of_a_limb_does_not_count():
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(70, 0, 0)), figure.rest)
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+
+
+def test_two_people_in_one_pose_are_near():
+    """Not 0: shapes turn the axes of their surfaces (thighs most), and bones have other proportions."""
+    near, rest = [], []
+    for i in range(8):
+        identity, driving, rotmat = human(i), human(i + 30), pose(i)
+        posed = driving.character.posed(rotmat)
+        near.append(limb_metrics(identity, driving, identity.character.posed(rotmat), posed))
+        rest.append(limb_metrics(identity, driving, identity.rest, posed))
+    median = {name: np.median([metrics[name] for metrics in near]) for name in FIGURES}
+    assert median["limb_deg"] < 2.5
+    assert median["end_effector"] < 0.06
+    assert median["joint_pct"] < 3
+    assert median["sole_height"] < 0.02
+    assert abs(median["penetration"]) < 0.5
+    assert np.mean([metrics["touching"] for metrics in near]) > 0.9
+    assert all(
+        np.median([m[name] for m in rest]) > 8 * median[name] for name in ("limb_deg", "end_effector", "joint_pct")
+    )
+
+
+def test_figures_do_not_depend_on_scale_and_translation():
+    identity, driving = human(0), human(1)
+    result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
+    large, small = scaled(identity, 7.0), scaled(driving, 0.01)
+    first = limb_metrics(identity, driving, result, posed)
+    second = limb_metrics(large, small, 7 * result + [5.0, -3.0, 1.0], 0.01 * posed - 4.0)
+    assert first["limb_deg"] > 5
+    assert second == {name: pytest.approx(value, rel=1e-6, abs=1e-9) for name, value in first.items()}
+
+
+def test_a_result_of_another_size_is_an_error_of_ends_but_not_of_directions():
+    figure = human(0)
+    metrics = limb_metrics(figure, figure, 1.1 * figure.rest, figure.rest)
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+    assert metrics["joint_pct"] > 1
+
+
+def test_figures_do_not_depend_on_the_order_of_vertices():
+    identity, driving = human(0), human(1)
+    result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
+    order = np.random.default_rng(0).permutation(len(result))
+    shuffled = with_mesh(
+        identity, permute_vertices(identity.character.mesh, order), order[:, None], np.ones((len(order), 1))
+    )
+    first, second = (limb_metrics(a, driving, v, posed) for a, v in ((identity, result), (shuffled, result[order])))
+    assert second == {name: pytest.approx(value, abs=1e-6) for name, value in first.items()}
+
+
+def test_figures_hardly_depend_on_the_triangulation():
+    """Every triangle of the front becomes sixteen: four, twice."""
+    identity, driving = human(0), human(1)
+    result, posed = identity.character.posed(pose(0)), driving.character.posed(pose(1))
+    fine, fine_result = identity, result
+    for _ in range(2):
+        fine, fine_result = with_finer_front(fine, fine_result)
+    first = limb_metrics(identity, driving, result, posed)
+    second = limb_metrics(fine, driving, fine_result, posed)
+    assert second["limb_deg"] == pytest.approx(first["limb_deg"], abs=0.1)
+    assert second["end_effector"] == pytest.approx(first["end_effector"], abs=0.003)
+    assert second["joint_pct"] == pytest.approx(first["joint_pct"], abs=0.1)
+    assert second["sole_height"] == pytest.approx(first["sole_height"], abs=1e-3)
+    assert second["penetration"] == pytest.approx(first["penetration"], abs=0.2)
+
+
+def test_joints_beside_the_middle_of_a_limb_do_not_turn_its_axis():
+    """The elbow is 2 cm in front, the wrist 2 cm behind: the line of joints of the forearm is turned by 8 degrees."""
+    figure = human()
+    limb = figure.limbs["LeftForeArm"]
+    moved = Limb(limb.joint, limb.start + [0, 0, 0.02], limb.end - [0, 0, 0.02])
+    other = LimbedCharacter(figure.character, {**figure.limbs, "LeftForeArm": moved})
+    assert np.degrees(np.arctan2(0.04, np.linalg.norm(limb.end - limb.start))) > 7
+    assert limb_metrics(other, figure, figure.rest, figure.rest)["limb_deg LeftForeArm"] < 1
+    report = calibration_report(figure.character, other.limbs)
+    assert report["joint LeftForeArm"] > 6
+
+
+@pytest.mark.parametrize("degrees", [0, 45])
+def test_calibration_shows_the_pose_of_the_file(degrees):
+    """A T-pose and an A-pose."""
+    figure = prisms()
+    rest = turned(figure, LeftArm=(0, 0, -degrees), RightArm=(0, 0, degrees))
+    turn = np.radians(degrees)
+    direction = np.array([np.cos(turn), -np.sin(turn), 0])
+    limbs = dict(figure.limbs)
+    for side in ("Left", "Right"):
+        mirror = direction * ([1, 1, 1] if side == "Left" else [-1, 1, 1])
+        shoulder = limbs[f"{side}Arm"].start
+        elbow, wrist = shoulder + 0.3 * mirror, shoulder + 0.6 * mirror
+        limbs[f"{side}Arm"] = Limb(limbs[f"{side}Arm"].joint, shoulder, elbow)
+        limbs[f"{side}ForeArm"] = Limb(limbs[f"{side}ForeArm"].joint, elbow, wrist)
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(figure.character.mesh, vertices=rest))
+    report = calibration_report(rig, limbs)
+    assert [report[name] for name in report if name.startswith("below")] == pytest.approx([degrees] * 4, abs=1e-6)
+    straight = [report[name] for name in report if name.split()[0] in ("joint", "mirror", "down", "up", "front")]
+    np.testing.assert_allclose(straight, 0, atol=1e-5)
+
+
+def test_calibration_of_the_body_shows_its_t_pose():
+    report = calibration_report(human().character, human().limbs)
+    assert max(abs(value) for name, value in report.items() if name.startswith("below")) < 10
+    assert max(value for name, value in report.items() if name.startswith("down")) < 10
+    assert max(value for name, value in report.items() if name.startswith("mirror")) < 1
+    assert max(value for name, value in report.items() if name.startswith("joint L")) < 8
+
+
+def test_an_arm_of_one_joint_is_compared_as_a_whole():
+    whole, parts = prisms(without=("LeftForeArm", "RightForeArm")), prisms()
+    bent = turned(parts, LeftForeArm=(0, 0, 90))  # from the shoulder: 0.3 to the side, then 0.3 up
+    metrics = limb_metrics(whole, parts, turned(whole, LeftArm=(0, 0, 45)), bent)
+    assert metrics["limb_deg LeftArm"] == pytest.approx(0, abs=1e-6)
+    assert "limb_deg LeftForeArm" not in metrics
+    assert limb_metrics(parts, whole, bent, whole.rest)["limb_deg LeftArm"] == pytest.approx(45)
+
+
+def test_end_effectors_are_in_lengths_of_the_limb():
+    """A wrist at 90 degrees is one forearm up and one less to the side: half an arm each."""
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(0, 0, 90)), figure.rest)
+    assert metrics["end_effector"] == pytest.approx(0.5 * np.sqrt(2) / 4)
+
+
+def test_end_effectors_of_other_proportions_differ_by_the_documented_amount():
+    first, second = prisms(), prisms(arms=1.2)
+    elbows = {"LeftForeArm": (0, 0, 90), "RightForeArm": (0, 0, -90)}
+    metrics = limb_metrics(first, second, turned(first, **elbows), turned(second, **elbows))
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+    assert metrics["end_effector"] == pytest.approx(0.1 * np.sqrt(2) / 2)
+
+
+def test_joint_error_is_in_percent_of_the_height():
+    """One of 20 ends moves by a forearm, which is 0.3 of 1.8 high."""
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, LeftForeArm=(0, 0, 60)), figure.rest)
+    assert metrics["joint_pct"] == pytest.approx(100 * 0.3 / 1.8 / 20)
+
+
+def test_a_lifted_foot_changes_the_sole():
+    figure = prisms()
+    lifted = turned(figure, LeftLeg=(90, 0, 0))  # the shin points back
+    metrics = limb_metrics(figure, figure, lifted, figure.rest)
+    assert metrics["sole_height"] == pytest.approx((0.5 - 0.06) / 2, abs=1e-6)  # the leg is 1 long, its radius 0.06
+    assert metrics["touching"] == 0.5
+    assert limb_metrics(figure, figure, lifted, lifted)["touching"] == 1
+
+
+def test_a_knee_is_no_sole():
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, turned(figure, LeftLeg=(120, 0, 0)), figure.rest)
+    foot = 0.5 + 0.5 * np.sin(np.pi / 6) - 0.06 * np.sin(np.pi / 3)  # the knee is at 0.5, the foot above it
+    assert metrics["sole_height"] == pytest.approx(foot / 2, abs=1e-6)
+
+
+def test_cloth_between_limbs_does_not_turn_them():
+    """A strip of cloth from the forearm to the trunk follows each by a half."""
+    figure = prisms()
+    rig, forearm = figure.character, figure.limbs["LeftForeArm"]
+    strip = np.array([[x, y, 0] for x in (0.5, 0.8) for y in (1.45, 1.37)])
+    mesh = Mesh(
+        np.concatenate([figure.rest, strip]),
+        np.concatenate([rig.mesh.faces, len(figure.rest) + np.array([[0, 1, 2], [2, 1, 3]])]),
+    )
+    weights = np.concatenate([rig.weights, np.zeros((4, len(rig.parents)))])
+    weights[-4:, [forearm.joint, 0]] = 0.5
+    names, parents = rig.joint_names, rig.parents
+    cloth = LimbedCharacter(character(mesh.vertices, mesh.faces, names, parents, rig.joints, weights), figure.limbs)
+    metrics = limb_metrics(cloth, figure, turned(cloth, LeftForeArm=(0, 0, 60)), turned(figure, LeftForeArm=(0, 0, 60)))
+    assert metrics["limb_deg LeftForeArm"] < 3
+
+
+def test_a_belly_does_not_turn_the_trunk():
+    figure = prisms()
+    mesh = figure.character.mesh
+    low = (figure.weights[:, list(figure.limbs).index("Trunk")] > 0.5) & (mesh.vertices[:, 1] < 1.2)
+    belly = np.where(low[:, None], mesh.vertices + [0, 0, 0.1], mesh.vertices)
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, vertices=belly))
+    assert calibration_report(rig, figure.limbs)["up Trunk"] > 5
+    metrics = limb_metrics(LimbedCharacter(rig, figure.limbs), figure, belly, figure.rest)
+    assert metrics["limb_deg Trunk"] == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((0.4, 0.4, -0.1), True),
+        ((0.4, 0.4, 0.1), False),  # above
+        ((0.4, 0.4, -0.005), False),  # less than the smallest depth
+        ((0.4, 0.4, -0.5), False),  # more than the largest distance
+        ((1.1, 0.5, -0.1), False),  # beside the rim
+    ],
+)
+def test_a_point_is_inside_below_a_surface_only(point, expected):
+    """The surface is a square with normal +z; a far small triangle makes the bounding box larger."""
+    side = np.linspace(0, 1, 41)
+    corners = np.array([[x, y, 0] for x in side for y in side] + [[-2.0, -2, -2], [2, 2, 2]])
+    tiny = np.array([[0.0, 0, 0], [1e-6, 0, 0], [0, 1e-6, 0]])
+    vertices = (np.concatenate([corners, [point]])[:, None] + tiny).reshape(-1, 3)
+    faces = np.arange(len(vertices)).reshape(-1, 3)
+    limb = np.array([0] * len(corners) + [1])
+    samples = LimbSamples(faces, np.full(faces.shape, 1 / 3), limb, ("LeftLeg", "RightLeg"), (0.15, 0.15), 0.01, 0.025)
+    assert samples.inside(vertices)[-1] == expected
+
+
+def test_a_hand_in_the_chest_penetrates():
+    figure, free = human(), human().character
+    body = load_body()
+    rotvec = np.zeros((len(body.parents), 3))
+    rotvec[body.joint("LeftArm"), 1], rotvec[body.joint("LeftForeArm"), 1] = np.radians([-60, -170])
+    crossed = free.posed(rotvec_to_rotmat(rotvec))
+    metrics = limb_metrics(figure, figure, crossed, figure.rest)
+    assert metrics["penetration"] > 1
+    assert limb_metrics(figure, figure, figure.rest, crossed)["penetration"] == pytest.approx(-metrics["penetration"])
+
+
+def test_penetration_is_the_share_of_the_surface_inside():
+    """The outer half of a forearm is in the trunk."""
+    figure = prisms()
+    moved = figure.rest.copy()
+    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
+    moved[forearm] = moved[forearm] * [-1, 1, 1] + [
+        0.8,
+        -0.2,
+        0.0,
+    ]  # from x = 0.3 to 0: half is in the trunk of radius 0.15
+    # The mirrored prism keeps its area; its normals do not matter, only those of the trunk.
+    area = 0.04 * 16 * np.sin(np.pi / 8) * 0.15
+    total = sum(16 * r * np.sin(np.pi / 8) * np.linalg.norm(np.subtract(b, a)) + 2 * 4 * r**2 * np.sin(np.pi / 4)
+                for _, a, b, r in PRISMS.values())  # fmt: skip
+    expected = 100 * area / total
+    assert PosedLimbs(figure, moved).penetration == pytest.approx(expected, rel=0.35)
+
+
+def test_limbs_inside_each_other_at_rest_do_not_penetrate():
+    figure = prisms()
+    moved = figure.rest.copy()
+    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
+    moved[forearm] += [-0.75, -0.2, 0.0]
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(figure.character.mesh, vertices=moved))
+    inside = LimbedCharacter(
+        rig, {**figure.limbs, "LeftForeArm": Limb(3, np.array([-0.25, 1.25, 0]), np.array([0.05, 1.25, 0]))}
+    )
+    assert inside.inside_at_rest.mean() > 0.01
+    assert PosedLimbs(inside, moved).penetration == 0
+    assert PosedLimbs(figure, moved).penetration > 1
+
+
+def test_an_open_mesh_in_parts_does_not_penetrate_by_being_open():
+    """A fifth of the triangles are missing, and the chest has no back; arms hang beside it in the second pose."""
+    figure = human()
+    mesh = figure.character.mesh
+    kept = np.random.default_rng(0).random(len(mesh.faces)) > 0.2
+    trunk = figure.weights[:, list(figure.limbs).index("Trunk")] > 0.5
+    back = trunk[mesh.faces].all(axis=1) & (mesh.vertices[mesh.faces].mean(axis=1)[:, 2] < -0.05)
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=mesh.faces[kept & ~back]))
+    opened = LimbedCharacter(rig, figure.limbs)
+    lowered = np.zeros((len(figure.character.parents), 3))
+    for side, sign in (("Left", -1), ("Right", 1)):
+        lowered[figure.limbs[f"{side}Arm"].joint, 2] = sign * np.radians(70)
+    for rotmat, tolerance in ((pose(1), 0.1), (rotvec_to_rotmat(lowered), 0.1), (pose(2), 1.0)):
+        posed = figure.character.posed(rotmat)
+        assert PosedLimbs(opened, posed).penetration == pytest.approx(
+            PosedLimbs(figure, posed).penetration, abs=tolerance
+        )
+
+
+@pytest.mark.parametrize("triangles", [0, 1])
+def test_limbs_with_too_little_surface_are_left_out(triangles):
+    """Nothing is left of the forearm, or a triangle, which does not say how the limb is turned about it."""
+    figure = prisms()
+    forearm = figure.weights[:, list(figure.limbs).index("LeftForeArm")] > 0.5
+    mesh = figure.character.mesh
+    removed = np.flatnonzero(forearm[mesh.faces].all(axis=1))[triangles:]
+    rig = dataclasses.replace(figure.character, mesh=dataclasses.replace(mesh, faces=np.delete(mesh.faces, removed, 0)))
+    bare = LimbedCharacter(rig, figure.limbs)
+    metrics = limb_metrics(bare, figure, bare.rest, figure.rest)
+    assert bare.left_out == ["LeftForeArm"]
+    assert metrics["limbs_left_out"] == 1
+    assert "limb_deg LeftForeArm" not in metrics
+    assert metrics["limb_deg"] == pytest.approx(0, abs=1e-6)
+
+
+def test_a_character_without_measurable_limbs_has_no_figures():
+    figure = prisms()
+    empty = LimbedCharacter(figure.character, {})
+    metrics = limb_metrics(empty, figure, figure.rest, figure.rest)
+    assert [metrics[name] for name in (*FIGURES[:4], "touching")] == [None] * 5
+
+
+def test_a_result_at_one_point_is_no_error_of_the_program():
+    figure = prisms()
+    metrics = limb_metrics(figure, figure, np.zeros_like(figure.rest), turned(figure, LeftArm=(0, 0, 90)))
+    assert metrics["limb_deg"] > 5
+
+
+def test_sliding_soles_have_their_speed():
+    figure = prisms()
+    still = np.repeat(figure.rest[None], 5, axis=0)
+    sliding = still + np.arange(5)[:, None, None] * [0.02, 0.0, 0.0]  # legs are 1 long
+    assert sole_slide(figure, figure, still, still, 30.0) == 0
+    assert sole_slide(figure, figure, sliding, still, 30.0) == pytest.approx(0.6)
+    assert sole_slide(scaled(figure, 9.0), figure, 9 * sliding, still, 30.0) == pytest.approx(0.6)
+
+
+def test_soles_slide_only_while_the_driving_feet_stand():
+    figure = prisms()
+    still = np.repeat(figure.rest[None], 5, axis=0)
+    walking = still + np.arange(5)[:, None, None] * [0.02, 0.0, 0.0]
+    jumping = still + np.array([0, 1, 1, 1, 1])[:, None, None] * [0.0, 0.5, 0.0]
+    assert sole_slide(figure, figure, still, walking, 30.0) is None
+    assert sole_slide(figure, figure, walking, jumping, 30.0) is None
+    assert sole_slide(LimbedCharacter(figure.character, {}), figure, walking, still, 30.0) is None
