@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
+from mimesh.bodies.character_limbs import Limb
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose, sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.core.geometry import face_vectors
 from mimesh.core.mesh import Mesh, permute_vertices
-from mimesh.evaluate.limb_calibration import LIMBS, Limb, LimbedCharacter, calibration_report
+from mimesh.evaluate.limb_calibration import LIMBS, LimbedCharacter, calibration_report
 from mimesh.evaluate.limb_metrics import PosedLimbs, limb_metrics, sole_slide
 from mimesh.evaluate.self_penetration import LimbSamples
 

@@ -91,6 +91,9 @@ class Characters(Wide):
                 f"the split {split}, found {counts or 'none'}; add some"
             )
 
+    def left_out(self, split: str) -> dict[str, int]:
+        return self.pool(split).refusals()
+
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> CharacterPair:
         base, across = kind.removeprefix(ACROSS), kind.startswith(ACROSS)
         identity, driving = self.draw_characters(split, kind, i, rng)
@@ -230,10 +233,16 @@ def _pair(identity, driving, rest, transforms, labels, truth, truth_known) -> Ch
         truth=truth,
         height=float(np.ptp(identity.rig.mesh.vertices[:, 1])),
         truth_name=f"{identity.meta.file}_{labels[1]}",
+        groups=(_group(identity.meta), _group(driving.meta)),
         identity_character=identity_posed,
         driving_character=driving_posed,
         truth_known=truth_known,
     )
+
+
+def _group(meta: CharacterMeta) -> str:
+    """Return maker, pack and file of a character, for reports."""
+    return f"{meta.maker}: {meta.pack}: {meta.file}"
 
 
 def _mesh(posed: PosedCharacter, label: str) -> Mesh:

@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..bodies.character_limbs import Limb
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import nearest_rotation, unit_vectors
 from ..core.surface_points import interpolate
@@ -51,15 +52,6 @@ MIN_CUTS, MIN_WIDTH = 3, 1e-3
 largest standard deviation is smaller than this."""
 FOOT_HEIGHT = 0.1
 """Leg lengths above the lowest point of a leg at rest: vertices below, and those below the ankle, are the foot."""
-
-
-@dataclass(frozen=True, eq=False)
-class Limb:
-    """A limb of a rigged character: the joint that carries it, and its two ends at rest (world, unit of the file)."""
-
-    joint: int
-    start: Float[np.ndarray, " 3"]
-    end: Float[np.ndarray, " 3"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from .summary import calibration, warnings_count, win_share
 
 BASELINES = ("copy", "deformation-transfer-13")
@@ -19,9 +21,9 @@ CLIP_COLUMNS = {
 """Metric of clips -> heading."""
 LIMB_COLUMNS = {
     "joint_pct": "limb ends, % of height",
-    "sole_height_pct": "soles, % of leg",
+    "sole_height": "soles, leg lengths",
     "touching": "contacts that agree",
-    "penetration_pct": "penetration, % of surface",
+    "penetration": "penetration, % of surface more than the driving's",
 }
 """Metric of results without a true mesh -> heading."""
 
@@ -32,7 +34,12 @@ def markdown(report: dict[str, Any]) -> str:
     kinds = list(dict.fromkeys(row["split"] for row in rows))
     tables = [f"**{kind}**\n\n{kind_table([row for row in rows if row['split'] == kind])}" for kind in kinds]
     title = f"{report['protocol']} version {report['version']}, split {report['provenance']['config']['split']}."
-    return "\n\n".join([title, *tables, *not_applicable(rows)])
+    for method in dict.fromkeys(row["method"] for row in rows):
+        of_method = [row for row in rows if row["method"] == method and "limb_deg" in row]
+        if of_method:
+            tables += [f"**`{method}` by maker**: median / mean (pairs)", makers_table(of_method)]
+    left_out = [f"Left out: {count} files ({reason})." for reason, count in report.get("left_out", {}).items()]
+    return "\n\n".join([title, *tables, *left_out, *not_applicable(rows)])
 
 
 def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] | None = None) -> str:
@@ -42,7 +49,7 @@ def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] |
         baselines: rows of the same kind that wins are counted against; those of BASELINES among `rows` by default.
     """
     measured = [row for row in rows if row["pairs"]]
-    if any("limb_deg" in row for row in measured):
+    if measured and not any("pmd_e4" in row for row in measured):
         return _limb_table(measured)
     against = [row for row in (baselines or rows) if row["method"] in BASELINES and "pmd_e4" in row]
     clips = {name: label for name, label in CLIP_COLUMNS.items() if any(name in row for row in measured)}
@@ -63,17 +70,32 @@ def kind_table(rows: list[dict[str, Any]], baselines: Sequence[dict[str, Any]] |
 
 def _limb_table(rows: list[dict[str, Any]]) -> str:
     """Format the rows of a kind without true meshes: limb directions, limb ends, contacts and penetration."""
-    quantities = ("limbs, degrees", "wrists and ankles, % of the limb")
+    quantities = ("limbs, degrees", "wrists and ankles, limb lengths")
     head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
     head += [*LIMB_COLUMNS.values(), "s a pair", "given"]
     lines = []
     for row in rows:
         cells = [_pairs(row)]
-        for name in ("limb_deg", "end_effector_pct"):
+        for name in ("limb_deg", "end_effector"):
             cells += [with_interval(row, name), cell(row, f"{name}_median"), cell(row, f"{name}_p90")]
         cells += [cell(row, name) for name in (*LIMB_COLUMNS, "seconds_per_frame")]
         lines.append([f"`{row['method']}`", *cells, row["given"]])
     return markdown_table(head, lines)
+
+
+def makers_table(rows: list[dict[str, Any]]) -> str:
+    """Format a method's errors on characters: maker and pack of the identity x kinds, each as median / mean of the
+    pairs (and their number): PMD x1e4, or degrees of the limbs where no true mesh is known.
+    """
+    cells: dict[str, dict[str, list[float]]] = {}
+    for row in rows:
+        errors = row["each"]["pmd_e4" if "pmd_e4" in row else "limb_deg"]
+        for group, error in zip(row["each"]["identity"], errors, strict=True):
+            if error is not None:
+                cells.setdefault(", ".join(group.split(": ")[:-1]), {}).setdefault(row["split"], []).append(error)
+    kinds = [row["split"] for row in rows]
+    lines = [[pack, *(_spread(found.get(kind)) for kind in kinds)] for pack, found in sorted(cells.items())]
+    return markdown_table(["maker, pack", *kinds], lines)
 
 
 def warnings_table(rows_of: dict[str, list[dict[str, Any]]]) -> str:
@@ -129,8 +151,13 @@ def cell(row: dict[str, Any] | None, name: str) -> str:
     return _number(row[name]) if name in row else "-"
 
 
-def _number(value: float) -> str:
+def _number(value: float | np.floating) -> str:
     return f"{value:.3g}" if abs(value) < 999.5 else f"{value:.0f}"
+
+
+def _spread(errors: list[float] | None) -> str:
+    """Format median, mean and number of errors."""
+    return f"{_number(np.median(errors))} / {_number(np.mean(errors))} ({len(errors)})" if errors else "-"
 
 
 def _pairs(row: dict[str, Any]) -> str:

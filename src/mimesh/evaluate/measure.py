@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core import geometry
 from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
@@ -24,7 +23,10 @@ from ..core.normalization import Normalization, bbox_centre, radius
 from ..methods.base import Method
 from ..methods.find import find_method, weights_path
 from ..pipeline import ClipResult, Result, animate, transfer
+from .characters import CharacterPair
 from .clip_protocols import ClipPair, on_template
+from .limb_calibration import LimbedCharacter
+from .limb_metrics import limb_metrics
 from .metrics import (
     acceleration_ratio,
     chamfer,
@@ -202,27 +204,40 @@ def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
     except NotApplicableError as error:
         return {"why": str(error)}
     seconds = time.perf_counter() - started
-    faces = pair.identity.faces
-    metrics = shape_metrics(result, pair.truth, faces, geometry.edges(faces), pair.height)
-    return {**metrics, **confidence, "seconds": seconds}
+    return {**shape_metrics(result, pair.truth, pair.identity.faces, pair.height), **confidence, "seconds": seconds}
+
+
+def measure_characters(pair: CharacterPair, method: str | Method, **options: Any) -> dict[str, Any]:
+    """Measure a method on two characters: limbs against the driving character's; vertices if their truth is known."""
+    started = time.perf_counter()
+    try:
+        result, confidence = run_on_pair(pair, method, **options)
+    except NotApplicableError as error:
+        return {"why": str(error)}
+    seconds = time.perf_counter() - started
+    metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height) if pair.truth_known else {}
+    characters = (pair.identity_character, pair.driving_character)
+    limbed = (LimbedCharacter(character.rig, character.limbs) for character in characters)
+    limbs = limb_metrics(*limbed, result, pair.driving.vertices)
+    return {**metrics, **limbs, **confidence, "seconds": seconds}
 
 
 def shape_metrics(
     result: Float[np.ndarray, "V 3"],
     truth: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
-    edges: Int[np.ndarray, "E 2"],
     height: float,
 ) -> dict[str, float]:
     """Return all metrics of one mesh against its truth; `height` is the person's (metres)."""
     sized, true = in_unit_sphere_of(truth, result, truth)
+    pairs = edges(faces)
     return {
         "pmd_e4": 1e4 * pmd_of_pair(result, truth),
         "pmd_mse_e4": 1e4 * pmd_public(result, truth),
         "chamfer_e4": 1e4 * chamfer(sized, true),
         "mm": mean_error_mm(result, truth, height),
-        "edge_score": edge_score(result, truth, edges),
-        "stretch": largest_stretch(result, truth, edges),
+        "edge_score": edge_score(result, truth, pairs),
+        "stretch": largest_stretch(result, truth, pairs),
         "flipped": flipped(result, truth, faces),
     }
 
@@ -277,8 +292,7 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         return {"why": str(error)}
     seconds = (time.perf_counter() - started) / len(result)
     truth, fps = trial.truth_frames, trial.clip.fps
-    faces = trial.identity.faces
-    surface = (faces, edges(faces), trial.height)
+    surface = (trial.identity.faces, trial.height)
     frames = [shape_metrics(a, b, *surface) for a, b in zip(result, truth, strict=True)]
     metrics = {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]}
     return metrics | {

@@ -71,6 +71,10 @@ class Protocol:
     def check(self, split: str) -> None:
         """Raise InputError if this split cannot be generated on this machine. The base class has no such split."""
 
+    def left_out(self, split: str) -> dict[str, int]:
+        """Count the files of a split that cannot be used, by reason; empty for protocols that read none."""
+        return {}
+
     def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
         """Generate the first `count` pairs of a split and kind; 0 for the protocol's own number."""
         return (self.pair(split, kind, i) for i in range(self.count(kind, count)))

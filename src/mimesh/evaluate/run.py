@@ -15,12 +15,12 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, find_method, weights_path
-from .characters import characters
+from .characters import CharacterPair, Characters, characters
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .frozen_sets import pair_checksum
-from .measure import EXTRA_INPUTS, measure, measure_clip
+from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip
 from .pairs import Pair
 from .protocols import PROTOCOLS, SPLITS, Protocol
 from .provenance import commit, libraries, machine
@@ -92,6 +92,7 @@ def evaluate_command(
         "protocol": chosen.name,
         "version": chosen.version,
         "provenance": made,
+        "left_out": chosen.left_out(split),
         "results": rows,
     }
     if out is not None:
@@ -117,6 +118,8 @@ def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
     if isinstance(trial, ClipPair):
         return labels | measure_clip(trial, method, **options)
+    if isinstance(trial, CharacterPair):
+        return labels | measure_characters(trial, method, **options)
     return labels | measure(trial, method, **options)
 
 
@@ -197,8 +200,11 @@ def settings(protocol: Protocol) -> dict[str, Any]:
 def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
     """Return the fingerprint of the code that the figures of each method on a protocol can depend on."""
     source = PackageSource()
-    measurement = measure_clip if isinstance(protocol, ClipsAniformer) else measure
+    of_type = {ClipsAniformer: measure_clip, Characters: measure_characters}
+    measurement = of_type.get(type(protocol), measure)
     names = {m: "deformation-transfer" if m.startswith("deformation-transfer") else m for m in methods}
+    # The unmoved identity has no method of its own, only code of the measurement, as `copy`.
+    names |= {"identity": "copy"} if "identity" in names else {}
     return {m: source.fingerprint(type(find_method(name)), type(protocol), measurement) for m, name in names.items()}
 
 

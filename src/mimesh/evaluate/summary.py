@@ -10,13 +10,13 @@ from jaxtyping import Float, Int
 
 from .measure import extra_inputs, training_facts
 
-DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector_pct": 2}
+DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3}
 """Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
 MEANS = {"chamfer_e4": 4, "edge_score": 4, "flipped": 5}
 """Metrics with a mean only, and their decimals."""
 CLIP_METRICS = {"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3}
 """The same for metrics that are defined for clips only; means are over the clips that have a value."""
-LIMB_METRICS = {"joint_pct": 2, "sole_height_pct": 2, "touching": 3, "penetration_pct": 2}
+LIMB_METRICS = {"joint_pct": 2, "sole_height": 3, "touching": 3, "penetration": 2}
 """The same for metrics of results without a true mesh (`limb_metrics`)."""
 LABELS = ("pair", "identity", "driving")
 """What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
