@@ -44,8 +44,8 @@ MIN_WEIGHT = 0.2
 MOTION_POWER = 4
 """Power of the limb's skinning weight at a point, for its motion: cloth between two limbs follows neither. The axis
 at rest takes the weight itself, because rings with a gap have their centroids off the middle."""
-MAX_RADIUS = 2.0
-"""Points farther from the line of joints than this multiple of the median are left out: swords, shields, brims."""
+MAX_RADIUS = 3.0
+"""Points farther from the line of joints than this multiple of the lower quartile are left out: swords, shields."""
 MIN_CUTS, MIN_WIDTH = 3, 1e-3
 """A limb is left out with fewer cross-sections, or if its points are on a line: the ratio of the second largest to the
 largest standard deviation is smaller than this."""
@@ -226,7 +226,7 @@ def cut_limb(
     if not (lengths * share).any():
         return None
     distance = _radial(points, limb.start, limb.end)
-    near = distance <= MAX_RADIUS * _weighted_median(distance, lengths * share)
+    near = distance <= MAX_RADIUS * _lower_quartile(distance, lengths * share)
     corners, barycentric, points, cut = corners[near], barycentric[near], points[near], cut[near]
     lengths, share = lengths[near], share[near]
     weight = lengths * share**MOTION_POWER
@@ -269,11 +269,11 @@ def _radial(points, start, end):
     return np.linalg.norm(offset - (offset @ axis)[:, None] * axis, axis=1)
 
 
-def _weighted_median(values, weight):
-    """Compute the weighted median of values."""
+def _lower_quartile(values, weight):
+    """Compute the weighted lower quartile of values."""
     order = np.argsort(values)
     total = np.cumsum(weight[order])
-    return values[order][np.searchsorted(total, total[-1] / 2)]
+    return values[order][np.searchsorted(total, total[-1] / 4)]
 
 
 def calibration_report(character: SkinnedCharacter, limbs: dict[str, Limb]) -> dict[str, float]:
