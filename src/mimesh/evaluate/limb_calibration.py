@@ -44,6 +44,12 @@ MIN_WEIGHT = 0.2
 MOTION_POWER = 4
 """Power of the limb's skinning weight at a point, for its motion: cloth between two limbs follows neither. The axis
 at rest takes the weight itself, because rings with a gap have their centroids off the middle."""
+SHARE_POWER = 4
+"""Power of the limb's mean skinning weight in a cross-section, for the axis at rest.
+
+Of 0, 2, 4, 8, 16 on the same characters: 4 lowers the 90th percentile of the difference of thighs of one skeleton from
+5.8 to 4.4 degrees, that of upper arms from 6.8 to 5.2; larger powers turn the shins of figures with short legs.
+"""
 MAX_RADIUS = 3.0
 """Points farther from the line of joints than this multiple of the lower quartile are left out: swords, shields."""
 MIN_CUTS, MIN_WIDTH = 3, 1e-3
@@ -233,7 +239,7 @@ def cut_limb(
     weight = weight / max(weight.sum(), np.finfo(float).tiny)
     if not _measurable(points, weight, cut):
         return None
-    start, end = _axis(points, lengths * share, cut)
+    start, end = _axis(points, lengths, share, cut)
     return Sections(corners, barycentric, weight, points, start, end)
 
 
@@ -243,15 +249,23 @@ def upright(sections: Sections) -> Sections:
     return dataclasses.replace(sections, start=middle - half, end=middle + half)
 
 
-def _axis(points, weight, cut):
-    """Fit a line to the centroids of cross-sections by least squares; its ends at the heights of the joints."""
-    total = np.bincount(cut, weight, len(CUTS))
+def _axis(points, lengths, share, cut):
+    """Fit a line to the centroids of cross-sections by least squares; its ends at the heights of the joints.
+
+    Cross-sections that are shared with another limb are rings with a gap, whose centroid is off the middle; they count
+    less (SHARE_POWER).
+    """
+    weight = lengths * share
+    total, length = np.bincount(cut, weight, len(CUTS)), np.bincount(cut, lengths, len(CUTS))
     filled = total > 0
     centroids = np.stack([np.bincount(cut, weight * points[:, k], len(CUTS)) for k in range(3)], axis=1)
     centroids, height = centroids[filled] / total[filled, None], CUTS[filled]
-    middle, offset = centroids.mean(axis=0), height - height.mean()
-    slope = offset @ centroids / (offset @ offset)
-    return middle - slope * height.mean(), middle + slope * (1 - height.mean())
+    reliability = (total[filled] / length[filled]) ** SHARE_POWER
+    reliability /= reliability.sum()
+    middle, mean_height = reliability @ centroids, reliability @ height
+    offset = reliability * (height - mean_height)
+    slope = offset @ centroids / (offset @ height)
+    return middle - slope * mean_height, middle + slope * (1 - mean_height)
 
 
 def _measurable(points, weight, cut):
