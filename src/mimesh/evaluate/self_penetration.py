@@ -23,8 +23,8 @@ MIN_DEPTH = 0.01
 MAX_DEPTH = 1.5
 """Largest distance from the surface that counts, in mean radii of the limb: larger ones are gaps of open meshes."""
 MAX_SLOPE = 0.5
-"""Largest sideways distance from the nearest sample, in depths under it (27 degrees), beyond the distance between
-samples: next to the rim of an opening the nearest sample is beside a point, not above it."""
+"""Largest sideways distance from the nearest sample, in depths under it (27 degrees), beyond the distance of samples:
+next to the rim of an opening the nearest sample is beside a point, not above it."""
 PLASTIC = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018), which fills a square evenly: 1/p and 1/p², p the plastic number."""
 NEXT_TO = {frozenset(("Trunk", "Head"))} | {
