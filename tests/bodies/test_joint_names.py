@@ -81,3 +81,14 @@ def test_errors_of_missing_joints_are_one_line():
     assert "and 10 more" in str(error.value)
     assert "\n" not in str(error.value)
     assert all(joint in str(error.value) for joint in BONES)
+
+
+def test_a_fist_is_a_hand_where_no_joint_is_called_so():
+    names, parents = skeleton("quaternius")
+    fists = tuple(name.replace("Hand", "Fist").replace("Wrist", "Fist") for name in names)
+    found = named_joints(fists, parents)
+    assert found == named_joints(names, parents)
+    extended = (*names, "Fist.L")
+    assert named_joints(extended, (*parents, found["LeftHand"])) == found
+    shins = tuple(name.replace("LowerLeg", "DownLeg") for name in names)
+    assert named_joints(shins, parents) == found

@@ -65,10 +65,11 @@ def test_generate_figure_and_evaluate_print_json(tmp_path, capsys):
     assert len(list((tmp_path / "worst").glob("copy-*.png"))) == 2
 
 
-def test_cross_body_without_its_folder_is_refused(tmp_path, capsys):
-    assert run(["evaluate", "cross-body", "-m", "npt"]) == 2
+@pytest.mark.parametrize("protocol", ["cross-body", "characters"])
+def test_protocols_without_their_folder_are_refused(protocol, tmp_path, capsys):
+    assert run(["evaluate", protocol, "-m", "npt"]) == 2
     assert "--data" in capsys.readouterr().err
-    assert run(["evaluate", "cross-body", "-m", "npt", "--data", str(tmp_path)]) == 2
+    assert run(["evaluate", protocol, "-m", "npt", "--data", str(tmp_path)]) == 2
     assert "expected" in capsys.readouterr().err
 
 

@@ -81,7 +81,8 @@ def write_character(
     rotmat = np.stack([rotvec_to_rotmat(sample_pose(body, 3, t)) for t in range(FRAMES)])
     rotation, translation = body.skinning_transforms(joints / size, rotmat)
     moves = np.tile(np.eye(4), (FRAMES, len(names), 1, 1))
-    moves[..., :3, :3], moves[..., :3, 3] = rotation[:, kept], size * translation[:, kept]
+    path = np.arange(FRAMES)[:, None, None] * np.array([0.1, 0.02, 0.2])
+    moves[..., :3, :3], moves[..., :3, 3] = rotation[:, kept], size * (translation[:, kept] + path)
     posed = np.einsum("vj,tjkl,vl->tvk", weights, moves, np.column_stack([rest, np.ones(len(rest))]))[..., :3]
 
     world = np.tile(np.eye(4), (len(names), 1, 1))
