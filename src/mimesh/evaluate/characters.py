@@ -53,15 +53,15 @@ class PosedCharacter:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CharacterPair(Pair):
-    """A pair of two characters; lengths are in the units of their files, y is up, both face +z at rest."""
+    """A pair of two characters; lengths are in the units of their files, y is up, both face +z at rest.
+
+    Across skeletons `truth` is an estimate: the identity with its limbs in the directions of the driving character's.
+    """
 
     identity_character: PosedCharacter
     """The identity in the pose of its mesh."""
     driving_character: PosedCharacter
     """The driving character in its pose."""
-    truth_known: bool
-    """Whether `truth` is a true result. If not, it is the identity with its limbs in the directions of the driving
-    character's: of the right size and for pictures, but an estimate that no result is to be compared with."""
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,12 @@ def dump_worst(
     figures: list[dict[str, Any]],
     folder: Path,
 ) -> list[Path]:
-    """Draw the WORST pairs with the largest PMD as `<folder>/<method>-<kind>-<rank>.png` and return the paths."""
-    errors = {i: metrics["pmd_e4"] for i, metrics in enumerate(figures) if "why" not in metrics}
+    """Draw the WORST pairs as `<folder>/<method>-<kind>-<rank>.png` and return the paths.
+
+    The worst have the largest PMD or, where no true mesh is known, the largest angle between limbs.
+    """
+    measured = {i: metrics.get("pmd_e4", metrics.get("limb_deg")) for i, metrics in enumerate(figures)}
+    errors = {i: error for i, error in measured.items() if error is not None}
     worst = sorted(errors, key=errors.__getitem__, reverse=True)[:WORST]
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -54,11 +58,16 @@ def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Fl
 
 
 def trial_picture(pair: Pair, result: Float[np.ndarray, "V 3"]) -> Image.Image:
-    """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m)."""
+    """Draw identity, driving, result and truth in a row, above the result's heat map (mm for a person of 1.7 m).
+
+    Without a true mesh, the first three are drawn.
+    """
     from ..render.heat import heat_map
     from ..render.sheet import stack, transfer_sheet
 
     centred = in_unit_sphere_of(pair.truth, result, pair.truth)
     metres = np.linalg.norm(pair.truth - pair.truth.mean(axis=0), axis=1).max() * 1.7 / pair.height
     shown, truth = (dataclasses.replace(pair.identity, vertices=points * metres) for points in centred)
+    if not pair.truth_known:
+        return transfer_sheet(pair.identity, pair.driving, shown)
     return stack([transfer_sheet(pair.identity, pair.driving, shown, truth), heat_map(shown, truth)])

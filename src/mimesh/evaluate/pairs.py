@@ -44,6 +44,8 @@ class Pair:
     """Identity and driving vertex of each landmark of the body; -1 where the driving mesh lacks it."""
     truth_name: str = "truth"
     """Name of the true result's file: id<person>_<pose>."""
+    truth_known: bool = True
+    """Whether `truth` is the true result. If not, it is an estimate, for its size and for pictures."""
     groups: tuple[str, str] = ("", "")
     """The identity person, and the driving person (in clips the take): pairs that share one are not independent."""
 
