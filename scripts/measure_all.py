@@ -1,9 +1,10 @@
 """Measure all methods on all test sets, write docs/results and docs/RESULTS.md. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--people DIR] [--clips DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. cross-body is measured if --people is a folder of rigged
-characters, clips-aniformer if --clips is the folder of the DeepMimic clips. Existing reports are replaced.
+characters, clips-aniformer if --clips is the folder of the DeepMimic clips, and dressed in test garments too if
+--garments is their folder. Existing reports are replaced.
 """
 
 from __future__ import annotations
@@ -30,8 +31,9 @@ def main() -> None:
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*PROTOCOLS, *FOLDERS)))
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
+    parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
-    folders = {"cross-body": args.people, "clips-aniformer": args.clips}
+    folders = {"cross-body": args.people, "clips-aniformer": args.clips, "dressed": args.garments}
     for name in args.protocols or (*PROTOCOLS, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:

@@ -24,7 +24,10 @@ Figures = Annotated[
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(help="Folder: rigged characters for cross-body, DeepMimic clips for clips-aniformer.", metavar="DIR"),
+    typer.Option(
+        help="Folder: characters for cross-body, DeepMimic clips for clips-aniformer, test garments for dressed.",
+        metavar="DIR",
+    ),
 ]
 
 

@@ -10,6 +10,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
@@ -19,11 +20,11 @@ from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .measure import EXTRA_INPUTS, measure, measure_clip, summary
 from .pairs import Pair
-from .protocols import PROTOCOLS, SPLITS, Protocol
+from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
 
 FOLDERS = ("cross-body", "clips-aniformer")
-"""Names of the protocols that read a folder."""
+"""Names of the protocols that need a folder."""
 
 
 def evaluate_command(
@@ -62,6 +63,8 @@ def evaluate_command(
     config = {"split": split, "pairs": pairs or chosen.pairs, **options}
     if data is not None and protocol in FOLDERS:
         config["data"] = sorted(path.name for path in data.iterdir())
+    if isinstance(chosen, Dressed) and chosen.folder is not None:
+        config["data"] = [f"{TEST_FILE} {chosen.checksum:08x}"]
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), **libraries()}
@@ -147,7 +150,7 @@ def _whole_lines(path: Path):
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
-    """Return a protocol by name; `data` is the folder that those of FOLDERS read.
+    """Return a protocol by name; `data` is the folder that those of FOLDERS read, or that of garments for `dressed`.
 
     Raises:
         InputError: no such protocol, or no folder where one is needed.
@@ -158,6 +161,8 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         return cross_body(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
+    if name == DRESSED.name and data is not None:
+        return with_test_garments(data)
     if name not in PROTOCOLS:
         known = ", ".join((*PROTOCOLS, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")
