@@ -17,6 +17,7 @@ import argparse
 import dataclasses
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import anny  # pyright: ignore[reportMissingImports]
 import fast_simplification
@@ -180,8 +181,9 @@ def draw_dressed_people(clothes: list[Clothes], count: int, seed: int):
 
 def simplify(vertices: np.ndarray, faces: np.ndarray, count: int) -> tuple[sparse.csr_matrix, np.ndarray]:
     """Simplify a mesh to about `count` triangles: the matrix that gathers the new vertices, and the triangles."""
+    points: Any = vertices.astype(np.float32)  # its stub asks for float64, which it takes too
     simple, triangles, *_ = fast_simplification.simplify(
-        vertices.astype(np.float32), faces.astype(np.int32), target_count=count, agg=AGGRESSION
+        points, faces.astype(np.int32), target_count=count, agg=AGGRESSION
     )
     face, barycentric, _ = closest_on_mesh(simple.astype(np.float64), vertices, faces)
     rows = np.repeat(np.arange(len(simple)), 3)
