@@ -60,14 +60,36 @@ def main() -> None:
     for name in GARMENTS:
         gather, triangles = garment_mesh(name, people.mean(axis=0))
         worn = np.stack([gather @ person for person in people]) - origin
-        mean, components = fit_garment(name, worn, shape)
-        skinned = cling(mean, triangles, gather @ weights, body)
-        garment = dataclasses.replace(body, vertices=mean, faces=triangles, components=components, weights=skinned)
-        mean = lift(garment, body, GAP[name])
-        arrays |= {f"{name}_{key}": array for key, array in compact(mean, triangles, components, skinned).items()}
-    with whole_file(args.output) as path:
+        arrays |= garment_arrays(name, worn, shape, triangles, gather @ weights, body, GAP[name])
+    save(arrays, args.output)
+
+
+def garment_arrays(
+    name: str,
+    worn: np.ndarray,
+    shape: np.ndarray,
+    triangles: np.ndarray,
+    weights: np.ndarray,
+    body: RiggedBody,
+    gap: float,
+    smoothings: int = 0,
+) -> dict[str, np.ndarray]:
+    """Compute the arrays of the file for a garment that each person wears (P, V, 3), with shape coefficients (P, K).
+
+    `gap` and `smoothings` are those of `lift`.
+    """
+    mean, components = fit_garment(name, worn, shape)
+    skinned = cling(mean, triangles, weights, body)
+    garment = dataclasses.replace(body, vertices=mean, faces=triangles, components=components, weights=skinned)
+    mean = lift(garment, body, gap, smoothings)
+    return {f"{name}_{key}": array for key, array in compact(mean, triangles, components, skinned).items()}
+
+
+def save(arrays: dict[str, np.ndarray], output: Path) -> None:
+    """Write the arrays of all garments to a file and print its size."""
+    with whole_file(output) as path:
         np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]
-    print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
+    print(f"{output}: {output.stat().st_size / 1e3:.0f} kB")
 
 
 def parse_args() -> argparse.Namespace:
@@ -180,8 +202,12 @@ def neighbour_mean(faces: np.ndarray, size: int) -> sparse.csr_matrix:
     return sparse.diags(1 / np.asarray(graph.sum(axis=1))[:, 0]) @ graph
 
 
-def lift(garment: RiggedBody, body: RiggedBody, gap: float) -> np.ndarray:
-    """Move vertices outward until the surface has its distance from the skin of most people, at rest and posed."""
+def lift(garment: RiggedBody, body: RiggedBody, gap: float, smoothings: int = 0) -> np.ndarray:
+    """Move vertices outward until the surface has its distance from the skin of most people, at rest and posed.
+
+    Args:
+        smoothings: rounds of averaging the directions with the neighbours, where the skin below is rough (toes).
+    """
     vertices, faces, pairs = garment.vertices, garment.faces, edges(garment.faces)
     missing = np.zeros((FITTINGS, len(vertices)))
     for i in range(FITTINGS):
@@ -198,7 +224,12 @@ def lift(garment: RiggedBody, body: RiggedBody, gap: float) -> np.ndarray:
     for _ in range(2):  # no dents between lifted vertices
         needed = np.maximum(needed, averaged @ needed)
     print(f"  lifted by {1e3 * needed.mean():.1f} mm (mean), {1e3 * needed.max():.1f} mm at most")
-    return vertices + needed[:, None] * height_over(vertices, body.vertices, body.faces)[1]
+    direction = height_over(vertices, body.vertices, body.faces)[1]
+    for _ in range(smoothings):
+        direction = direction + averaged @ direction
+        direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+        needed = np.maximum(needed, averaged @ needed)
+    return vertices + needed[:, None] * direction
 
 
 def height_over(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,11 @@
 """Measure all methods on all test sets, write docs/results and docs/RESULTS.md. Resumable; hours on two cores.
 
-    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [PROTOCOL ...]
+    python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 
 Run it in the root of a checkout, which contains `ablations/`. characters is measured if --characters is a pool of
-rigged characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of motions.
-Existing reports are replaced. Several of these can run at the same time, on different protocols.
+rigged characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of motions, and
+dressed in test garments too if --garments is their folder. Existing reports are replaced. Several of these can run at
+the same time, on different protocols.
 """
 
 from __future__ import annotations
@@ -35,8 +36,10 @@ def main() -> None:
     parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
+    parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
     folders = {"characters": args.characters, "cross-body": args.people, "clips-aniformer": args.clips}
+    folders["dressed"] = args.garments
     for name in args.protocols or (*PROTOCOLS, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:

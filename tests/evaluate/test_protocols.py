@@ -4,11 +4,26 @@ import itertools
 
 import numpy as np
 import pytest
+from garment_files import write_test_garments
 
+from mimesh.bodies.dress import GARMENTS, TEST_FILE, TEST_GARMENTS
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.evaluate.metrics import pmd_of_pair, resized
 from mimesh.evaluate.pairs import human
-from mimesh.evaluate.protocols import CONTACT, CROSS_TOPOLOGY, DRESSED, HUMAN_NPT, NOISE, PROTOCOLS, split_pose_bank
+from mimesh.evaluate.protocols import (
+    CONTACT,
+    CROSS_TOPOLOGY,
+    DRESSED,
+    HUMAN_NPT,
+    NOISE,
+    PROTOCOLS,
+    SUITS,
+    sample_garments,
+    sample_test_garments,
+    split_pose_bank,
+    with_test_garments,
+)
+from mimesh.evaluate.run import evaluate_command, find_protocol
 
 CASES = [(p, kind) for p in PROTOCOLS.values() for kind in p.kinds]
 IDS = [f"{p.name}-{kind}" for p, kind in CASES]
@@ -156,3 +171,46 @@ def test_first_pair_of_each_test_set_is_the_published_one(protocol, kind):
     sums = [np.abs(pair.truth).sum(), np.abs(pair.driving.vertices).sum(), len(pair.driving.vertices)]
     # Contacts are solved iteratively to a tolerance, so they depend on the libraries.
     assert np.allclose(sums, GOLDEN[f"{protocol.name}/{kind}"], rtol=1e-3 if protocol is CONTACT else 1e-7)
+
+
+@pytest.fixture(scope="module")
+def with_folder(tmp_path_factory):
+    """The protocol `dressed` with test garments."""
+    return with_test_garments(write_test_garments(tmp_path_factory.mktemp("garments")))
+
+
+def test_test_garments_leave_the_other_pairs_of_dressed_as_they_are(with_folder):
+    assert with_folder.kinds == ("new-identity", "new-driving", "new-both", *DRESSED.kinds)
+    for kind in DRESSED.kinds:
+        pair, expected = (protocol.pair("val", kind, 2) for protocol in (with_folder, DRESSED))
+        np.testing.assert_array_equal(pair.truth, expected.truth)
+        np.testing.assert_array_equal(pair.driving.vertices, expected.driving.vertices)
+
+
+@pytest.mark.parametrize("who", DRESSED.kinds)
+def test_kind_says_who_wears_test_garments(with_folder, who):
+    pair = with_folder.pair("val", f"new-{who}", 0)
+    plain = len(human().vertices)
+    assert (len(pair.identity.vertices) > plain) == (who != "driving")
+    assert (len(pair.driving.vertices) > plain) == (who != "identity")
+    aligned = pmd_of_pair(resized(pair.aligned, pair.truth), pair.truth)
+    assert aligned < 80e-4 < 500e-4 < pmd_of_pair(np.roll(pair.truth, 1, axis=0), pair.truth)
+    other = with_folder.pair("val", who, 0)
+    assert other.truth.shape != pair.truth.shape or not np.allclose(other.truth, pair.truth)
+
+
+def test_outfits_fit_and_never_mix_garments_of_training_and_test():
+    rng = np.random.default_rng(0)
+    outfits = [sample_test_garments(rng) for _ in range(300)]
+    assert {name for outfit in outfits for name in outfit} == set(TEST_GARMENTS)
+    assert all(len(set(SUITS) & set(outfit)) <= 1 <= len(outfit) for outfit in outfits)
+    assert {name for _ in range(100) for name in sample_garments(rng)} == set(GARMENTS)
+    assert not set(GARMENTS) & set(TEST_GARMENTS)
+
+
+def test_report_names_the_file_of_test_garments(with_folder):
+    assert find_protocol("dressed") is DRESSED
+    assert find_protocol("dressed", with_folder.folder) == with_folder
+    report = evaluate_command("dressed", ["copy"], split="val", pairs=1, data=with_folder.folder)
+    assert [row["split"] for row in report["results"]] == list(with_folder.kinds)
+    assert report["provenance"]["config"]["data"] == [f"{TEST_FILE} {with_folder.checksum:08x}"]

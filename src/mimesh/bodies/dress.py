@@ -1,13 +1,17 @@
 """Garments of the shipped human, with its shape coefficients and joints: their exact result of a transfer is known.
 
-Built by `scripts/build_dress.py` from MakeHuman's helper meshes. Each garment is one open surface. Cloth is not
-simulated, so a skirt stretches between spread legs.
+GARMENTS are shipped, and networks are trained with them; `scripts/build_dress.py` builds them from MakeHuman's helper
+meshes, and each is one open surface. TEST_GARMENTS are worn by tests only and read from a folder;
+`scripts/build_test_dress.py` builds them from MakeHuman's clothes. Cloth is not simulated, so a skirt stretches between
+spread legs.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import zipfile
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,6 +21,10 @@ from .body_model import RiggedBody
 
 GARMENTS = ("skirt", "tights", "hair")
 """A long skirt; a suit from neck to wrists and toes; long hair. Skirt and hair fit over tights."""
+TEST_GARMENTS = ("casual_suit", "elegant_suit", "skirt_suit", "shoes", "bob")
+"""Shirt and trousers; jacket and trousers; jacket and short skirt; shoes; short hair. No training may use them."""
+TEST_FILE = "test_dress.npz"
+"""Name of the file of the test garments."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -32,16 +40,19 @@ class Garment:
     """Skinning weights of the body's joints, rows sum to 1."""
 
 
-def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
+def dressed_body(body: RiggedBody, garments: tuple[str, ...], folder: Path | None = None) -> RiggedBody:
     """Combine a body and the named garments to one rigged body: vertices of the body, then of each garment in order.
 
     Skin under a garment is kept, and garments may intersect it in extreme poses.
 
+    Args:
+        folder: where TEST_FILE is, for test garments.
+
     Raises:
-        InputError: an unknown or repeated garment, a body that is not the shipped human, or a body with more components
-            than the garments (with fewer, the first ones are used).
+        InputError: an unknown or repeated garment, a body that is not the shipped human, a body with more components
+            than the garments (with fewer, the first ones are used), or test garments without a readable file.
     """
-    worn = [load_garment(name) for name in garments]
+    worn = [load_garment(name, folder) for name in garments]
     if len(set(garments)) < len(garments):
         raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
     _check_fits(body)
@@ -58,26 +69,65 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
     )
 
 
-def load_garment(name: str) -> Garment:
-    """Load a shipped garment by name.
+def load_garment(name: str, folder: Path | None = None) -> Garment:
+    """Load a garment by name: a shipped one, or a test garment from TEST_FILE in `folder`.
 
     Raises:
-        InputError: no such garment.
+        InputError: no such garment, or no file of test garments that fits the shipped human.
     """
-    if name not in GARMENTS:
-        raise InputError(f"{name}: expected a garment ({', '.join(GARMENTS)}), found another name; name one of them")
+    if name not in (*GARMENTS, *TEST_GARMENTS):
+        known = ", ".join((*GARMENTS, *TEST_GARMENTS))
+        raise InputError(f"{name}: expected a garment ({known}), found another name; name one of them")
+    if name in GARMENTS:
+        with _open() as data:
+            return _read_garment(name, data)
+    path = garment_file(name, folder)
+    try:
+        with np.load(path) as data:
+            garment, joints = _read_garment(name, data), data["joints"]
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: expected the arrays of the garment {name}, found others ({error}); "
+            "build it with scripts/build_test_dress.py"
+        ) from error
     with _open() as data:
-        vertices = data[f"{name}_vertices"].astype(np.float64)
-        weights = np.zeros((len(vertices), len(data["joints"])))
-        joints = data[f"{name}_weight_joints"].astype(int)
-        np.put_along_axis(weights, joints, data[f"{name}_weights"].astype(np.float64), axis=1)
-        return Garment(
-            name=name,
-            vertices=vertices,
-            faces=data[f"{name}_faces"].astype(np.int64),
-            components=data[f"{name}_components"].astype(np.float64),
-            weights=weights / weights.sum(axis=1, keepdims=True),
+        if not np.array_equal(joints, data["joints"]):
+            raise InputError(
+                f"{path}: expected garments of the shipped human, found another body's; "
+                "build it with scripts/build_test_dress.py"
+            )
+    return garment
+
+
+def garment_file(what: str, folder: Path | None) -> Path:
+    """Return the path of TEST_FILE in a folder; `what` needs it.
+
+    Raises:
+        InputError: no folder, or no such file in it.
+    """
+    if folder is None:
+        raise InputError(f"{what}: expected the folder of {TEST_FILE}, found none; give it with --data")
+    path = folder / TEST_FILE
+    if not path.is_file():
+        raise InputError(
+            f"{folder}: expected {TEST_FILE} in it, found no such file; build it with scripts/build_test_dress.py"
         )
+    return path
+
+
+def _read_garment(name: str, data: np.lib.npyio.NpzFile) -> Garment:
+    """Read a garment from an open file."""
+    vertices = data[f"{name}_vertices"].astype(np.float64)
+    weights = np.zeros((len(vertices), len(data["joints"])))
+    joints = data[f"{name}_weight_joints"].astype(int)
+    np.put_along_axis(weights, joints, data[f"{name}_weights"].astype(np.float64), axis=1)
+    return Garment(
+        name=name,
+        vertices=vertices,
+        faces=data[f"{name}_faces"].astype(np.int64),
+        components=data[f"{name}_components"].astype(np.float64),
+        weights=weights / weights.sum(axis=1, keepdims=True),
+    )
 
 
 def _check_fits(body: RiggedBody) -> None:
@@ -95,5 +145,5 @@ def _check_fits(body: RiggedBody) -> None:
 
 
 def _open() -> np.lib.npyio.NpzFile:
-    """Open the file of all garments."""
+    """Open the file of all shipped garments."""
     return np.load(str(resources.files("mimesh.bodies") / "dress.npz"))

@@ -26,8 +26,8 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters, DeepMimic clips for "
-        "clips-aniformer.",
+        help="Folder: rigged characters for cross-body, a pool of them for characters, motions for clips-aniformer, "
+        "test garments for dressed.",
         metavar="DIR",
     ),
 ]

@@ -11,6 +11,7 @@ import zlib
 from pathlib import Path
 from typing import Any
 
+from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
@@ -22,7 +23,7 @@ from .cross_body import cross_body
 from .frozen_sets import pair_checksum
 from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip
 from .pairs import Pair
-from .protocols import PROTOCOLS, SPLITS, Protocol
+from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
 from .summary import summary
 
@@ -66,6 +67,8 @@ def evaluate_command(
     config = {"split": split, "pairs": pairs or chosen.pairs, **options}
     if data is not None and protocol in FOLDERS:
         config["data"] = sorted(path.name for path in data.iterdir())
+    if isinstance(chosen, Dressed) and chosen.folder is not None:
+        config["data"] = [f"{TEST_FILE} {chosen.checksum:08x}"]
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), **libraries()}
@@ -168,7 +171,7 @@ def _whole_lines(path: Path):
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
-    """Return a protocol by name; `data` is the folder that those of FOLDERS read.
+    """Return a protocol by name; `data` is the folder that those of FOLDERS read, or that of garments for `dressed`.
 
     Raises:
         InputError: no such protocol, or no folder where one is needed.
@@ -185,6 +188,8 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         return characters(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
+    if name == DRESSED.name and data is not None:
+        return with_test_garments(data)
     if name not in PROTOCOLS:
         known = ", ".join((*PROTOCOLS, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")

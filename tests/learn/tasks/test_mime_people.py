@@ -1,13 +1,17 @@
 """Endless people for mime: exact skinning, garments, and proportions."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 torch = pytest.importorskip("torch")
 
+from mimesh import learn  # noqa: E402
 from mimesh.bodies import load_body  # noqa: E402
+from mimesh.bodies.dress import GARMENTS, TEST_GARMENTS, load_garment  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn.bodies import rotvec_to_rotmat  # noqa: E402
 from mimesh.learn.tasks.mime_people import PeopleSampler, SurfaceBody, plain_people  # noqa: E402
 
@@ -95,3 +99,17 @@ def test_unusual_people_have_larger_heads():
     who = PeopleSampler(BODY, 1.3, CPU).draw(400, torch.Generator().manual_seed(5))
     head, hand = BODY.joint("Head"), BODY.joint("LeftHand")
     assert who.girth[:, head].log().mean() > 0.08 > abs(who.girth[:, hand].log().mean())
+
+
+def test_training_draws_shipped_garments_only(surface):
+    """No network may know a test garment: training has no folder to read one from, and uses none of their names."""
+    assert surface.piece.unique().tolist() == list(range(1 + len(GARMENTS)))
+    assert PeopleSampler(BODY, 1.3, CPU).draw(8, torch.Generator()).worn.shape == (8, 1 + len(GARMENTS))
+    for name in TEST_GARMENTS:
+        with pytest.raises(InputError, match="expected the folder"):
+            load_garment(name)
+    sources = list(Path(learn.__file__).parent.rglob("*.py"))
+    assert len(sources) > 10
+    for path in sources:
+        text = path.read_text()
+        assert not [word for word in ("test_dress", "TEST_", "_test_garment", *TEST_GARMENTS) if word in text], path
