@@ -37,7 +37,7 @@ LIMBS = (*CHAINS, *CHAINS.values(), *UPRIGHT)
 CUTS = np.linspace(0.1, 0.9, 9)
 """Heights of the cross-sections, as fractions of the way between the limb's joints.
 
-Chosen on 146 characters of the pool's train and val packs (97 of one maker, 49 of another). Of .1-.9, .2-.8, .25-.75 and
+Chosen on 146 train and val characters of the pool (97 of one maker, 49 of another). Of .1-.9, .2-.8, .25-.75 and
 .3-.8 the first has the smallest angles between left and right for most limbs. Thighs and upper arms of the larger pack
 are nearer to the line of joints with .3-.8.
 """
