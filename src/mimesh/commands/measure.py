@@ -24,7 +24,7 @@ Figures = Annotated[
 ]
 Data = Annotated[
     Path | None,
-    typer.Option(help="Folder: rigged characters for cross-body, DeepMimic clips for clips-aniformer.", metavar="DIR"),
+    typer.Option(help="Folder: rigged characters for cross-body, motion files for clips-aniformer.", metavar="DIR"),
 ]
 
 

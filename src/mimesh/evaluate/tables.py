@@ -29,7 +29,7 @@ class Table(NamedTuple):
 
     title: str
     protocol: str
-    """Name of the protocol that it is measured on, whose first two kinds are `seen` and `unseen`."""
+    """Name of the protocol that it is measured on, with a kind `seen`, and `unseen` or `held-out`."""
     rows: tuple[Row, ...]
 
 
@@ -160,8 +160,10 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
     measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []
     for row in table.rows:
-        means = [_mean_and_interval(measured.get((row.method, kind))) for kind in ("seen", "unseen")]
-        unseen = measured.get((row.method, "unseen"))
+        seen, unseen = (measured.get((row.method, kind)) for kind in ("seen", "unseen"))
+        # Of clips, the counterpart of the papers' unseen motions is `held-out`.
+        unseen = measured.get((row.method, "held-out"), unseen)
+        means = [_mean_and_interval(seen), _mean_and_interval(unseen)]
         seconds = _cell(unseen, "seconds_per_frame")
         paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
         described = [unseen.get("given", "-"), unseen.get("trained", "-")] if unseen else ["-", "-"]
