@@ -78,7 +78,7 @@ def check_pose(protocol, kind, i, pair):
     clean = pair
     if isinstance(protocol, Corrupted):
         clean = protocol.clean_pair("val", i)
-        # The driving mesh is the clean one with other vertices (some centimetres apart) or noise (5 % of 1.1 m an axis).
+        # The driving mesh is the clean one with other vertices (some centimetres apart) or noise (5 % of 1.1 m).
         distance = KDTree(clean.driving.vertices).query(pair.driving.vertices)[0]
         assert distance.max() < 0.1
     persons = ((pair.identity.vertices, pair.truth), (clean.reference, clean.driving.vertices))

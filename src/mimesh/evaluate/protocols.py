@@ -154,7 +154,8 @@ class Wide(Protocol):
     def sample_driving_pose(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
         """Draw a driving pose with a heading.
 
-        By kind: within the joint limits (`limits`), of Table 6 (`table6`), or a frame of the split's motions (others).
+        By kind: within the joint limits (`limits`), of Table 6 (`table6`), or a frame of the split's motions (others),
+        which in `val` and `test` are later seconds of the takes that are trained on.
         """
         seed = self.seed(f"{split}/{kind}")
         if kind == "limits":
