@@ -92,14 +92,14 @@ def fill_card(weights: Path, measured_rows: list[dict]) -> bool:
     Rows of the reports that were measured with other weights of the same name are not used.
     """
     rows = {(row["method"], row["split"]): row for row in measured_rows}
-    unseen = rows.get((weights.stem, "unseen"), {})
-    measured = unseen.get("weights") == fingerprint(str(weights))
+    unseen = "held-out" if (weights.stem, "held-out") in rows else "unseen"  # of clips, of pairs
+    measured = rows.get((weights.stem, unseen), {}).get("weights") == fingerprint(str(weights))
     card = weights.with_suffix(".json")
     facts = json.loads(card.read_text())
     facts["metrics"]["test"] = {
         f"{prefix}{split}_pmd_e4": rows[method, split]["pmd_e4"]
         for prefix, method in (("", weights.stem), ("copy_", "copy"))
-        for split in ("seen", "unseen")
+        for split in ("seen", unseen)
         if measured
     }
     with whole_file(card) as temporary:

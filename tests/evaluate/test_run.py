@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from deepmimic_files import write_folder
+from held_out_files import write_all
 from networks import write_network, write_sequence_network
 
 from mimesh.core.errors import InputError
@@ -254,14 +254,15 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
         return measure_clip(shortened(trial, 3), method, **options)
 
     monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
-    folder = write_folder(tmp_path / "deepmimic")
+    folder = write_all(tmp_path / "motions")
     with pytest.raises(KeyboardInterrupt):
         evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
     report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
-    assert "humanoid3d_walk.txt" in report["provenance"]["config"]["data"]
-    assert len(measured) == 4
+    assert report["version"] == 2
+    assert report["provenance"]["config"]["data"] == ["deepmimic", "takes"]
+    assert len(measured) == 5
     assert [(row["split"], row["pairs"]) for row in report["results"]] == [
-        ("seen", 1), ("unseen", 1), ("procedural", 1)
+        ("seen", 1), ("held-out", 1), ("procedural", 1), ("stress", 1)
     ]  # fmt: skip
     assert set(report["results"][0]) >= CLIP_COLUMNS | {"pmd_e4", "mm", "edge_score", "seconds_per_frame"}
     text = markdown(report)

@@ -111,6 +111,16 @@ def test_errors_of_damaged_files_are_one_line(tmp_path, old, new, message):
     assert "\n" not in str(error.value)
 
 
+def test_whole_rows_beyond_the_frame_count_are_not_read(tmp_path):
+    """Boxing_Toes.bvh of assimp counts one frame too few."""
+    whole = load_bvh(write(tmp_path, SMALL))
+    short = load_bvh(write(tmp_path, SMALL.replace("Frames: 2", "Frames: 1")))
+    assert (len(whole.rotmat), len(short.rotmat)) == (2, 1)
+    np.testing.assert_array_equal(short.rotmat, whole.rotmat[:1])
+    with pytest.raises(InputError, match="cut short"):
+        load_bvh(write(tmp_path, SMALL + " 1"))
+
+
 def test_a_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="found none"):
         load_bvh(tmp_path / "no.bvh")

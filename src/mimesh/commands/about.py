@@ -68,7 +68,7 @@ def _describe(card: dict[str, Any]) -> str:
     """Return size, licence and errors of a shipped network in one line."""
     test = card.get("metrics", {}).get("test", {})
     figures = ", ".join(
-        f"{kind} {test[f'{kind}_pmd_e4']:.3g}" for kind in ("seen", "unseen") if f"{kind}_pmd_e4" in test
+        f"{kind} {test[f'{kind}_pmd_e4']:.3g}" for kind in ("seen", "unseen", "held-out") if f"{kind}_pmd_e4" in test
     )
     size = f"{card['bytes'] / 2**20:.1f} MiB, {card['license']}"
     return f"{size}, PMD x1e-4 on new people: {figures}" if figures else size

@@ -1,19 +1,25 @@
-"""`clips-aniformer`: AniFormer's protocol (section 4) on the shipped body, with 80 seen and 20 unseen motions.
+"""`clips-aniformer`: AniFormer's protocol (section 4) on the shipped body; motions are seen, held out or a stress test.
 
-DFAUST, the paper's data, must not be redistributed. Here the seen motions are disjoint seconds of the shipped CMU
-takes, mirror images of some of them, walks and splines. The unseen motions are the 20 clips of DeepMimic, which no
-training here uses; they are read from a folder or from an installed pybullet. Walks and splines with other seeds form a
-third kind, `procedural`, because motions from the same generators are in the training data.
+DFAUST, the paper's data, must not be redistributed. Here the 80 seen motions are disjoint seconds of the shipped CMU
+takes, mirror images of some of them, walks and splines. `procedural` are walks and splines with other seeds, because
+motions from the same generators are in the training data. The other two kinds are whole motions that nothing is trained
+on, read from files:
+
+* `held-out`: in `test` the 30 motions of `held_out_takes`; in `val` the 7 walks, turns and runs of DeepMimic, which
+  were looked at during development.
+* `stress`: the other 13 clips of DeepMimic (flips, rolls, crawls, get-ups, kicks, dances), whose poses are far from all
+  captures here. Both splits have the same ones. They were looked at during development, too.
 
 There are 16 training people. 8 new identities, each in its own rest pose, are moved in `test`, and 8 others in `val`;
-every trial has a new driving person. `val` does not use the DeepMimic clips: its unseen motions are other seconds of
-the takes. All motions begin facing +z and have 30 frames. AniFormer takes 30 evenly spaced frames of each of its
-motions; here a motion is one second.
+every trial has a new driving person. Trials of DeepMimic have those of `test` in both splits, so their figures are
+comparable with those of version 1, where the 20 clips were the kind `unseen`. All motions begin facing +z and have 30
+frames. AniFormer takes 30 evenly spaced frames of each of its motions; here a motion is one second.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import zlib
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -28,6 +34,7 @@ from ..core.mesh import Clip, Mesh
 from ..motions import Motion, load_deepmimic, mirror, motion_clip, resample, spline_motion, walk_motion
 from ..motions.clips import split_windows
 from ..motions.deepmimic import CLIPS, deepmimic_folder
+from .held_out_takes import ORDER, find_takes, load_take
 from .pairs import Pair, Person, Pose, human, make_pair, random_orders, reorder_vertices
 from .protocols import Protocol
 from .remesh import template
@@ -39,6 +46,17 @@ SEEN = {"seconds": 43, "mirrored": 13, "walks": 12, "splines": 12}
 STRIDE = 37
 """Trial i of `seen` uses motion 37 i mod 80. 37 and 80 have no common factor, so 80 trials use every motion once, and
 the first few trials cover all sources."""
+GAITS = ("run", "walk", "walk_forward", "turn_left0", "turn_left1", "turn_right0", "turn_right1")
+"""Clips of DeepMimic that are the kind `held-out` of `val`."""
+STRESS = tuple(name for name in CLIPS if name not in GAITS)
+"""Clips of DeepMimic that are the kind `stress`."""
+STREAMS = {"seen": (0, 2), "unseen": (1, 1), "procedural": (2, 0), "held-out": (3, 3)}
+"""Numbers in the seeds of driving people and of vertex orders, of each stream of trials.
+
+DeepMimic's clips are the stream `unseen` of `test`. New kinds get new numbers, so trials of version 1 stay the same.
+"""
+SEED_VERSION = 1
+"""Version of the seeds: version 2 of the protocol names other kinds, and has the people and motions of version 1."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -69,22 +87,38 @@ class ClipsAniformer(Protocol):
     """The protocol of this module."""
 
     data: Path | None = None
-    """Folder of the DeepMimic clips; None for that of an installed pybullet."""
+    """Folder of the DeepMimic clips and the held-out motions. None: the clips of an installed pybullet alone."""
     people: int = 16
     """Number of training people."""
     targets: int = 8
     """Number of identities of each split (AniFormer calls them targets)."""
 
-    def count(self, kind: str, requested: int = 0) -> int:
-        """Return the number of trials to measure, at most as many as the kind has: by default 24, 20 and 20."""
-        available = {"seen": sum(SEEN.values()), "unseen": len(CLIPS), "procedural": len(CLIPS)}[kind]
-        return min(requested or self.pairs, available)
+    @property
+    def validation_kinds(self) -> tuple[str, ...]:
+        """Kinds that checkpoints are chosen by; `unseen` of `val` are seconds of the takes after those of training."""
+        return ("seen", "unseen", "procedural")
+
+    def seed(self, split: str) -> int:
+        """Return the seed of a stream of samples; see SEED_VERSION."""
+        return zlib.crc32(f"{self.name}/{SEED_VERSION}/{split}".encode())
+
+    def rng(self, split: str, kind: str, i: int) -> np.random.Generator:
+        """Return the random generator of the vertex orders of trial i."""
+        split, stream, i = _stream(split, kind, i)
+        return np.random.default_rng([self.seed(split), STREAMS[stream][1], i])
+
+    def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
+        """Return the number of trials to measure, at most as many as there are: 24, 30 (val: 7), 20, 13 for 0."""
+        held_out = len(GAITS) if split == "val" else len(ORDER)
+        available = {"seen": sum(SEEN.values()), "held-out": held_out, "stress": len(STRESS)}.get(kind, len(CLIPS))
+        return min(requested or (held_out if kind == "held-out" else self.pairs), available)
 
     def check(self, split: str) -> None:
-        """Raise InputError for `train`, which has no trials, and for `test` if the DeepMimic clips are missing."""
+        """Raise InputError for `train`, which has no trials, and if files are missing that the split needs."""
         self._check_name(split)
+        deepmimic_folder(self.data)
         if split == "test":
-            deepmimic_folder(self.data)
+            find_takes(self.data)
 
     def _check_name(self, split: str) -> None:
         if split not in ("val", "test"):
@@ -114,16 +148,23 @@ class ClipsAniformer(Protocol):
         if kind == "procedural":
             make = spline_motion if i % 2 else walk_motion
             return _begin_at_origin(make(human(), self.seed(f"{split}/motions"), i, seconds=FRAMES / FPS, fps=FPS))
-        if split == "val":
-            return _val_motions()[i % len(_val_motions())]
-        return _deepmimic_second(deepmimic_folder(self.data), tuple(CLIPS)[i % len(CLIPS)])
+        if kind == "unseen":
+            assert split == "val", "the stream `unseen` of test has become held-out of val and stress"
+            return _later_seconds()[i % len(_later_seconds())]
+        if kind == "held-out" and split == "test":
+            assert self.data is not None, "`check` comes first"
+            return _held_out_second(self.data, ORDER[i % len(ORDER)])
+        names = STRESS if kind == "stress" else GAITS
+        return _deepmimic_second(deepmimic_folder(self.data), names[i % len(names)])
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> ClipPair:
         """Generate trial i in the body's vertex order; everything is drawn from seeds and nothing from `rng`."""
         self._check_name(split)
-        motion, target = self.motion(split, kind, i), i % self.targets
+        motion = self.motion(split, kind, i)
+        split, stream, i = _stream(split, kind, i)
+        target = i % self.targets
         identity = Person(human(), sample_shape(human(), self.seed(split), target, self.spread), str(target))
-        number = 1000 * self.kinds.index(kind) + i
+        number = 1000 * STREAMS[stream][0] + i
         shape = sample_shape(human(), self.seed(f"{split}/actors"), number, self.spread)
         rest = Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), target)), str(target))
         first = make_pair(identity, Person(human(), shape, str(number)), rest, Pose(motion.rotmat[0], motion.name))
@@ -179,13 +220,15 @@ def on_template(trial: ClipPair) -> ClipPair:
 
 
 def clips_aniformer(data: Path | None = None) -> ClipsAniformer:
-    """Return the protocol; `data` is the folder of the DeepMimic clips, None for that of an installed pybullet.
+    """Return the protocol; `data` is the folder of the files (see `ClipsAniformer.data`), which may lie in subfolders.
 
     Raises:
-        InputError: the folder lacks one of the 20 clips.
+        InputError: the folder lacks one of the 20 DeepMimic clips. `check` looks for the other files.
     """
-    data = data and deepmimic_folder(data)
-    return ClipsAniformer("clips-aniformer", 1, ("seen", "unseen", "procedural"), pairs=24, spread=1.1, data=data)
+    if data is not None:
+        deepmimic_folder(data)
+    kinds = ("seen", "held-out", "procedural", "stress")
+    return ClipsAniformer("clips-aniformer", 2, kinds, pairs=24, spread=1.1, data=data)
 
 
 CLIPS_ANIFORMER = clips_aniformer()
@@ -206,21 +249,40 @@ def _seen_motions(body: RiggedBody, seed: int) -> tuple[Motion, ...]:
 
 
 @cache
-def _val_motions() -> tuple[Motion, ...]:
-    """Return the unseen motions of `val`: seconds of the takes that no training uses, and their mirror images."""
+def _later_seconds() -> tuple[Motion, ...]:
+    """Return the seconds of the takes that directly follow those of training, and their mirror images."""
     seconds = [second for take in split_windows("val") for second in _split_into_seconds(take)]
     return (*seconds, *map(mirror, seconds))
 
 
+def _stream(split: str, kind: str, i: int) -> tuple[str, str, int]:
+    """Return the split, stream and number by which people and vertex orders of trial i are drawn."""
+    if kind == "stress":
+        return "test", "unseen", tuple(CLIPS).index(STRESS[i % len(STRESS)])
+    if kind == "held-out" and split == "val":
+        return "test", "unseen", tuple(CLIPS).index(GAITS[i % len(GAITS)])
+    return split, kind, i
+
+
 @cache
 def _deepmimic_second(folder: Path, name: str) -> Motion:
-    """Read the middle second of a DeepMimic clip; a clip shorter than a second is slowed down to one second."""
-    motion = load_deepmimic(folder / CLIPS[name], human(), name)
+    """Read the middle second of a DeepMimic clip."""
+    return _middle_second(load_deepmimic(folder / CLIPS[name], human(), name))
+
+
+@cache
+def _held_out_second(folder: Path, number: int) -> Motion:
+    """Read the middle second of a motion of `held_out_takes.TAKES`."""
+    return _middle_second(load_take(folder, number))
+
+
+def _middle_second(motion: Motion) -> Motion:
+    """Cut out the middle second of a motion; a motion shorter than a second is slowed down to one second."""
     if motion.seconds < FRAMES / FPS:
         motion = resample(motion, motion.fps * (FRAMES - 1) / (len(motion) - 1))
         return _begin_at_origin(dataclasses.replace(motion, fps=FPS))
     motion = resample(motion, FPS)
-    return _cut(motion, (len(motion) - FRAMES) // 2, name)
+    return _cut(motion, (len(motion) - FRAMES) // 2, motion.name)
 
 
 def _split_into_seconds(take: Motion) -> list[Motion]:

@@ -203,12 +203,12 @@ FIGURES = {
     "npt-20": Figure("more unseen poses", partial(comparison_rows, kind="unseen"), ("npt",), 8),
     "aniformer-3": Figure(
         "unseen motions, beside methods that go frame by frame (--data)",
-        partial(clip_comparison_rows, kind="unseen"),
+        partial(clip_comparison_rows, kind="stress"),
         ("npt-frames", "limp", "aniformer-equal"),
         1,
     ),
     "aniformer-4": Figure(
-        "ablations in motion (--data)", partial(clip_comparison_rows, kind="unseen"), ANIFORMER_ABLATIONS, 1
+        "ablations in motion (--data)", partial(clip_comparison_rows, kind="stress"), ANIFORMER_ABLATIONS, 1
     ),
     "aniformer-5": Figure(
         "identities from other makers in motion (--data)", foreign_clip_rows, ("aniformer-equal",), 3

@@ -64,10 +64,15 @@ class Protocol:
         rng = self.rng(split, kind, i)
         return shuffle_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
 
-    def count(self, kind: str, requested: int = 0) -> int:
+    def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
         """Return the number of pairs of a kind to measure: the requested number, or the protocol's own for 0."""
         assert kind in self.kinds
         return requested or self.pairs
+
+    @property
+    def validation_kinds(self) -> tuple[str, ...]:
+        """Kinds of `val` that need no files and that checkpoints are chosen by while a network is trained."""
+        return self.kinds
 
     def check(self, split: str) -> None:
         """Raise InputError if this split cannot be generated on this machine. The base class has no such split."""
@@ -78,7 +83,7 @@ class Protocol:
 
     def trials(self, split: str, kind: str, count: int = 0) -> Iterator[Pair]:
         """Generate the first `count` pairs of a split and kind; 0 for the protocol's own number."""
-        return (self.pair(split, kind, i) for i in range(self.count(kind, count)))
+        return (self.pair(split, kind, i) for i in range(self.count(kind, count, split)))
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,8 @@ class Wide(Protocol):
     def sample_driving_pose(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pose:
         """Draw a driving pose with a heading.
 
-        By kind: within the joint limits (`limits`), of Table 6 (`table6`), or a frame of the split's motions (others).
+        By kind: within the joint limits (`limits`), of Table 6 (`table6`), or a frame of the split's motions (others),
+        which in `val` and `test` are later seconds of the takes that are trained on.
         """
         seed = self.seed(f"{split}/{kind}")
         if kind == "limits":

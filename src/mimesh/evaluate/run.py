@@ -73,7 +73,7 @@ def evaluate_command(
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), **libraries()}
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
-    counts = {kind: chosen.count(kind, pairs) for kind in chosen.kinds}
+    counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows = sum(counts.values()) * len(methods), 0, []
     for method in methods:
         weights = fingerprint(method)

@@ -43,7 +43,7 @@ class Validation:
         None if `stop` returned true before the end; it is called before every trial and batch, which take seconds.
         """
         protocol, count = self.task.protocol, self.task.config.validation_pairs
-        counts = {kind: protocol.count(kind, count) for kind in protocol.kinds} | {FRESH: FRESH_BATCHES}
+        counts = {kind: protocol.count(kind, count) for kind in protocol.validation_kinds} | {FRESH: FRESH_BATCHES}
         jobs = [(kind, i) for kind, number in counts.items() for i in range(number)]
         errors: dict[str, list[float]] = {kind: [] for kind, _ in jobs}
         model.eval()

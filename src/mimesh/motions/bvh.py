@@ -169,8 +169,9 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
         raise InputError(
             f"{path}: expected frames and a positive frame time, found {frames} and {frame_time:g}; export it again"
         )
-    # A missing number would shift all later values, so a wrong count is an error.
-    if values.size != frames * channels:
+    # A missing number would shift all later values, so a wrong count is an error. Whole rows after the last frame shift
+    # nothing: some exporters count one frame too few.
+    if values.size < frames * channels or values.size % channels:
         raise InputError(
             f"{path}: expected {frames} frames of {channels} values, found {values.size} values; "
             "the file is cut short or its frame count is wrong, export it again"
@@ -178,7 +179,7 @@ def _read_rows(text: str, channels: int, path: Path) -> tuple[float, Float[np.nd
     if not np.isfinite(values).all():
         bad = int(np.flatnonzero(~np.isfinite(values))[0]) // channels
         raise InputError(f"{path}: expected finite numbers, found NaN or infinity in frame {bad}; export it again")
-    return _rate(words[4]), values.reshape(frames, channels)
+    return _rate(words[4]), values[: frames * channels].reshape(frames, channels)
 
 
 def _rate(frame_time: str) -> float:

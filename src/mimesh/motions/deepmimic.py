@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,8 +80,15 @@ _JOINTS = (
 )
 
 
+def folder_with(folder: Path, files: Iterable[str]) -> Path | None:
+    """Find the first folder that has all files: `folder`, its subfolders, then theirs; None if there is none."""
+    # Two levels cover a folder of unpacked packages; more would take long in a home folder.
+    places = (folder, *sorted(folder.glob("*/")), *sorted(folder.glob("*/*/")))
+    return next((place for place in places if all((place / file).is_file() for file in files)), None)
+
+
 def deepmimic_folder(folder: Path | None = None) -> Path:
-    """Find the folder with the 20 clips: `folder`, or that of an installed pybullet.
+    """Find the folder with the 20 clips: `folder`, a subfolder of it, or that of an installed pybullet.
 
     Raises:
         InputError: a clip is missing there, or no folder is given and pybullet is not installed.
@@ -90,6 +98,7 @@ def deepmimic_folder(folder: Path | None = None) -> Path:
         if found is None or not found.submodule_search_locations:
             raise InputError(f"DeepMimic clips: expected a folder or an installed pybullet, found neither; {INSTALL}")
         folder = Path(found.submodule_search_locations[0]) / "data" / "motions"
+    folder = folder_with(folder, CLIPS.values()) or folder
     missing = [file for file in CLIPS.values() if not (folder / file).is_file()]
     if missing:
         raise InputError(

@@ -1,0 +1,148 @@
+"""Frozen sets: checksums see every change of a pair, and all stored sets are still the same."""
+
+import dataclasses
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
+from mimesh.evaluate.cross_body import cross_body
+from mimesh.evaluate.frozen_sets import (
+    FIRST,
+    INEXACT,
+    freeze,
+    frozen_sets,
+    kinds_of,
+    pair_checksum,
+    role,
+    set_checksum,
+)
+from mimesh.evaluate.pairs import human
+from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS
+
+STORED = frozen_sets()
+WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
+WITHOUT_FILES["clips-aniformer"] = CLIPS_ANIFORMER
+NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")}
+GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
+MOST_IN_FULL = 18
+"""Sets of meshes of this many pairs or fewer are generated as a whole, of larger ones the first pairs."""
+FOLDERS = {
+    "clips-aniformer": ("MIMESH_MOTIONS", clips_aniformer),
+    "cross-body": ("MIMESH_PEOPLE", cross_body),
+}
+"""Environment variables that name folders of files, and the protocols that read them."""
+
+
+@pytest.mark.parametrize("key", GENERATED, ids="/".join)
+def test_generated_sets_are_the_frozen_ones(key):
+    name, split, kind = key
+    protocol, stored = WITHOUT_FILES[name], STORED[key]
+    assert stored.version == protocol.version
+    assert stored.pairs == protocol.count(kind, 0, split)
+    count = stored.pairs if stored.pairs <= MOST_IN_FULL and name != "clips-aniformer" else FIRST
+    checksums = [pair_checksum(protocol.pair(split, kind, i)) for i in range(count)]
+    assert stored.matches(checksums)
+    assert not stored.matches([*checksums[:-1], "00000000"])
+
+
+@pytest.mark.parametrize("name", FOLDERS)
+def test_sets_of_files_are_the_frozen_ones(name):
+    """All pairs, where an environment variable names the folder of the files."""
+    variable, find = FOLDERS[name]
+    if variable not in os.environ:
+        pytest.skip(f"{variable} names no folder")
+    protocol = find(Path(os.environ[variable]))
+    for split in ("val", "test"):
+        for kind in protocol.kinds:
+            assert freeze(protocol, split, kind) == STORED[name, split, kind]
+
+
+def test_every_set_of_every_protocol_is_stored():
+    protocols = (*PROTOCOLS.values(), CLIPS_ANIFORMER)
+    expected = {(p.name, split, kind) for p in protocols for split in ("val", "test") for kind in kinds_of(p, split)}
+    assert expected <= STORED.keys()
+    for key, stored in STORED.items():
+        assert key == (stored.protocol, stored.split, stored.kind)
+        assert stored.role == role(*key)
+        assert (stored.checksum is None) == (stored.protocol in INEXACT)
+        assert len(stored.first) == (0 if stored.checksum is None else FIRST)
+
+
+def test_what_was_looked_at_is_no_test_set():
+    roles = {key: stored.role for key, stored in STORED.items()}
+    assert {value for (_, split, kind), value in roles.items() if split == "val" and kind != "stress"} == {
+        "development"
+    }
+    assert roles["clips-aniformer", "test", "stress"] == roles["clips-aniformer", "val", "stress"] == "stress"
+    assert all(roles["noise", "test", kind] == "development" for kind in ("holes", "cropped", "half"))
+    assert roles["noise", "test", "noise-2"] == roles["clips-aniformer", "test", "held-out"] == "test"
+    assert {value for (name, _, _), value in roles.items() if name == "cross-body"} == {"development"}
+
+
+def arrays_of(pair):
+    """Each array of a pair, as a function that returns the pair with one number of that array changed."""
+
+    def with_change(field, change):
+        return dataclasses.replace(pair, **{field: change(getattr(pair, field))})
+
+    def in_mesh(name, amount):
+        def change(mesh):
+            return dataclasses.replace(mesh, **{name: nudged(getattr(mesh, name), amount)})
+
+        return change
+
+    def in_array(amount):
+        return lambda array: nudged(array, amount)
+
+    for field in ("identity", "driving"):
+        yield with_change(field, in_mesh("vertices", 3e-5))
+        yield with_change(field, lambda mesh: dataclasses.replace(mesh, faces=np.roll(mesh.faces, 1, axis=0)))
+    for field in dataclasses.fields(pair):
+        if isinstance(getattr(pair, field.name), np.ndarray):
+            yield with_change(field.name, in_array(1 if field.name in ("markers", "template") else 3e-5))
+    if isinstance(pair, ClipPair):
+        yield with_change("clip", lambda clip: dataclasses.replace(clip, vertices=nudged(clip.vertices, 3e-5)))
+
+
+def nudged(array, amount):
+    """The array with its last number increased."""
+    changed = np.array(array)
+    changed.flat[-1] += amount
+    return changed
+
+
+@pytest.mark.parametrize("trial", [(HUMAN_NPT, "seen", 9), (CLIPS_ANIFORMER, "procedural", 13)], ids=["pair", "clip"])
+def test_checksum_sees_a_change_of_any_array(trial):
+    protocol, kind, arrays = trial
+    pair = protocol.pair("val", kind, 0)
+    checksum = pair_checksum(pair)
+    changed = list(arrays_of(pair))
+    assert len(changed) == arrays
+    assert len({checksum, *map(pair_checksum, changed)}) == arrays + 1
+    assert len(checksum) == 8
+
+
+def test_checksum_does_not_see_the_last_digits():
+    """The same shift by 1e-12 m, as another library may round, in all coordinates but those on an edge of rounding."""
+    pair = HUMAN_NPT.pair("val", "seen", 0)
+    whole = np.round(pair.truth / 1e-5) * 1e-5
+    rounded = dataclasses.replace(pair, truth=whole)
+    assert pair_checksum(dataclasses.replace(pair, truth=whole + 1e-12)) == pair_checksum(rounded)
+    assert pair_checksum(pair) == pair_checksum(HUMAN_NPT.pair("val", "seen", 0))
+
+
+def test_a_checksum_of_a_set_depends_on_the_order_of_its_pairs():
+    assert set_checksum(["00000001", "00000002"]) != set_checksum(["00000002", "00000001"])
+
+
+def test_frozen_pairs_change_with_the_pose_of_the_truth():
+    """A truth in another pose is another set, whatever else stays."""
+    pair, other = (HUMAN_WIDE.pair("test", "limits", i) for i in range(2))
+    assert len(pair.truth) == len(human().vertices)
+    foreign = dataclasses.replace(pair, truth=other.truth)
+    stored = STORED["human-wide", "test", "limits"]
+    assert stored.matches([pair_checksum(pair)])
+    assert not stored.matches([pair_checksum(foreign)])
