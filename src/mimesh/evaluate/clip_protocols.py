@@ -173,6 +173,8 @@ class ClipsAniformer(Protocol):
         # The clip also has the motion's root path, which a pair of poses has not.
         fields |= {"driving": dataclasses.replace(first.driving, vertices=clip.vertices[0])}
         fields |= {"truth": truth.vertices[0], "aligned": clip.vertices[0]}
+        # Seconds of one take (take@start) are not independent.
+        fields |= {"groups": (str(target), motion.name.partition("@")[0])}
         return ClipPair(
             **fields,
             clip=dataclasses.replace(clip, mesh=fields["driving"]),

@@ -216,9 +216,8 @@ def measure_characters(pair: CharacterPair, method: str | Method, **options: Any
         return {"why": str(error)}
     seconds = time.perf_counter() - started
     metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height) if pair.truth_known else {}
-    characters = (pair.identity_character, pair.driving_character)
-    limbed = (LimbedCharacter(character.rig, character.limbs) for character in characters)
-    limbs = limb_metrics(*limbed, result, pair.driving.vertices)
+    identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
+    limbs = limb_metrics(identity, driving, result, pair.driving.vertices)
     return {**metrics, **limbs, **confidence, "seconds": seconds}
 
 

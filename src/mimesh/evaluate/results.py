@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from ..core.errors import InputError
 from ..methods.find import TABLE_MODELS, WITHOUT_FIT
+from .frozen_sets import frozen_sets, role
 from .markdown import calibration_table, cell, kind_table, markdown_table, not_applicable, warnings_table
 from .tables import TABLES, paper_table
 
@@ -52,19 +53,14 @@ units of the limb, soles and penetration with those of the driving character ([c
         Set("Table 6, two skeletons", ("characters", "across-table6")),
         Set("joint limits, two skeletons", ("characters", "across-limits")),
         Set("the makers' clips, two skeletons", ("characters", "across-clips")),
-        Set(
-            "six people of one maker, Table 6",
-            ("cross-body", "table6"),
-            "Development data: looked at while `mime` was made.",
-        ),
-        Set("six people of one maker, joint limits", ("cross-body", "limits"), "Development data."),
-        Set("six people of one maker, captured poses", ("cross-body", "clips"), "Development data."),
+        Set("six people of one maker, Table 6", ("cross-body", "table6")),
+        Set("six people of one maker, joint limits", ("cross-body", "limits")),
+        Set("six people of one maker, captured poses", ("cross-body", "clips")),
     ),
 )
 STRESS = Section(
     "Stress",
-    """Where methods break: acrobatics, the limits of the joints, crossed legs, missing limbs. All of it is development
-data.""",
+    "Where methods break: acrobatics, the limits of the joints, crossed legs, missing limbs.",
     (
         Set("acrobatics (clips of DeepMimic)", ("clips-aniformer", "stress")),
         Set("joint limits", ("human-wide", "limits"), "Poses drawn uniformly within the limits of the joints."),
@@ -86,12 +82,7 @@ have tables of their own.""",
             "random poses of these ranges, have not seen them.",
         ),
         Set("Table 6, new poses", ("human-npt", "unseen")),
-        Set(
-            "captured poses",
-            ("human-wide", "clips"),
-            "Later seconds of the two takes that the shipped weights were trained on: from the median test frame the "
-            "nearest training frame is 4.5 degrees away (mean over the joints).",
-        ),
+        Set("captured poses", ("human-wide", "clips")),
         Set("clips: the 80 motions of AniFormer's tables", ("clips-aniformer", "seen")),
         Set("clips: held-out takes", ("clips-aniformer", "held-out")),
         Set("clips: new walks and splines", ("clips-aniformer", "procedural")),
@@ -105,7 +96,7 @@ have tables of their own.""",
             for kind, who in (("identity", "the identity"), ("driving", "the driving person"), ("both", "both"))
         ),
         *(
-            Set(f"garments of the training on {who}", ("dressed", kind), "`mime` was trained with these garments.")
+            Set(f"garments of the training on {who}", ("dressed", kind))
             for kind, who in (("identity", "the identity"), ("driving", "the driving person"), ("both", "both"))
         ),
         Set("hands touch", ("contact", "hands")),
@@ -221,7 +212,7 @@ def with_readme_table(text: str, table: str) -> str:
 def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
     """Format the tables of a test set: methods without a body model, then those that fit the shipped body."""
     ours = [row for row in rows if WITHOUT_FIT.get(row["method"], row["method"]) not in TABLE_MODELS]
-    parts = [f"### {test_set.title}", f"`{' '.join(test_set.key)}`. {test_set.about}"]
+    parts = [f"### {test_set.title}", _set_facts(test_set)]
     if not ours:
         return [*parts, "Not measured."]
     for title, fits in (("Without a body model:", False), ("With the shipped body's model:", True)):
@@ -229,6 +220,21 @@ def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
         if chosen:
             parts += [title, kind_table(chosen, ours)]
     return [*parts, *not_applicable(ours)]
+
+
+def _set_facts(test_set: Set) -> str:
+    """Say what a set is: protocol and kind, role, distance to the training data, and what a reader must know."""
+    protocol, kind = test_set.key
+    text = f"`{protocol} {kind}`, {role(protocol, 'test', kind)} data. {test_set.about}"
+    stored = frozen_sets().get((protocol, "test", kind))
+    if stored is None:
+        return text
+    notes = [stored.note[:1].upper() + stored.note[1:]] if stored.note else []
+    if stored.degrees_to_training is not None:
+        least, median = stored.degrees_to_training
+        notes += [f"The nearest training frame is {median:g} degrees away (mean over the joints) in the median, at "
+                  f"least {least:g}"]  # fmt: skip
+    return f"{text} {'. '.join(notes)}{'.' if notes else ''}"
 
 
 def _confidence_tables(rows: dict[Key, list[dict[str, Any]]]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import datetime
+import hashlib
 import json
 import re
 import zlib
@@ -20,7 +21,7 @@ from .characters import CharacterPair, Characters, characters
 from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
-from .frozen_sets import pair_checksum
+from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip
 from .pairs import Pair
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
@@ -66,15 +67,15 @@ def evaluate_command(
     options = {"ensemble": ensemble, "refine": refine}
     config = {"split": split, "pairs": pairs or chosen.pairs, **options}
     if data is not None and protocol in FOLDERS:
-        config["data"] = sorted(path.name for path in data.iterdir())
+        config["data"] = folder_checksum(data)
     if isinstance(chosen, Dressed) and chosen.folder is not None:
-        config["data"] = [f"{TEST_FILE} {chosen.checksum:08x}"]
+        config["data"] = f"{TEST_FILE} {chosen.checksum:08x}"
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), **libraries()}
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
-    total, done, rows = sum(counts.values()) * len(methods), 0, []
+    total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
     for method in methods:
         weights = fingerprint(method)
         for kind in chosen.kinds:
@@ -87,6 +88,7 @@ def evaluate_command(
                 if progress is not None:
                     progress(done, total)
             rows.append({**summary(method, kind, figures), "weights": weights})
+            sets[kind] = set_facts(chosen.name, split, kind, [metrics["pair"] for metrics in figures])
             if dump is not None:
                 from .dump import dump_worst
 
@@ -95,6 +97,7 @@ def evaluate_command(
         "protocol": chosen.name,
         "version": chosen.version,
         "provenance": made,
+        "sets": sets,
         "left_out": chosen.left_out(split),
         "results": rows,
     }
@@ -168,6 +171,24 @@ def _whole_lines(path: Path):
     for line in path.read_text().splitlines() if path.exists() else ():
         with contextlib.suppress(json.JSONDecodeError):  # cut off when the process was killed
             yield json.loads(line)
+
+
+def set_facts(protocol: str, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
+    """Return the role and the checksum of a set of pairs, and whether they are those of `frozen_sets`.
+
+    `frozen` is None where the set has no stored checksum. Fewer pairs than the set has are compared with the first.
+    """
+    stored = frozen_sets().get((protocol, split, kind))
+    frozen = None if stored is None or stored.checksum is None else stored.matches(pairs)
+    return {"role": role(protocol, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
+
+
+def folder_checksum(folder: Path) -> str:
+    """Return the first 16 hex digits of a SHA-256 over the files of a folder and its subfolders, and their number."""
+    digest, files = hashlib.sha256(), sorted(path for path in folder.rglob("*") if path.is_file())
+    for path in files:
+        digest.update(f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    return f"{len(files)} files, sha256 {digest.hexdigest()[:16]}"
 
 
 def find_protocol(name: str, data: Path | None = None) -> Protocol:
