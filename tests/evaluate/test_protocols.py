@@ -278,4 +278,4 @@ def test_report_names_the_file_of_test_garments(with_folder):
     assert find_protocol("dressed", with_folder.folder) == with_folder
     report = evaluate_command("dressed", ["copy"], split="val", pairs=1, data=with_folder.folder)
     assert [row["split"] for row in report["results"]] == list(with_folder.kinds)
-    assert report["provenance"]["config"]["data"] == [f"{TEST_FILE} {with_folder.checksum:08x}"]
+    assert report["provenance"]["config"]["data"] == f"{TEST_FILE} {with_folder.checksum:08x}"
