@@ -17,7 +17,8 @@ from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
 from mimesh.evaluate.characters import Characters, characters, skeleton
-from mimesh.evaluate.measure import measure
+from mimesh.evaluate.markdown import markdown
+from mimesh.evaluate.measure import Output, measure, measure_characters
 from mimesh.evaluate.run import evaluate_command, find_protocol
 
 POOL = os.environ.get("MIMESH_CHARACTERS", "")
@@ -227,9 +228,34 @@ def test_pools_without_pairs_are_refused(protocol, tmp_path):
         find_protocol("characters")
 
 
-def test_characters_are_evaluated(folder):
-    report = evaluate_command("characters", ["copy"], split="val", pairs=1, data=folder)
-    assert [row["split"] for row in report["results"]] == [*WITHIN, *ACROSS]
+def test_characters_are_evaluated(folder, tmp_path):
+    """Within one skeleton by vertices and limbs, across skeletons by limbs alone; by maker; the worst are drawn."""
+    options = {"split": "val", "pairs": 2, "data": folder}
+    report = evaluate_command("characters", ["identity", "copy"], dump=tmp_path, **options)
+    rows = {(row["method"], row["split"]): row for row in report["results"]}
+    assert list(dict.fromkeys(kind for _, kind in rows)) == [*WITHIN, *ACROSS]
+    for kind in (*WITHIN, *ACROSS):
+        row = rows["identity", kind]
+        assert row["limb_deg"] > 5
+        assert ("pmd_e4" in row) == (kind in WITHIN)
+        assert {name.split(": ")[0] for name in row["each"]["identity"]} <= {"we", "others"}
+        assert (tmp_path / f"identity-{kind}-2.png").exists()
+    assert sum(report["left_out"].values()) == 1
+    text = markdown(report)
+    assert "**`identity` by maker**" in text
+    assert "| others, elves |" in text
+    assert "Left out: 1 files" in text
+    assert rows["copy", "across-limits"]["pairs"] == 0
+    assert "Not applicable: `copy`" in text
+
+
+def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypatch):
+    pair = protocol.pair("val", "limits", 0)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth))
+    metrics = measure_characters(pair, "any")
+    assert metrics["pmd_e4"] == pytest.approx(0, abs=1e-9)
+    assert metrics["limb_deg"] < 3
+    assert metrics["end_effector"] < 0.1
 
 
 def test_characters_of_one_file_are_read_alone(folder):

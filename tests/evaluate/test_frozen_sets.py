@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
 from mimesh.evaluate.cross_body import cross_body
 from mimesh.evaluate.frozen_sets import (
@@ -20,18 +21,21 @@ from mimesh.evaluate.frozen_sets import (
     set_checksum,
 )
 from mimesh.evaluate.pairs import human
-from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS
+from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS, with_test_garments
 
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
 WITHOUT_FILES["clips-aniformer"] = CLIPS_ANIFORMER
 NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")}
+NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
 GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
 MOST_IN_FULL = 18
 """Sets of meshes of this many pairs or fewer are generated as a whole, of larger ones the first pairs."""
 FOLDERS = {
     "clips-aniformer": ("MIMESH_MOTIONS", clips_aniformer),
     "cross-body": ("MIMESH_PEOPLE", cross_body),
+    "characters": ("MIMESH_CHARACTERS", characters),
+    "dressed": ("MIMESH_GARMENTS", with_test_garments),
 }
 """Environment variables that name folders of files, and the protocols that read them."""
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -259,11 +260,14 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
         evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
     report = evaluate_command("clips-aniformer", ["copy"], out, pairs=1, data=folder)
     assert report["version"] == 2
-    assert report["provenance"]["config"]["data"] == ["deepmimic", "takes"]
+    assert re.fullmatch(r"\d+ files, sha256 [0-9a-f]{16}", report["provenance"]["config"]["data"])
     assert len(measured) == 5
     assert [(row["split"], row["pairs"]) for row in report["results"]] == [
         ("seen", 1), ("held-out", 1), ("procedural", 1), ("stress", 1)
     ]  # fmt: skip
+    assert report["sets"]["held-out"]["role"] == "test"
+    assert report["sets"]["held-out"]["frozen"] is False, "other files under the names of the frozen set's"
+    assert report["sets"]["seen"]["frozen"] is True
     assert set(report["results"][0]) >= CLIP_COLUMNS | {"pmd_e4", "mm", "edge_score", "seconds_per_frame"}
     text = markdown(report)
     assert "jitter, m/s²" in text

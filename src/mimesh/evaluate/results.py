@@ -130,7 +130,8 @@ truth's unit sphere. Lower is better. It is squared: a tenth of the PMD is about
 **mm** beside it (mean distance for a person 1.7 m tall). The mean is dominated by the worst pairs, the median shows the
 typical one. *Public formula* is the error of the papers' public evaluators (mean square over the coordinates, each mesh
 centred on its box); which of the two the papers print is not known. Behind ± is half of the 95 % interval of the mean,
-by bootstrap over people (in clips over people and takes). *Better than* is the share of pairs with a lower PMD.
+by bootstrap over people (in clips over people and takes). *Better than* is the share of pairs with a lower PMD. Times
+were taken beside other work, on one core: they are upper bounds; [speed](models.md) has measured ones.
 
 **Which data.** `test` sets are frozen by name and checksum and were measured when the weights shipped. Development
 sets were looked at while methods were made; they are named so. Options were chosen on the split `val`.
