@@ -30,8 +30,12 @@ def main() -> None:
     stored = frozen_sets() if OUTPUT.exists() else {}
     sets = []
     for name in (*PROTOCOLS, *FOLDERS):
-        kept = [entry for (protocol, _, _), entry in stored.items() if protocol == name]
-        sets += kept if name in FOLDERS and name not in folders else freeze_protocol(name, folders.get(name), stored)
+        needs_folder = name in FOLDERS and name not in folders
+        made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)
+        known = {(entry.split, entry.kind) for entry in made}
+        # Some kinds of `dressed` need a folder too.
+        kept = [entry for (protocol, *key), entry in stored.items() if protocol == name and tuple(key) not in known]
+        sets += [*kept, *made]
     with whole_file(OUTPUT) as temporary:
         temporary.write_text(json.dumps([dataclasses.asdict(entry) for entry in sets], indent=1) + "\n")
     print(f"{OUTPUT}: {len(sets)} sets")

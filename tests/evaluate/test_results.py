@@ -69,8 +69,36 @@ def test_warnings_have_their_share_and_curve(tmp_path):
     figures = {"uncertainty": [0.1, 2.5, 1.2], "warned": [False, True, True]}
     page = results_page(written(tmp_path, report("noise", [row("mime", "holes", 60.0, 80.0, 5.0, **figures)])))
     cells = table_after(page, "## Warnings")
-    assert list(cells["all"].values()) == ["all", "3", "2", "1 (50 %)", "1", "1 (100 %)"]
-    assert set(table_after(page, "All pairs together")) == {"0 to 0.25", "1 to 1.5", "2 to inf"}
+    development = "all development and stress sets"
+    assert list(cells[development].values()) == [development, "3", "2", "1 (50 %)", "1", "1 (100 %)"]
+    assert "all test sets" not in cells, "sets of different roles are not pooled"
+    assert set(table_after(page, "All development and stress sets:")) == {"0 to 0.25", "1 to 1.5", "2 to inf"}
+
+
+def test_reports_of_other_pairs_and_rows_that_recur_are_refused(tmp_path):
+    ours = report("noise", [row("npt", "holes", 1.0)])
+    with pytest.raises(InputError, match=r"noise-1\.json.*noise holes npt in noise-0\.json"):
+        results_page(written(tmp_path, ours, ours))
+    part = ours | {"sets": {"holes": {"role": "development", "frozen": "part"}}}
+    (tmp_path / "noise-1.json").unlink()
+    with pytest.raises(InputError, match="all pairs of the frozen set noise holes"):
+        results_page(written(tmp_path, part))
+
+
+def test_errors_on_characters_are_shown_by_maker(tmp_path):
+    names = {"identity": ["We: ours: a", "We: ours: b", "They: others: c"]}
+    page = results_page(written(tmp_path, report("characters", [row("mime", "table6", 4.0, 8.0, 20.0, **names)])))
+    cells = table_after(page, "### By maker")
+    assert cells["We, ours"] == {"maker, pack": "We, ours", "table6, PMD": "6 / 6 (2)"}
+    assert cells["They, others"]["table6, PMD"] == "20 / 20 (1)"
+
+
+def test_readme_tells_what_is_not_possible_from_what_was_not_measured(tmp_path):
+    impossible = {**row("copy", "table6", 1.0), "pairs": 0, "not_applicable": 2, "why": "no correspondence"}
+    table = readme_table(written(tmp_path, report("characters", [impossible])))
+    lines = {line.split(" | ")[0]: line for line in table.splitlines()}
+    assert "| not possible | not measured |" in next(line for name, line in lines.items() if "`copy`" in name)
+    assert "| not measured | not measured |" in next(line for name, line in lines.items() if "`npt`" in name)
 
 
 def test_table_of_the_readme_is_replaced_between_its_marks(tmp_path):

@@ -22,6 +22,7 @@ from ..bodies.sampling import rotvec_to_rotmat
 from ..core.mesh import Clip, Mesh
 from ..motions import mirror
 from ..motions.clips import split_windows
+from .characters import PosedCharacter
 from .clip_protocols import CLIPS_ANIFORMER, ClipsAniformer
 from .pairs import Pair, human
 from .protocols import Protocol, split_pose_bank
@@ -40,7 +41,10 @@ DEVELOPMENT = {
 """Protocol and kind (empty: all kinds) of sets of `test` that were looked at during development, and how."""
 NOTES = {
     ("human-wide", "clips"): "later seconds of takes whose earlier seconds are training data, not whole takes",
-    ("dressed", ""): "the garments are those of the training; people and poses are new",
+    **{
+        ("dressed", kind): "the garments are those of the training; people and poses are new"
+        for kind in ("identity", "driving", "both")
+    },
     ("clips-aniformer", "seen"): "motions that the rows of the tables are trained on, by new people",
     ("clips-aniformer", "held-out"): "10 seconds of one boxing capture, 20 clips by an animator",
     ("clips-aniformer", "stress"): "13 clips of DeepMimic, which were looked at during development",
@@ -70,13 +74,19 @@ class FrozenSet:
     """Smallest and median angle from a frame to the nearest training frame, for sets made of motions."""
     note: str = ""
 
-    def matches(self, checksums: Sequence[str]) -> bool:
-        """Tell whether pairs with these checksums, from the first one on, are those of this set."""
+    def compare(self, checksums: Sequence[str]) -> str:
+        """Compare pairs, from the first one on, with this set by their checksums.
+
+        Returns `same`; `part` for fewer pairs of which the stored first ones agree; `other`; or `unknown` for a set
+        without checksums.
+        """
         if self.checksum is None:
-            return True
-        whole = len(checksums) != self.pairs or set_checksum(checksums) == self.checksum
+            return "unknown"
+        if len(checksums) == self.pairs:
+            return "same" if set_checksum(checksums) == self.checksum else "other"
         known = min(len(checksums), len(self.first))
-        return whole and tuple(checksums[:known]) == self.first[:known]
+        agree = 0 < len(checksums) < self.pairs and tuple(checksums[:known]) == self.first[:known]
+        return "part" if agree else "other"
 
 
 def pair_checksum(pair: Pair) -> str:
@@ -188,6 +198,11 @@ def _motion_poses(protocol: Protocol, split: str, kind: str) -> Float[np.ndarray
 
 def _arrays(name: str, value: Any) -> list[tuple[str, np.ndarray]]:
     """List the arrays of a field of a pair with names; fields without arrays have none."""
+    if isinstance(value, PosedCharacter):
+        # Not in the mesh, but what limbs are measured by.
+        limbs = [(f"{name}.{key}", np.stack([limb.start, limb.end])) for key, limb in value.limbs.items()]
+        joints = (f"{name}.joints", np.array([limb.joint for limb in value.limbs.values()]))
+        return [*limbs, joints, (f"{name}.joint_of", value.rig.joint_of), (f"{name}.weights", value.rig.weights)]
     if isinstance(value, Mesh):
         return [(f"{name}.vertices", value.vertices), (f"{name}.faces", value.faces)]
     if isinstance(value, Clip):

@@ -84,8 +84,9 @@ def _limb_table(rows: list[dict[str, Any]]) -> str:
 
 
 def makers_table(rows: list[dict[str, Any]]) -> str:
-    """Format a method's errors on characters: maker and pack of the identity x kinds, each as median / mean of the
-    pairs (and their number): PMD x1e4, or degrees of the limbs where no true mesh is known.
+    """Format a method's errors on characters: maker and pack of the identity x kinds, as median / mean (pairs).
+
+    The error is the PMD x1e4 or, where no true mesh is known, the mean angle of the limbs in degrees.
     """
     cells: dict[str, dict[str, list[float]]] = {}
     for row in rows:
@@ -95,7 +96,9 @@ def makers_table(rows: list[dict[str, Any]]) -> str:
                 cells.setdefault(", ".join(group.split(": ")[:-1]), {}).setdefault(row["split"], []).append(error)
     kinds = [row["split"] for row in rows]
     lines = [[pack, *(_spread(found.get(kind)) for kind in kinds)] for pack, found in sorted(cells.items())]
-    return markdown_table(["maker, pack", *kinds], lines)
+    units = ["PMD" if "pmd_e4" in row else "degrees" for row in rows]
+    heads = [f"{kind}, {unit}" for kind, unit in zip(kinds, units, strict=True)]
+    return markdown_table(["maker, pack", *heads], lines)
 
 
 def warnings_table(rows_of: dict[str, list[dict[str, Any]]]) -> str:
@@ -161,9 +164,10 @@ def _spread(errors: list[float] | None) -> str:
 
 
 def _pairs(row: dict[str, Any]) -> str:
-    """Format the number of pairs, and of how many where some were not applicable."""
-    missing = row.get("not_applicable", 0)
-    return f"{row['pairs']} of {row['pairs'] + missing}" if missing else str(row["pairs"])
+    """Format the number of pairs, of how many where some were not applicable, and how many failed."""
+    missing, failed = row.get("not_applicable", 0), row.get("failures", 0)
+    text = f"{row['pairs']} of {row['pairs'] + missing + failed}" if missing or failed else str(row["pairs"])
+    return f"{text}, {failed} failed" if failed else text
 
 
 def _wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:

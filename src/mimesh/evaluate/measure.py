@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -48,6 +48,7 @@ from .pairs import Pair
 
 EXTRA_INPUTS = {
     "identity": "nothing: the identity is not moved",
+    "truth": "the true result; of characters with two skeletons an estimate, to show what can be measured",
     "copy": "true dense correspondence, true size",
     "deformation-transfer-dense": "third mesh, true dense correspondence",
     "deformation-transfer-13": "third mesh, 13 control points",
@@ -137,8 +138,8 @@ def run_on_pair(pair: Pair, method: str | Method, ensemble: int = 1, refine: boo
     """
     if not isinstance(method, str):
         return Output.of(transfer(pair.identity, pair.driving, method, **AXES, refine=refine))
-    if method == "identity":
-        return Output(pair.identity.vertices)
+    if method in ("identity", "truth"):
+        return Output(pair.identity.vertices if method == "identity" else pair.truth)
     if method == "copy":
         return Output(resized(required_input(pair.aligned, method), pair.truth))
     if method.startswith("deformation-transfer"):
@@ -197,28 +198,40 @@ def frames_at_true_size(
 
 
 def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on one pair and return its metrics, or {"why": reason} if the method cannot be applied."""
-    started = time.perf_counter()
-    try:
-        result, confidence = run_on_pair(pair, method, **options)
-    except NotApplicableError as error:
-        return {"why": str(error)}
-    seconds = time.perf_counter() - started
-    return {**shape_metrics(result, pair.truth, pair.identity.faces, pair.height), **confidence, "seconds": seconds}
+    """Measure a method on one pair and return its metrics.
+
+    {"why": reason} if the method cannot be applied, {"failed": reason} if its result is not finite.
+    """
+    result, facts = timed(run_on_pair, pair, method, options)
+    return facts if result is None else shape_metrics(result, pair.truth, pair.identity.faces, pair.height) | facts
 
 
 def measure_characters(pair: CharacterPair, method: str | Method, **options: Any) -> dict[str, Any]:
     """Measure a method on two characters: limbs against the driving character's; vertices if their truth is known."""
-    started = time.perf_counter()
-    try:
-        result, confidence = run_on_pair(pair, method, **options)
-    except NotApplicableError as error:
-        return {"why": str(error)}
-    seconds = time.perf_counter() - started
+    result, facts = timed(run_on_pair, pair, method, options)
+    if result is None:
+        return facts
     metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height) if pair.truth_known else {}
     identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
-    limbs = limb_metrics(identity, driving, result, pair.driving.vertices)
-    return {**metrics, **limbs, **confidence, "seconds": seconds}
+    return metrics | limb_metrics(identity, driving, result, pair.driving.vertices) | facts
+
+
+def timed(
+    run: Callable[..., Output], trial: Pair, method: str | Method, options: dict[str, Any]
+) -> tuple[Float[np.ndarray, "*T V 3"] | None, dict[str, Any]]:
+    """Run a method and return the vertices of its result, with its confidence and the seconds it took.
+
+    Without vertices: {"why": reason} if the method cannot be applied, {"failed": reason} if a coordinate is not finite.
+    """
+    started = time.perf_counter()
+    try:
+        vertices, confidence = run(trial, method, **options)
+    except NotApplicableError as error:
+        return None, {"why": str(error)}
+    seconds = time.perf_counter() - started
+    if not np.isfinite(vertices).all():
+        return None, {"failed": "the result has coordinates that are not finite"}
+    return vertices, {**confidence, "seconds": seconds}
 
 
 def shape_metrics(
@@ -263,6 +276,8 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
     """
     if method == "identity":
         return Output(np.tile(trial.identity.vertices, (len(trial.clip), 1, 1)))
+    if method == "truth":
+        return Output(trial.truth_frames)
     if method == "copy":
         sizes = [np.mean([radius(v - v.mean(axis=0)) for v in c]) for c in (trial.truth_frames, trial.aligned_frames)]
         return Output(trial.aligned_frames * (sizes[0] / sizes[1]))
@@ -278,18 +293,15 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
 
 
 def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
-    """Measure a method on one clip and return its metrics, or {"why": reason} if the method cannot be applied.
+    """Measure a method on one clip and return its metrics; without any as `measure`.
 
     Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame. LIMP is
     measured on the vertices of its template only, because its network has a fixed set of vertices.
     """
     trial = on_supported_vertices(trial, method)
-    started = time.perf_counter()
-    try:
-        result, confidence = run_on_clip(trial, method, **options)
-    except NotApplicableError as error:
-        return {"why": str(error)}
-    seconds = (time.perf_counter() - started) / len(result)
+    result, facts = timed(run_on_clip, trial, method, options)
+    if result is None:
+        return facts
     truth, fps = trial.truth_frames, trial.clip.fps
     surface = (trial.identity.faces, trial.height)
     frames = [shape_metrics(a, b, *surface) for a, b in zip(result, truth, strict=True)]
@@ -302,8 +314,8 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
         "liveliness": acceleration_ratio(result, truth),
         "still_mm": largest_step_mm(result_frames(repeat_first_frame(trial), method, **options), trial.height),
         "skate_cm_s": foot_skate(result, truth, trial.height, fps),
-        **confidence,
-        "seconds": seconds,
+        **facts,
+        "seconds": facts["seconds"] / len(result),
     }
 
 

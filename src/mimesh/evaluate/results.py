@@ -12,7 +12,15 @@ from typing import Any, NamedTuple
 from ..core.errors import InputError
 from ..methods.find import TABLE_MODELS, WITHOUT_FIT
 from .frozen_sets import frozen_sets, role
-from .markdown import calibration_table, cell, kind_table, markdown_table, not_applicable, warnings_table
+from .markdown import (
+    calibration_table,
+    cell,
+    kind_table,
+    makers_table,
+    markdown_table,
+    not_applicable,
+    warnings_table,
+)
 from .tables import TABLES, paper_table
 
 FITS_SHIPPED_BODY = ("our body model and its joint limits", "trained on our body, which it fits")
@@ -129,23 +137,28 @@ the figures of every single pair (`each`), with the pair's checksum.
 truth's unit sphere. Lower is better. It is squared: a tenth of the PMD is about a third of the distance, so read the
 **mm** beside it (mean distance for a person 1.7 m tall). The mean is dominated by the worst pairs, the median shows the
 typical one. *Public formula* is the error of the papers' public evaluators (mean square over the coordinates, each mesh
-centred on its box); which of the two the papers print is not known. Behind ± is half of the 95 % interval of the mean,
-by bootstrap over people (in clips over people and takes). *Better than* is the share of pairs with a lower PMD. Times
-were taken beside other work, on one core: they are upper bounds; [speed](models.md) has measured ones.
+centred on its box); which of the two the papers print is not known. Behind ± is half of the 95 % interval of the mean
+over people (in clips over people and takes): pairs that share one are not independent. *Better than* is the share of
+pairs with a lower PMD. Times were taken beside other work, on one core: they are upper bounds; [models](models.md) has
+measured ones.
 
-**Which data.** `test` sets are frozen by name and checksum and were measured when the weights shipped. Development
-sets were looked at while methods were made; they are named so. Options were chosen on the split `val`.
+**Which data.** The pairs of every set are frozen by name and checksum. *Development* sets were looked at while methods
+were made, and led to changes. *Test* sets did not lead to a change by themselves, but those of people of the shipped
+body were measured after each of three trainings of `mime` ([log](LOG.md)); the pool of characters, the held-out takes
+and the new garments were measured once, with weights that were made before these sets. Options were chosen on `val`.
 
 **What is given.** Up and front are given to all methods. The column *given* says what else: the third mesh is the
 driving person in the identity's pose, control points are marked by name, the true size is the truth's radius. The row
 `copy` is the driving person's own vertices with the true correspondence, without damage and dressed as the identity
-(noise stays): a method with a larger error is worse than no transfer. The row `identity` is the identity, not moved.
+(noise stays): a method with a larger error is worse than no transfer; characters of different files have no such
+correspondence. The row `identity` is the identity, not moved. The row `truth` shows what the figures can resolve.
 """
 REPRODUCTION = """The rows of the papers' tables, trained and tested as the papers say, on the shipped body instead of
 SMPL: compare orders, not digits. All were trained with a small share of the paper's compute, on one CPU core. *Seen*
 are the poses or motions of the training."""
 CONFIDENCE = """`mime` warns when it does not recognise a mesh. *Uncertainty* is the largest ratio of a figure of the
-report to its threshold; above 1 the user is warned. Bad results should be warned of, good ones should not."""
+report to its threshold; above 1 the user is warned. Bad results should be warned of, good ones should not. Pairs
+without a true mesh are not counted, and the kinds of `noise` are the same people and poses."""
 
 
 def results_page(folder: Path) -> str:
@@ -160,6 +173,7 @@ def results_page(folder: Path) -> str:
     for section in SECTIONS:
         parts += [f"## {section.title}", section.about]
         parts += [part for test_set in section.sets for part in _set_tables(test_set, rows.get(test_set.key, []))]
+        parts += _makers_tables(rows) if section is CHARACTERS else []
     parts += ["## The papers' tables", REPRODUCTION]
     parts += [part for name in TABLES for part in (f"### Table {name}", paper_table(name, *reports.values()))]
     parts += ["## Warnings", CONFIDENCE, *_confidence_tables(rows), "## Where the figures come from"]
@@ -171,12 +185,28 @@ def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
     """Read the reports of a folder by file name without suffix.
 
     Raises:
-        InputError: a report of another split than `test`.
+        InputError: a report of another split than `test` or of other pairs than the frozen ones, or a method that two
+            reports have on the same pairs.
     """
     reports = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
+    found: dict[tuple[str, str, str], str] = {}
     for stem, report in reports.items():
         if report["provenance"]["config"]["split"] != "test":
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
+        for kind, facts in report.get("sets", {}).items():
+            if facts["frozen"] not in ("same", "unknown"):
+                raise InputError(
+                    f"{stem}.json: expected all pairs of the frozen set {report['protocol']} {kind}, found others; "
+                    "measure it again"
+                )
+        for row in report["results"]:
+            key = (report["protocol"], row["split"], row["method"])
+            if key in found:
+                raise InputError(
+                    f"{stem}.json: expected figures that no other report has, found {' '.join(key)} in "
+                    f"{found[key]}.json too; remove one"
+                )
+            found[key] = stem
     return reports
 
 
@@ -197,9 +227,12 @@ def readme_table(folder: Path) -> str:
         cells = []
         for key in README_SETS.values():
             row = next((row for row in rows.get(key, []) if row["method"] == method), None)
-            known = row is not None and "pmd_e4" in row
-            figures = f"{cell(row, 'mm')} mm, {cell(row, 'pmd_e4')} ({cell(row, 'pmd_e4_median')})"
-            cells.append(figures if known else "not possible" if key in rows else "not measured")
+            if row is None:
+                cells.append("not measured")
+            elif not row["pairs"]:
+                cells.append("not possible")
+            else:
+                cells.append(f"{cell(row, 'mm')} mm, {cell(row, 'pmd_e4')} ({cell(row, 'pmd_e4_median')})")
         lines.append([label, *cells])
     return markdown_table(["method", *README_SETS], lines)
 
@@ -238,19 +271,37 @@ def _set_facts(test_set: Set) -> str:
     return f"{text} {'. '.join(notes)}{'.' if notes else ''}"
 
 
+def _makers_tables(rows: dict[Key, list[dict[str, Any]]]) -> list[str]:
+    """Format the errors on the pool of characters by maker, of the methods that need no more than the two meshes."""
+    parts = ["### By maker", "Median / mean of the pairs (their number), by the identity's maker and pack."]
+    for method in ("mime", "mime-network", "npt", "identity"):
+        chosen = [row for key, found in rows.items() if key[0] == "characters" for row in found]
+        chosen = [row for row in chosen if row["method"] == method and row["pairs"]]
+        if chosen:
+            parts += [f"`{method}`:", makers_table(chosen)]
+    return parts if len(parts) > 2 else []
+
+
 def _confidence_tables(rows: dict[Key, list[dict[str, Any]]]) -> list[str]:
-    """Format what the warnings of `mime` are worth on each test set, and the calibration curve over all of them."""
-    sets = {
-        f"{section.title}: {test_set.title}": [row for row in rows.get(test_set.key, []) if row["method"] == "mime"]
-        for section in SECTIONS
-        for test_set in section.sets
-    }
-    every = [row for found in sets.values() for row in found]
-    return [warnings_table(sets | {"all": every}), "All pairs together:", calibration_table(every)]
+    """Format what the warnings of `mime` are worth on each test set, and calibration curves.
+
+    Sets of different roles are never pooled.
+    """
+    sets, by_role = {}, {"test": [], "other": []}
+    for section in SECTIONS:
+        for test_set in section.sets:
+            found = [row for row in rows.get(test_set.key, []) if row["method"] == "mime"]
+            sets[f"{section.title}: {test_set.title}"] = found
+            by_role["test" if role(test_set.key[0], "test", test_set.key[1]) == "test" else "other"] += found
+    pooled = {"all test sets": by_role["test"], "all development and stress sets": by_role["other"]}
+    curves = [part for name, found in pooled.items() for part in (f"{name.capitalize()}:", calibration_table(found))]
+    return [warnings_table(sets | pooled), *curves]
 
 
 def _origin(stem: str, report: dict[str, Any]) -> str:
-    """Say where a report was measured, and that its commit does not identify the code if files had been changed."""
+    """Say where a report was measured, and what it lacks."""
     provenance = report["provenance"]
     text = f"* `{stem}.json`: commit {provenance['commit']}, {provenance['machine']}, {provenance['date'][:10]}."
+    if "sets" not in report:
+        text += " Measured before reports had the figures of single pairs."
     return f"{text} The working tree had uncommitted changes." if provenance["commit"].endswith("-dirty") else text

@@ -7,6 +7,7 @@ import dataclasses
 import datetime
 import hashlib
 import json
+import os
 import re
 import zlib
 from pathlib import Path
@@ -64,6 +65,9 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
+    if dump is not None and isinstance(chosen, Characters) and split == "test":
+        raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
+                         "give --split val")  # fmt: skip
     options = {"ensemble": ensemble, "refine": refine}
     config = {"split": split, "pairs": pairs or chosen.pairs, **options}
     if data is not None and protocol in FOLDERS:
@@ -72,7 +76,7 @@ def evaluate_command(
         config["data"] = f"{TEST_FILE} {chosen.checksum:08x}"
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
-    question = {**config, "protocol": settings(chosen), **libraries()}
+    question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
@@ -174,18 +178,23 @@ def _whole_lines(path: Path):
 
 
 def set_facts(protocol: str, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
-    """Return the role and the checksum of a set of pairs, and whether they are those of `frozen_sets`.
-
-    `frozen` is None where the set has no stored checksum. Fewer pairs than the set has are compared with the first.
-    """
+    """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`."""
     stored = frozen_sets().get((protocol, split, kind))
-    frozen = None if stored is None or stored.checksum is None else stored.matches(pairs)
+    frozen = "unknown" if stored is None else stored.compare(pairs)
     return {"role": role(protocol, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
 
 
 def folder_checksum(folder: Path) -> str:
-    """Return the first 16 hex digits of a SHA-256 over the files of a folder and its subfolders, and their number."""
-    digest, files = hashlib.sha256(), sorted(path for path in folder.rglob("*") if path.is_file())
+    """Return the first 16 hex digits of a SHA-256 over the files of a folder and its subfolders, and their number.
+
+    Raises:
+        InputError: no files.
+    """
+    # Protocols read through links to folders, which `Path.rglob` does not.
+    files = sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
+    if not files:
+        raise InputError(f"{folder}: expected a folder with files, found none; check --data")
+    digest = hashlib.sha256()
     for path in files:
         digest.update(f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode() + path.read_bytes())
     return f"{len(files)} files, sha256 {digest.hexdigest()[:16]}"
@@ -227,11 +236,11 @@ def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
     """Return the fingerprint of the code that the figures of each method on a protocol can depend on."""
     source = PackageSource()
     of_type = {ClipsAniformer: measure_clip, Characters: measure_characters}
-    measurement = of_type.get(type(protocol), measure)
+    measurement = (of_type.get(type(protocol), measure), pair_checksum)
     names = {m: "deformation-transfer" if m.startswith("deformation-transfer") else m for m in methods}
-    # The unmoved identity has no method of its own, only code of the measurement, as `copy`.
-    names |= {"identity": "copy"} if "identity" in names else {}
-    return {m: source.fingerprint(type(find_method(name)), type(protocol), measurement) for m, name in names.items()}
+    # The unmoved identity and the truth have no method of their own, only code of the measurement, as `copy`.
+    names |= {method: "copy" for method in ("identity", "truth") if method in names}
+    return {m: source.fingerprint(type(find_method(name)), type(protocol), *measurement) for m, name in names.items()}
 
 
 def fingerprint(method: str) -> int:

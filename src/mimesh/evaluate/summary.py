@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from .measure import extra_inputs, training_facts
 
@@ -22,8 +22,6 @@ LABELS = ("pair", "identity", "driving")
 """What identifies a pair in a report: its checksum, and the groups that its two meshes are drawn from."""
 DIGITS = 6
 """Significant digits of the figures of single pairs."""
-BOOTSTRAP_SAMPLES = 2000
-"""Number of resamplings for the confidence intervals."""
 BAD_E4, GOOD_E4 = 50.0, 10.0
 """PMD x1e4 above which a result is bad, and below which it is good, where warnings are measured."""
 UNCERTAINTY_BINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, np.inf)
@@ -32,12 +30,14 @@ UNCERTAINTY_BINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, np.inf)
 
 def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
     """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair."""
-    measured = [metrics for metrics in figures if "why" not in metrics]
+    measured = [metrics for metrics in figures if not {"why", "failed"} & metrics.keys()]
+    # A method must not improve its mean by failing: failures are counted and shown.
     row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
     row |= {"given": extra_inputs(method), **training_facts(method)}
-    if len(measured) < len(figures):
-        row["not_applicable"] = len(figures) - len(measured)
-        row["why"] = next(metrics["why"] for metrics in figures if "why" in metrics)
+    for count, reason in (("not_applicable", "why"), ("failures", "failed")):
+        reasons = [metrics[reason] for metrics in figures if reason in metrics]
+        if reasons:
+            row |= {count: len(reasons), reason: reasons[0]}
     if not measured:
         return row
     for name, digits in DISTRIBUTIONS.items():
@@ -69,7 +69,7 @@ def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
 
 def _columns(figures: list[dict[str, Any]]) -> dict[str, list]:
     """Return the figures of all pairs as one list for each metric; None where a pair has no such figure."""
-    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
+    names = dict.fromkeys(name for metrics in figures for name in metrics if name not in ("why", "failed"))
     return {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}
 
 
@@ -78,24 +78,25 @@ def _rounded(value: Any) -> Any:
 
 
 def half_interval(errors: Float[np.ndarray, " N"], identities: list[str], drivings: list[str]) -> float:
-    """Return half of the 95 % confidence interval of the mean, by bootstrap over people.
+    """Return half of the 95 % confidence interval of the mean.
 
-    Pairs that share a person are not independent. The variance of the mean is that over identities plus that over
-    driving people minus that over pairs (Cameron, Gelbach and Miller 2011, two-way clustering), each by bootstrap; at
-    least the largest of the three is taken. Where no person recurs, all three are equal: the bootstrap over pairs.
+    Pairs that share a person, in either role, are not independent: the variance of the mean is the sum of the products
+    of deviations over all such pairs of pairs (Aronow, Samii and Assenova 2015, dyadic clusters), at least that over
+    single pairs. Student's t has one degree of freedom less than there are people in the role with fewer.
     """
-    pairs = np.arange(len(errors))
-    over_pairs, *over_people = (
-        _variance_of_mean(errors, np.unique(groups, return_inverse=True)[1]) for groups in (pairs, identities, drivings)
-    )
-    return 1.96 * float(np.sqrt(max(sum(over_people) - over_pairs, over_pairs, *over_people)))
+    from scipy.stats import t
 
-
-def _variance_of_mean(errors: Float[np.ndarray, " N"], group: Int[np.ndarray, " N"]) -> float:
-    """Compute the variance of the mean over resamplings of whole groups."""
-    sums, counts = np.bincount(group, errors), np.bincount(group)
-    drawn = np.random.default_rng(0).integers(len(counts), size=(BOOTSTRAP_SAMPLES, len(counts)))
-    return float((sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1)).var())
+    if len(errors) < 2:
+        return 0.0
+    deviations = errors - errors.mean()
+    first, second = np.array(identities), np.array(drivings)
+    shared = np.zeros((len(errors), len(errors)), bool)
+    for one in (first, second):
+        for other in (first, second):
+            shared |= one[:, None] == other
+    variance = max(deviations @ shared @ deviations, deviations @ deviations) / len(errors) ** 2
+    people = min(len(set(identities)), len(set(drivings)))
+    return float(t.ppf(0.975, max(people - 1, 1)) * np.sqrt(variance))
 
 
 def win_share(row: dict[str, Any], baseline: dict[str, Any]) -> float | None:
