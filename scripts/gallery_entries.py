@@ -106,7 +106,7 @@ ENTRIES = (
     Entry(
         "noise",
         "A noisy driving scan",
-        "Every vertex of every frame has noise of 2 % of half the height; the result is smooth and does not jitter.",
+        "Every vertex of every frame has noise of 2 % of half the height; the surface of the result has none of it.",
         (_animate("runner", "noisy.glb", result="runner-noisy.glb"),),
         _clip_panels("runner", "noisy.glb", "runner-noisy.glb", "driving: 2 % noise"),
     ),

@@ -1,6 +1,6 @@
 """Map the joints of a foreign skeleton to those of the shipped body, by their names and the hierarchy.
 
-The name of a limb joint contains a side and a part, in either order and any spelling: LeftUpLeg, mixamorig:LeftUpLeg,
+The name of a limb joint contains a side and a part, in either order and many spellings: LeftUpLeg, mixamorig:LeftUpLeg,
 L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
 the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
 """
