@@ -17,9 +17,10 @@ from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
 from mimesh.evaluate.characters import Characters, characters, skeleton
-from mimesh.evaluate.markdown import markdown
+from mimesh.evaluate.markdown import kind_table, markdown
 from mimesh.evaluate.measure import Output, measure, measure_characters
 from mimesh.evaluate.run import evaluate_command, find_protocol
+from mimesh.evaluate.summary import summary
 
 POOL = os.environ.get("MIMESH_CHARACTERS", "")
 """Folder of a real pool, which is not part of the project."""
@@ -247,6 +248,28 @@ def test_characters_are_evaluated(folder, tmp_path):
     assert "Left out: 1 files" in text
     assert rows["copy", "across-limits"]["pairs"] == 0
     assert "Not applicable: `copy`" in text
+
+
+def test_characters_of_the_test_split_are_not_drawn(folder, tmp_path):
+    for i in range(2):
+        write_character(tmp_path, f"man{i}", i, split="test", pack="people")
+    write_character(tmp_path, "elf", 3, split="test", pack="elves", without=HANDS, spell=renamed("mixamo"))
+    with pytest.raises(InputError, match="--split val"):
+        evaluate_command("characters", ["identity"], pairs=1, data=tmp_path, dump=tmp_path / "pictures")
+    assert evaluate_command("characters", ["identity"], pairs=1, data=tmp_path)["sets"]["table6"]["frozen"] == "other"
+
+
+def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch):
+    """A method must not improve its mean by failing."""
+    pair = protocol.pair("val", "limits", 0)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth * np.nan))
+    for measurement in (measure, measure_characters):
+        figures = measurement(pair, "identity")
+        assert set(figures) == {"failed"}
+    good = {"pmd_e4": 1.0, "pmd_mse_e4": 1.0, "mm": 1.0, "seconds": 1.0}
+    row = summary("identity", "limits", [figures, good])
+    assert (row["pairs"], row["failures"], "not_applicable" in row) == (1, 1, False)
+    assert "| 1 of 2, 1 failed |" in kind_table([row])
 
 
 def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypatch):
