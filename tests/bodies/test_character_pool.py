@@ -14,8 +14,8 @@ from foreign_names import renamed
 from pools import BLOCKS, blocks, write_character
 
 from mimesh.bodies import load_body
-from mimesh.bodies.character_limbs import ancestors
 from mimesh.bodies.character_pool import PoolCharacter, read_character, read_pool, transferred_transforms
+from mimesh.bodies.joint_names import ancestors
 from mimesh.core.errors import InputError
 
 POOL = os.environ.get("MIMESH_CHARACTERS", "")

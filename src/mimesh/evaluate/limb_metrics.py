@@ -100,7 +100,7 @@ def limb_angles(result: PosedLimbs, driving: PosedLimbs) -> dict[str, float]:
 
     0 is the same direction; the rotation about the limb (twist) does not count, nor does size. An arm or leg counts as
     a whole if one of both has a single joint for it. Surfaces define rest directions of arms and legs to some degrees
-    only: two shapes of the shipped body in one pose have 1.6 in the median (thighs 3.2), and clothes turn the axes of
+    only: two shapes of the shipped body in one pose have 1.5 in the median (thighs 2.8), and clothes turn the axes of
     characters with one skeleton by 1 to 4 degrees.
     """
     lines = [common_ends(posed, result, driving) for posed in (result, driving)]
