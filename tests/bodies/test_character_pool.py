@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import zipfile
 from collections import Counter
 from pathlib import Path
 
@@ -13,8 +14,8 @@ from foreign_names import renamed
 from pools import BLOCKS, blocks, write_character
 
 from mimesh.bodies import load_body
-from mimesh.bodies.character_limbs import ancestors
 from mimesh.bodies.character_pool import PoolCharacter, read_character, read_pool, transferred_transforms
+from mimesh.bodies.joint_names import ancestors
 from mimesh.core.errors import InputError
 
 POOL = os.environ.get("MIMESH_CHARACTERS", "")
@@ -206,6 +207,7 @@ def change(path: Path, **arrays) -> None:
         ("vertices", lambda a: a * np.nan, "finite"),
         ("joint_names", lambda a: np.array(["x"] * len(a)), "found none for LeftUpLeg"),
         ("meta", lambda a: "{", "meta in JSON"),
+        ("meta", lambda a: "[" * 100_000, "meta in JSON"),
         ("meta", lambda a: json.dumps({"class": "quadruped"}), "found quadruped"),
         ("meta", lambda a: json.dumps({"class": "humanoid", "facing": "up"}), "found up"),
         ("meta", lambda a: json.dumps({"class": "humanoid", "clips_from": "../a.npz"}), "same folder"),
@@ -223,6 +225,15 @@ def test_damaged_files_are_refused(name, value, found, tmp_path):
         read_character(path)
 
 
+@pytest.mark.parametrize("member", ["README.txt", "vertices", "thumbnail.npy", "part.npy"])
+def test_other_members_of_a_file_are_not_read(member, tmp_path):
+    write_character(tmp_path, "a")
+    for file in ("a.npz", "_clips_a.npz"):
+        with zipfile.ZipFile(tmp_path / file, "a") as archive:
+            archive.writestr(member, "no array")
+    assert list(read_character(tmp_path / "a.npz").clips) == ["dance"]
+
+
 def test_pickles_are_not_read(tmp_path):
     write_character(tmp_path, "a")
     change(tmp_path / "a.npz", joint_names=np.array([Path("x"), None], dtype=object))
@@ -238,6 +249,53 @@ def test_damaged_clips_are_refused(name, tmp_path):
         read_character(tmp_path / "a.npz")
 
 
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("clip0_translations", lambda a: a[:1]),
+        ("clip0_translations", lambda a: a[0, 0]),
+        ("clip0_translations", lambda a: a[:, :1]),
+        ("clip_translated", lambda a: a - 1),
+        ("clip_translated", lambda a: a + 1000),
+        ("clip0_rotations", lambda a: a[:, :1]),
+        ("clip0_rotations", lambda a: a[0]),
+        ("clip0_rotations", lambda a: a[..., :3]),
+    ],
+)
+def test_clips_of_other_shapes_are_refused(name, value, tmp_path):
+    """NumPy would repeat a single row, and count negative joints from the end."""
+    write_character(tmp_path, "a", on_root=FEET)
+    path = tmp_path / "_clips_a.npz"
+    assert len(np.load(path)["clip_translated"]) > 1
+    change(path, **{name: value(np.load(path)[name])})
+    with pytest.raises(InputError, match=r"a\.npz: expected clips of the pool's format"):
+        read_character(tmp_path / "a.npz")
+
+
+def test_files_of_another_split_than_the_index_says_are_refused(tmp_path):
+    write_character(tmp_path, "a")
+    write_character(tmp_path, "b", split="test")
+    index = tmp_path / "index.json"
+    index.write_text(index.read_text().replace('"test"', '"val"'))
+    pool = read_pool(tmp_path, "val")
+    assert [character.meta.file for character in pool.characters] == ["a"]
+    assert list(pool.refused) == ["b"]
+    assert "expected the split val of the index in its meta, found test" in pool.refused["b"]
+
+
+@pytest.mark.parametrize("changes", [{}, {"split": "test"}, {"class": "other"}])
+def test_files_that_an_index_names_twice_are_refused(changes, tmp_path):
+    write_character(tmp_path, "a")
+    write_character(tmp_path, "b")
+    index = tmp_path / "index.json"
+    rows = json.loads(index.read_text())
+    index.write_text(json.dumps([*rows, rows[0] | changes]))
+    pool = read_pool(tmp_path, "val")
+    assert [character.meta.file for character in pool.characters] == ["b"]
+    assert list(pool.refusals().values()) == [1]
+    assert "found it 2 times" in pool.refused["a"]
+
+
 def test_pools_count_what_they_refuse(tmp_path):
     write_character(tmp_path, "a")
     write_character(tmp_path, "b", split="test")
@@ -251,7 +309,9 @@ def test_pools_count_what_they_refuse(tmp_path):
     assert [character.meta.maker for character in read_pool(tmp_path, "test").characters] == ["we"]
 
 
-@pytest.mark.parametrize("content", [None, "{", "[1]", '[{"file": "a"}]'])
+@pytest.mark.parametrize(
+    "content", [None, "{", "[1]", "[" * 100_000, '[{"file": [], "class": "", "split": ""}]', '[{"file": "a"}]']
+)
 def test_folders_without_an_index_are_refused(content, tmp_path):
     if content is not None:
         (tmp_path / "index.json").write_text(content)

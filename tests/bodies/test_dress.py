@@ -218,13 +218,59 @@ def test_unusable_files_of_test_garments_are_refused(body, tmp_path):
     with pytest.raises(InputError, match=r"expected test_dress\.npz in it, found no such file"):
         load_garment("bob", tmp_path)
     (tmp_path / TEST_FILE).write_bytes(b"PK")
-    with pytest.raises(InputError, match="expected the arrays of the garment bob"):
+    with pytest.raises(InputError, match=rf"{TEST_FILE}: expected a NumPy archive"):
         load_garment("bob", tmp_path)
     np.savez(tmp_path / TEST_FILE, joints=body.joints)
     with pytest.raises(InputError, match="expected the arrays of the garment bob"):
         load_garment("bob", tmp_path)
     write_test_garments(tmp_path, joints=body.joints.astype(np.float32) + 0.1)
     with pytest.raises(InputError, match="expected garments of the shipped human, found another body's"):
+        load_garment("bob", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("vertices", lambda a: np.where(a > a.max() - 0.01, np.nan, a)),
+        ("vertices", lambda a: a[:, :2]),
+        ("vertices", lambda a: a[:-1]),
+        ("vertices", lambda a: np.array(["x"] * len(a))),
+        ("vertices", lambda a: a[0, 0]),
+        ("faces", lambda a: a + 1),
+        ("faces", lambda a: a.astype(np.int64) - 1),
+        ("faces", lambda a: a.astype(float)),
+        ("faces", lambda a: a[:, :2]),
+        ("components", lambda a: a * np.float16(np.inf)),
+        ("components", lambda a: a[:-1]),
+        ("components", lambda a: a[:, :-1]),
+        ("weights", lambda a: 0 * a),
+        ("weights", lambda a: -a.astype(float)),
+        ("weights", lambda a: np.full(a.shape, np.inf)),
+        ("weights", lambda a: a[:, :1]),
+        ("weights", lambda a: a[:, 0]),
+        ("weight_joints", lambda a: a + 100),
+        ("weight_joints", lambda a: a.astype(int) - 1),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:invalid value")
+def test_damaged_test_garments_are_refused(key, value, tmp_path):
+    write_test_garments(tmp_path)
+    array = np.load(tmp_path / TEST_FILE)[f"bob_{key}"]
+    write_test_garments(tmp_path, **{f"bob_{key}": value(array)})
+    message = rf"{TEST_FILE}: expected .* found .*; build it with scripts/build_test_dress\.py"
+    with pytest.raises(InputError, match=message):
+        load_garment("bob", tmp_path)
+
+
+def test_files_of_test_garments_have_a_largest_size(tmp_path, monkeypatch):
+    monkeypatch.setattr("mimesh.bodies.dress.MAX_BYTES", 1 << 10)
+    with pytest.raises(InputError, match=rf"{TEST_FILE}: expected at most 0 MB of arrays"):
+        load_garment("bob", write_test_garments(tmp_path))
+
+
+def test_test_garments_are_not_unpickled(tmp_path):
+    write_test_garments(tmp_path, bob_vertices=np.array([Path("x"), None], dtype=object))
+    with pytest.raises(InputError, match=rf"{TEST_FILE}: expected a NumPy archive of plain arrays"):
         load_garment("bob", tmp_path)
 
 

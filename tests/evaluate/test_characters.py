@@ -16,7 +16,8 @@ from mimesh.bodies.character_pool import Limb, PoolCharacter, read_character, re
 from mimesh.bodies.sampling import JOINT_LIMITS, rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_poses import body_pose, find_character_landmarks, pose_character
-from mimesh.evaluate.characters import Characters, characters, skeleton
+from mimesh.evaluate.characters import Characters, characters
+from mimesh.evaluate.generate import generate_command
 from mimesh.evaluate.markdown import kind_table, markdown
 from mimesh.evaluate.measure import Output, measure, measure_characters
 from mimesh.evaluate.run import evaluate_command, find_protocol
@@ -142,7 +143,7 @@ def test_limbs_of_another_skeleton_stand_as_in_the_driving_mesh(kind, protocol):
         pair = protocol.unshuffled_pair("val", kind, i, protocol.rng("val", kind, i))
         assert not pair.truth_known
         assert identity.meta.pack != driving.meta.pack
-        assert skeleton(identity) != skeleton(driving)
+        assert identity.rig.skeleton != driving.rig.skeleton
         pose = pose_character(identity, body_pose(driving, pair.driving_character.transforms))
         np.testing.assert_allclose(pair.truth, identity.rig.skinned(pose), atol=1e-9)
         if len(identity.limbs) == len(driving.limbs):
@@ -283,6 +284,15 @@ def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypat
 
 def test_characters_of_one_file_are_read_alone(folder):
     assert read_character(folder / "man1.npz").meta.pack == "people"
+
+
+def test_estimates_are_not_written_as_true_results(folder, tmp_path):
+    written = generate_command("characters", tmp_path, "val", pairs=2, data=folder)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *(f"val-{kind}" for kind in WITHIN),
+        *(f"val-{kind}.txt" for kind in WITHIN),
+    }
+    assert written["files"] == 3 * (2 * 3 + 1)
 
 
 @pytest.mark.skipif(not POOL, reason="MIMESH_CHARACTERS names no pool of characters")

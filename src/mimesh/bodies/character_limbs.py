@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.errors import InputError
-from .joint_names import named_joints
+from .joint_names import ancestors, named_joints
 from .skinned_character import SkinnedCharacter
 
 SIDES = ("Left", "Right")
@@ -125,7 +125,7 @@ def attach_feet(
     depth = [len(ancestors(tuple(parents), j)) for j in range(len(parents))]
     in_order = all(parent < j for j, parent in enumerate(parents))
     order = np.arange(len(parents)) if in_order else np.argsort(depth, kind="stable")
-    return _reordered(rig, parents, order), {name: int(np.argsort(order)[j]) for name, j in joints.items()}, order
+    return _reorder_joints(rig, parents, order), {name: int(np.argsort(order)[j]) for name, j in joints.items()}, order
 
 
 def find_limbs(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> dict[str, Limb]:
@@ -175,15 +175,6 @@ def moves_vertices(rig: SkinnedCharacter) -> Bool[np.ndarray, " J"]:
     return moving[:-1]
 
 
-def ancestors(parents: tuple[int, ...], joint: int) -> list[int]:
-    """List a joint and its ancestors, up to the root."""
-    chain = []
-    while joint >= 0:
-        chain.append(joint)
-        joint = parents[joint]
-    return chain
-
-
 def _limb(rig: SkinnedCharacter, joint: int, tail: int | None, whole: bool) -> Limb:
     """Find the ends of a limb, whose `tail` is the joint at its end, if there is one.
 
@@ -230,7 +221,7 @@ def _other_side(name: str) -> str:
     return name
 
 
-def _reordered(rig: SkinnedCharacter, parents: list[int], order: Int[np.ndarray, " J"]) -> SkinnedCharacter:
+def _reorder_joints(rig: SkinnedCharacter, parents: list[int], order: Int[np.ndarray, " J"]) -> SkinnedCharacter:
     """Return the rig with other parents (given in the old order) and its joints in a new order."""
     rank = np.append(np.argsort(order), len(order))  # the world stays the last
     return dataclasses.replace(

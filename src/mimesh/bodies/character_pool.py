@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import zipfile
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -21,7 +23,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh, check_mesh
-from ..core.npz_archive import open_archive, read_array
+from ..core.npz_archive import check_unpacked_size, open_archive, read_array
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
 from .skinned_character import SkinnedCharacter
 
@@ -35,6 +37,8 @@ ARRAYS = {
     "weight_joints": ("iu", (None, None)),
 }
 """Arrays of a character: kinds of number as in `numpy.dtype.kind`, and shape."""
+CLIP_ARRAY = re.compile(r"clip\d*_\w+")
+"""Names of the arrays of clips."""
 MAX_BYTES = 256 << 20
 """Largest unpacked size of a file (bytes). The largest of the known pool has 1 MB."""
 RIGID = 1e-3
@@ -67,12 +71,12 @@ class CharacterMeta:
 
 @dataclass(frozen=True, eq=False)
 class CharacterClip:
-    """A clip of a character: frames of its joints in the world of the file, in the file's order of joints."""
+    """A clip of a character: the frame of each joint relative to its parent's, in the file's order of joints."""
 
     rotations: Float[np.ndarray, "T J 4"]
     """Unit quaternions xyzw relative to the parent."""
     translations: Float[np.ndarray, "T J 3"]
-    """Positions in the frame of the parent, in the unit of the file."""
+    """Positions in the frame of the parent (for roots the world of the file), in the unit of the file."""
 
     def __len__(self) -> int:
         return len(self.rotations)
@@ -124,6 +128,8 @@ class Pool:
 def read_pool(folder: str | Path, split: str) -> Pool:
     """Read the humanoids of a split, in the order of the folder's index.json.
 
+    A file that the index names twice, or whose own `meta` has another split, is refused: it could be in two splits.
+
     Raises:
         InputError: no folder, or no index.json that lists characters with `file`, `class` and `split`.
     """
@@ -137,15 +143,24 @@ def read_pool(folder: str | Path, split: str) -> Pool:
     try:
         rows = json.loads(index.read_text(encoding="utf-8"))
         names = [row["file"] for row in rows if row["class"] == "humanoid" and row["split"] == split]
-    except (ValueError, KeyError, TypeError) as error:
+        times = Counter(row["file"] for row in rows)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
             f"{index}: expected a list of characters with file, class and split, found {error!r:.80}; write it again"
         ) from error
     characters, refused = [], {}
-    for name in names:
+    for name in dict.fromkeys(names):
         path = folder / f"{_plain_name(name, index)}.npz"
         try:
-            characters.append(read_character(path))
+            if times[name] > 1:
+                raise InputError(f"{path}: expected it once in the index, found it {times[name]} times; remove rows")
+            character = read_character(path)
+            if character.meta.split != split:
+                raise InputError(
+                    f"{path}: expected the split {split} of the index in its meta, found "
+                    f"{character.meta.split or 'none'}; write the index again"
+                )
+            characters.append(character)
         except InputError as error:
             refused[name] = str(error).removeprefix(f"{path}: ")
     return Pool(tuple(characters), refused)
@@ -173,17 +188,21 @@ def read_character(path: str | Path) -> PoolCharacter:
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read all arrays of a file without unpickling.
+    """Read the arrays of a character or of clips from a file without unpickling; other members are not read.
 
     Raises:
         InputError: no file, a damaged one, or one that unpacks to more than MAX_BYTES.
     """
     if not path.is_file():
         raise InputError(f"{path}: expected a file of the pool, found none; copy the whole folder")
-    with path.open("rb") as file, open_archive(file, path) as (archive, names):
-        if sum(item.file_size for item in archive.infolist()) > MAX_BYTES:
-            raise InputError(f"{path}: expected at most {MAX_BYTES >> 20} MB of arrays, found more; split the file")
-        return {name: _read(archive, name) for name in names}
+    with path.open("rb") as file, open_archive(file, path) as (archive, _):
+        check_unpacked_size(archive, path, MAX_BYTES)
+        names = {member.removesuffix(".npy") for member in archive.namelist() if member.endswith(".npy")}
+        return {
+            name: _read(archive, name)
+            for name in sorted(names)
+            if name in ARRAYS or name == "meta" or CLIP_ARRAY.fullmatch(name)
+        }
 
 
 def check_arrays(arrays: dict[str, np.ndarray], path: Path) -> None:
@@ -254,7 +273,7 @@ def _meta(array: np.ndarray | None, path: Path) -> CharacterMeta:
             },
             file=path.stem,
         )
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: expected meta in JSON, found {error!r:.80}; export it again") from error
     if meta.body_class != "humanoid":
         raise InputError(f"{path}: expected a humanoid, found {meta.body_class or 'no class'}; leave it out")
@@ -303,15 +322,19 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
     try:
         same = all(arrays[name].tolist() == character[name].tolist() for name in ("joint_names", "parents"))
         moved = arrays["clip_translated"].astype(np.int64)
+        if moved.ndim != 1 or not ((moved >= 0) & (moved < count)).all():
+            raise ValueError(f"translations of joints beyond its {count}")
         clips = {}
         for n, name in enumerate(arrays["clip_names"].tolist()):
-            rotations = arrays[f"clip{n}_rotations"].astype(np.float64)
-            translations = np.tile(rest, (len(rotations), 1, 1))
-            translations[:, moved] = arrays[f"clip{n}_translations"]
+            rotations, given = (arrays[f"clip{n}_{key}"].astype(np.float64) for key in ("rotations", "translations"))
+            frames = len(rotations)
+            if rotations.shape != (frames, count, 4) or given.shape != (frames, len(moved), 3):
+                raise ValueError(f"clip {n} of shapes {rotations.shape} and {given.shape}")
+            translations = np.tile(rest, (frames, 1, 1))
+            translations[:, moved] = given
             norms = np.linalg.norm(rotations, axis=-1, keepdims=True)
-            finite = np.isfinite(norms).all() and np.isfinite(translations).all()
-            if rotations.shape[1:] != (count, 4) or not (norms > 0).all() or not finite:
-                raise ValueError(f"clip {n} of shape {rotations.shape}")
+            if not (norms > 0).all() or not np.isfinite(norms).all() or not np.isfinite(given).all():
+                raise ValueError(f"clip {n} with values that are not finite or no rotations")
             clips[str(name)] = CharacterClip(rotations / norms, translations)
     except (KeyError, IndexError, ValueError, TypeError) as error:
         raise InputError(

@@ -9,7 +9,7 @@ spread legs.
 from __future__ import annotations
 
 import dataclasses
-import zipfile
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError
+from ..core.npz_archive import check_unpacked_size, open_archive, read_array
 from .body_model import RiggedBody
 
 GARMENTS = ("skirt", "tights", "hair")
@@ -25,6 +26,18 @@ TEST_GARMENTS = ("casual_suit", "elegant_suit", "skirt_suit", "shoes", "bob")
 """Shirt and trousers; jacket and trousers; jacket and short skirt; shoes; short hair. No training may use them."""
 TEST_FILE = "test_dress.npz"
 """Name of the file of the test garments."""
+MAX_BYTES = 64 << 20
+"""Largest unpacked size of the file of test garments (bytes). The one that the script builds has 0.7 MB."""
+REBUILD = "build it with scripts/build_test_dress.py"
+"""Advice for a file of test garments that cannot be used."""
+ARRAYS = {
+    "vertices": ("f", 2),
+    "faces": ("iu", 2),
+    "components": ("f", 3),
+    "weight_joints": ("iu", 2),
+    "weights": ("f", 2),
+}
+"""Arrays of a garment: kinds of number as in `numpy.dtype.kind`, and number of dimensions."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -82,21 +95,21 @@ def load_garment(name: str, folder: Path | None = None) -> Garment:
         with _open() as data:
             return _read_garment(name, data)
     path = garment_file(name, folder)
-    try:
-        with np.load(path) as data:
-            garment, joints = _read_garment(name, data), data["joints"]
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
-        raise InputError(
-            f"{path}: expected the arrays of the garment {name}, found others ({error}); "
-            "build it with scripts/build_test_dress.py"
-        ) from error
-    with _open() as data:
-        if not np.array_equal(joints, data["joints"]):
+    with path.open("rb") as file, open_archive(file, path) as (archive, _):
+        check_unpacked_size(archive, path, MAX_BYTES)
+        needed = ["joints", *(f"{name}_{key}" for key in ARRAYS)]
+        missing = [array for array in needed if f"{array}.npy" not in archive.namelist()]
+        if missing:
             raise InputError(
-                f"{path}: expected garments of the shipped human, found another body's; "
-                "build it with scripts/build_test_dress.py"
+                f"{path}: expected the arrays of the garment {name}, found no {', '.join(missing)}; {REBUILD}"
             )
-    return garment
+        arrays = {array: read_array(archive, array) for array in needed}
+    with _open() as data:
+        if not np.array_equal(arrays["joints"], data["joints"]):
+            raise InputError(f"{path}: expected garments of the shipped human, found another body's; {REBUILD}")
+        count = len(data[f"{GARMENTS[0]}_components"])
+    _check_garment(name, arrays, count, path)
+    return _read_garment(name, arrays)
 
 
 def garment_file(what: str, folder: Path | None) -> Path:
@@ -109,14 +122,44 @@ def garment_file(what: str, folder: Path | None) -> Path:
         raise InputError(f"{what}: expected the folder of {TEST_FILE}, found none; give it with --data")
     path = folder / TEST_FILE
     if not path.is_file():
-        raise InputError(
-            f"{folder}: expected {TEST_FILE} in it, found no such file; build it with scripts/build_test_dress.py"
-        )
+        raise InputError(f"{folder}: expected {TEST_FILE} in it, found no such file; {REBUILD}")
     return path
 
 
-def _read_garment(name: str, data: np.lib.npyio.NpzFile) -> Garment:
-    """Read a garment from an open file."""
+def _check_garment(name: str, arrays: Mapping[str, np.ndarray], components: int, path: Path) -> None:
+    """Check that arrays describe a garment with a number of shape components.
+
+    Raises:
+        InputError: an array of another type or shape, or values that are not finite or out of range.
+    """
+    given = {key: arrays[f"{name}_{key}"] for key in ARRAYS}
+    for key, (kinds, dimensions) in ARRAYS.items():
+        if given[key].dtype.kind not in kinds or given[key].ndim != dimensions:
+            found = f"{given[key].dtype} {given[key].shape}"
+            raise InputError(f"{path}: expected {name}_{key} of the garment's format, found {found}; {REBUILD}")
+    vertices, joints = len(given["vertices"]), len(arrays["joints"])
+    influences = given["weights"].shape[1]
+    shapes = {
+        "vertices": (vertices, 3),
+        "faces": (len(given["faces"]), 3),
+        "components": (components, vertices, 3),
+        "weight_joints": (vertices, influences),
+        "weights": (vertices, influences),
+    }
+    for key, array in given.items():
+        if array.shape != shapes[key]:
+            raise InputError(f"{path}: expected {name}_{key} of shape {shapes[key]}, found {array.shape}; {REBUILD}")
+        if not np.isfinite(array).all():
+            raise InputError(f"{path}: expected finite {name}_{key}, found other values; {REBUILD}")
+    for key, end in (("faces", vertices), ("weight_joints", joints)):
+        if given[key].size and not (given[key].min() >= 0 and given[key].max() < end):
+            raise InputError(f"{path}: expected {name}_{key} from 0 to {end - 1}, found others; {REBUILD}")
+    if not (given["weights"] >= 0).all() or not (given["weights"].max(axis=1, initial=0) > 0).all():
+        raise InputError(f"{path}: expected {name}_weights that sum to 1, found vertices without; {REBUILD}")
+
+
+def _read_garment(name: str, data: Mapping[str, np.ndarray]) -> Garment:
+    """Make a garment of the arrays of a file."""
     vertices = data[f"{name}_vertices"].astype(np.float64)
     weights = np.zeros((len(vertices), len(data["joints"])))
     joints = data[f"{name}_weight_joints"].astype(int)

@@ -91,6 +91,15 @@ def plain_names(joint_names: tuple[str, ...]) -> list[str]:
     return [_RIG_PREFIX.sub("", "".join(parts)) for parts in words]
 
 
+def ancestors(parents: tuple[int, ...], joint: int) -> list[int]:
+    """List a joint and its ancestors, up to the root."""
+    chain = []
+    while joint >= 0:
+        chain.append(joint)
+        joint = parents[joint]
+    return chain
+
+
 def _common(words: list[list[str]], end: int) -> str | None:
     """Find the first (or last) word of more than half of all names, unless it is a side; None if there is none."""
     counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
@@ -116,20 +125,11 @@ def _limbs(plain: list[str]) -> dict[str, int]:
     return found
 
 
-def _chain(joint: int, parents: tuple[int, ...]) -> list[int]:
-    """List a joint and its ancestors, up to the root."""
-    chain = []
-    while joint >= 0:
-        chain.append(joint)
-        joint = parents[joint]
-    return chain
-
-
 def _common_ancestors(found: dict[str, int], pair: tuple[str, str], parents: tuple[int, ...]) -> list[int]:
     """List the common ancestors of a pair of joints, nearest first; empty if a joint or an ancestor is missing."""
     if not all(joint in found for joint in pair):
         return []
-    first, second = (_chain(found[joint], parents) for joint in pair)
+    first, second = (ancestors(parents, found[joint]) for joint in pair)
     return [j for j in first if j in second]
 
 
@@ -141,11 +141,11 @@ def _below(chain: list[int], top: int) -> list[int]:
 
 def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> dict[str, int]:
     """Find head and neck: the head by name, or else the last descendant of the chest named spine or neck."""
-    descendants = [j for j in range(len(plain)) if chest in _chain(j, parents)[1:]]
+    descendants = [j for j in range(len(plain)) if chest in ancestors(parents, j)[1:]]
     heads = [j for j in descendants if plain[j] in ("head", "chead")]
     heads = heads or [j for j in descendants if plain[j].startswith(("spine", "neck"))][-1:]
     if not heads:
         return {}
-    neck = _below(_chain(heads[0], parents), chest)[:-1]
+    neck = _below(ancestors(parents, heads[0]), chest)[:-1]
     ends = [neck[0], neck[-1]] if len(neck) > 1 else neck
     return {"Head": heads[0], **dict(zip(("Neck", "Neck1"), ends, strict=False))}

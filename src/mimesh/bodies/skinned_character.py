@@ -39,12 +39,10 @@ class SkinnedCharacter:
         """Joint positions at rest."""
         return self.T_world_joint[:, :3, 3]
 
-    def bones(self) -> frozenset[tuple[str, str]]:
-        """List the name and parent's name of each joint; two characters with equal lists have the same skeleton."""
-        return frozenset(
-            (name, self.joint_names[parent] if parent >= 0 else "")
-            for name, parent in zip(self.joint_names, self.parents, strict=True)
-        )
+    @property
+    def skeleton(self) -> tuple[tuple[str, ...], tuple[int, ...]]:
+        """Names and parents of the joints in order; characters with equal ones have the same skeleton."""
+        return self.joint_names, self.parents
 
     def skinning_transforms(
         self, local_rotmat: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, "3"] | None = None

@@ -1,4 +1,4 @@
-"""Read untrusted NumPy archives (.npz) without unpickling. Used by `io.npz` and `motions.amass`."""
+"""Read untrusted NumPy archives (.npz) without unpickling. Used by `io.npz`, `motions.amass` and `bodies`."""
 
 from __future__ import annotations
 
@@ -35,6 +35,16 @@ def open_archive(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.
         raise InputError(
             f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
         ) from error
+
+
+def check_unpacked_size(archive: zipfile.ZipFile, path: Path, largest: int) -> None:
+    """Check that an archive unpacks to at most `largest` bytes.
+
+    Raises:
+        InputError: it unpacks to more.
+    """
+    if sum(item.file_size for item in archive.infolist()) > largest:
+        raise InputError(f"{path}: expected at most {largest >> 20} MB of arrays, found more; split the file")
 
 
 def read_array(archive: zipfile.ZipFile, name: str) -> np.ndarray:

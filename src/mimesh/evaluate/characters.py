@@ -115,8 +115,8 @@ class Characters(Wide):
         assert isinstance(shuffled, CharacterPair)
         return dataclasses.replace(
             shuffled,
-            identity_character=_reordered(pair.identity_character, orders[0]),
-            driving_character=_reordered(pair.driving_character, orders[1]),
+            identity_character=_permuted(pair.identity_character, orders[0]),
+            driving_character=_permuted(pair.driving_character, orders[1]),
         )
 
     def draw_characters(
@@ -127,12 +127,12 @@ class Characters(Wide):
             choices = _across(self.data, split)
             identities, others = choices[i % len(choices)]
             identity = identities[rng.integers(len(identities))]
-            partners = [other for other in others if skeleton(other) != skeleton(identity)]
+            partners = [other for other in others if other.rig.skeleton != identity.rig.skeleton]
         else:
             choices = _within(self.data, split)
             identities = choices[i % len(choices)]
             identity = identities[rng.integers(len(identities))]
-            partners = [c for c in identities if c is not identity and skeleton(c) == skeleton(identity)]
+            partners = [c for c in identities if c is not identity and c.rig.skeleton == identity.rig.skeleton]
         return identity, partners[rng.integers(len(partners))]
 
     def draw_pose(
@@ -153,11 +153,6 @@ def characters(data: str | Path) -> Characters:
                       data=Path(data))  # fmt: skip
 
 
-def skeleton(character: PoolCharacter) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """Return names and parents of the joints; characters with equal ones have the same skeleton."""
-    return character.rig.joint_names, character.rig.parents
-
-
 @cache
 def _read_pool(data: Path, split: str) -> Pool:
     return read_pool(data, split)
@@ -176,8 +171,8 @@ def _within(data: Path, split: str) -> list[list[PoolCharacter]]:
     """List, for each pack that has any, the characters whose skeleton others of the pack have too."""
     shared = []
     for pack in _packs(data, split).values():
-        skeletons = [skeleton(character) for character in pack]
-        shared.append([c for c in pack if skeletons.count(skeleton(c)) > 1])
+        skeletons = [character.rig.skeleton for character in pack]
+        shared.append([c for c in pack if skeletons.count(c.rig.skeleton) > 1])
     return [pack for pack in shared if pack]
 
 
@@ -188,7 +183,7 @@ def _across(data: Path, split: str) -> list[tuple[list[PoolCharacter], list[Pool
     choices = []
     for first, identities in packs.items():
         for second, others in packs.items():
-            usable = [c for c in identities if any(skeleton(other) != skeleton(c) for other in others)]
+            usable = [c for c in identities if any(other.rig.skeleton != c.rig.skeleton for other in others)]
             if first != second and usable:
                 choices.append((usable, others))
     return choices
@@ -250,5 +245,5 @@ def _mesh(posed: PosedCharacter, label: str) -> Mesh:
     return dataclasses.replace(mesh, vertices=posed.vertices, name=f"{mesh.name}_{label}")
 
 
-def _reordered(posed: PosedCharacter, order: Int[np.ndarray, " V"]) -> PosedCharacter:
+def _permuted(posed: PosedCharacter, order: Int[np.ndarray, " V"]) -> PosedCharacter:
     return dataclasses.replace(posed, rig=posed.rig.permuted(order))

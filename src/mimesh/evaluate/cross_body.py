@@ -192,10 +192,10 @@ def _skeletons(data: Path) -> list[list[SkinnedCharacter]]:
     """
     if not data.is_dir():
         raise InputError(f"{data}: expected a folder of rigged characters, found none; give it with --data")
-    groups: dict[frozenset[tuple[str, str]], dict[Path, SkinnedCharacter]] = {}
+    groups: dict[tuple[tuple[str, ...], tuple[int, ...]], dict[Path, SkinnedCharacter]] = {}
     for path in sorted(path for path in data.iterdir() if path.suffix.lower() in SUFFIXES):
         rig = read_skin(path)
-        groups.setdefault(rig.bones(), {})[path] = rig
+        groups.setdefault(rig.skeleton, {})[path] = rig
     return [[check_character(rig, path) for path, rig in group.items()] for group in groups.values() if len(group) > 1]
 
 

@@ -25,7 +25,8 @@ def generate_command(
     """Write the meshes of a split (`mimesh generate`) and return the number of files.
 
     Each kind of pair gets a list `<split>-<kind>.txt` with one line "identity pose truth" per pair, and a folder
-    with these meshes. Vertices are in the body's order in all of them, as in the public data: shuffle before use.
+    with these meshes; kinds without known true results are left out. Vertices are in the body's order in all of them,
+    as in the public data: shuffle before use.
     The split `train` of human-npt is the table of 16 people x 400 poses.
 
     Args:
@@ -42,18 +43,24 @@ def generate_command(
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     if split == "train":
         return {"files": _write_table(chosen, out, progress)}
+    kinds = [kind for kind in chosen.kinds if _has_truth(chosen, split, kind)]
     count, files = pairs or chosen.pairs, 0
-    for number, kind in enumerate(chosen.kinds):
+    for number, kind in enumerate(kinds):
         lines = []
         for i in range(count):
             names = _write_pair(chosen, split, kind, i, out)
             lines.append(" ".join(names))
             files += len(names)
             if progress is not None:
-                progress(number * count + i + 1, len(chosen.kinds) * count)
+                progress(number * count + i + 1, len(kinds) * count)
         with whole_file(out / f"{split}-{kind}.txt") as temporary:
             temporary.write_text("\n".join(lines) + "\n")
-    return {"files": files + len(chosen.kinds)}
+    return {"files": files + len(kinds)}
+
+
+def _has_truth(protocol: Protocol, split: str, kind: str) -> bool:
+    """Return whether the true results of a kind are known, as the first pair says: all pairs of a kind agree."""
+    return protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth_known
 
 
 def _write_pair(protocol: Protocol, split: str, kind: str, i: int, out: Path) -> list[str]:

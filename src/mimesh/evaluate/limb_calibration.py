@@ -18,13 +18,12 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..bodies.character_limbs import Limb
+from ..bodies.character_limbs import SIDES, Limb
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import nearest_rotation, unit_vectors
 from ..core.surface_points import interpolate
 from .self_penetration import LimbSamples, sample_limbs
 
-SIDES = ("Left", "Right")
 CHAINS = {
     f"{side}{upper}": f"{side}{lower}" for upper, lower in (("Arm", "ForeArm"), ("UpLeg", "Leg")) for side in SIDES
 }
@@ -32,8 +31,6 @@ CHAINS = {
 UP = np.array([0.0, 1.0, 0.0])
 UPRIGHT = ("Trunk", "Head")
 """Limbs with a vertical axis at rest."""
-LIMBS = (*CHAINS, *CHAINS.values(), *UPRIGHT)
-"""Names of all limbs."""
 CUTS = np.linspace(0.1, 0.9, 9)
 """Heights of the cross-sections, as fractions of the way between the limb's joints.
 

@@ -17,12 +17,11 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from .limb_calibration import CHAINS, SIDES, LimbedCharacter, angle_deg
+from ..bodies.character_limbs import SIDES
+from .limb_calibration import CHAINS, LimbedCharacter, angle_deg
 
 CONTACT_HEIGHT = 0.02
 """Leg lengths: a foot whose lowest point is lower than this is in contact with the ground (1.7 cm for a person)."""
-MAX_STANDING_SPEED = 0.12
-"""Leg lengths per second: a foot near the ground that is slower than this stands (0.1 m/s for a person)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +77,8 @@ def limb_metrics(
     """Compute all figures of a result (in the identity's vertex order) against a posed driving mesh.
 
     `limb_deg`: mean of `limb_angles`, which follow as `limb_deg <limb>`. `end_effector`: see there, `joint_pct`: see
-    `joint_error`, `sole_height` and `touching`: see `sole_errors`. `penetration`: percentage of the surface inside
-    another limb (`PosedLimbs.penetration`), of the result minus of the driving mesh; 0 is as much as the driving mesh
-    has, negative is less. `limbs_left_out`: number of limbs of both characters with too little surface to be measured.
+    `joint_error`, `sole_height` and `touching`: see `sole_errors`, `penetration`: see `added_penetration`.
+    `limbs_left_out`: number of limbs of both characters with too little surface to be measured.
     """
     posed, target = PosedLimbs(identity, result), PosedLimbs(driving, driving_vertices)
     angles = limb_angles(posed, target)
@@ -92,7 +90,7 @@ def limb_metrics(
         "joint_pct": joint_error(posed, target),
         "sole_height": sole_height,
         "touching": touching,
-        "penetration": posed.penetration - target.penetration,
+        "penetration": added_penetration(posed, target),
         "limbs_left_out": float(len(identity.left_out) + len(driving.left_out)),
     }
 
@@ -102,7 +100,7 @@ def limb_angles(result: PosedLimbs, driving: PosedLimbs) -> dict[str, float]:
 
     0 is the same direction; the rotation about the limb (twist) does not count, nor does size. An arm or leg counts as
     a whole if one of both has a single joint for it. Surfaces define rest directions of arms and legs to some degrees
-    only: two shapes of the shipped body in one pose have 1.6 in the median (thighs 3.2), and clothes turn the axes of
+    only: two shapes of the shipped body in one pose have 1.5 in the median (thighs 2.8), and clothes turn the axes of
     characters with one skeleton by 1 to 4 degrees.
     """
     lines = [common_ends(posed, result, driving) for posed in (result, driving)]
@@ -161,36 +159,18 @@ def sole_errors(result: PosedLimbs, driving: PosedLimbs) -> tuple[float | None, 
     return float(np.abs(heights[:, 0] - heights[:, 1]).mean()), float((contact[:, 0] == contact[:, 1]).mean())
 
 
-def sole_slide(
-    identity: LimbedCharacter,
-    driving: LimbedCharacter,
-    result: Float[np.ndarray, "T V 3"],
-    driving_vertices: Float[np.ndarray, "T U 3"],
-    fps: float,
-) -> float | None:
-    """Compute the mean horizontal speed (leg lengths per second) of the result's feet while the driving's stand.
+def added_penetration(result: PosedLimbs, driving: PosedLimbs) -> float | None:
+    """Compute how much more of the surface is inside another limb (`PosedLimbs.penetration`) than the driving mesh has.
 
-    A foot of the driving clip stands between two frames if its lowest vertex is near the ground, the lowest vertex of
-    the clip, in both (CONTACT_HEIGHT), and its sole is slower than MAX_STANDING_SPEED. 0 is a foot that stays where it
-    is. None for a clip in which no foot stands.
+    In percent of the surface; 0 is no more. Less than the driving mesh has is 0 too, so that it does not cancel the
+    penetration of other pairs in a mean. None if one character alone has a single joint for an arm or leg: a forearm is
+    tested against the trunk, an arm of one joint is next to it (`self_penetration.NEXT_TO`).
     """
-    if identity.leg is None or driving.leg is None:
-        return None
-    ground, speeds = driving_vertices[..., 1].min(), []
-    for side in (side for side in SIDES if side in identity.feet and side in driving.feet):
-        foot = driving_vertices[:, driving.feet[side]]
-        near = foot[..., 1].min(axis=1) - ground < CONTACT_HEIGHT * driving.leg
-        standing = near[1:] & near[:-1] & (_sole_speed(foot, driving.leg, fps) < MAX_STANDING_SPEED)
-        speeds += _sole_speed(result[:, identity.feet[side]], identity.leg, fps)[standing].tolist()
-    return _mean(speeds)
-
-
-def _sole_speed(foot: Float[np.ndarray, "T N 3"], leg: float, fps: float) -> Float[np.ndarray, " S"]:
-    """Compute the horizontal speed of a sole between frames: the mean over the vertices near the foot's lowest one."""
-    height = foot[..., 1] - foot[..., 1].min(axis=1, keepdims=True)
-    sole = (height < CONTACT_HEIGHT * leg)[:-1]  # at least the lowest vertex
-    speed = np.linalg.norm(np.diff(foot, axis=0)[..., [0, 2]], axis=-1) * fps / leg
-    return (speed * sole).sum(axis=1) / sole.sum(axis=1)
+    single = [
+        {upper for upper, lower in CHAINS.items() if upper in posed.limbed.limbs and lower not in posed.limbed.limbs}
+        for posed in (result, driving)
+    ]
+    return max(0.0, result.penetration - driving.penetration) if single[0] == single[1] else None
 
 
 def common_ends(posed: PosedLimbs, result: PosedLimbs, driving: PosedLimbs) -> dict[str, Float[np.ndarray, "2 3"]]:

@@ -21,8 +21,9 @@ vertices are some centimetres apart, must keep their landmarks."""
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """A pair of a test set, in metres: the meshes that methods get, the true result, and extra inputs for some methods.
+    """A pair of a test set: the meshes that methods get, the true result, and extra inputs for some methods.
 
+    Lengths are in metres; those of pairs of rigged characters are in the units of their files.
     Arrays with V rows are in the identity's vertex order, those with U rows in the driving mesh's.
     """
 
@@ -33,7 +34,7 @@ class Pair:
     truth: Float[np.ndarray, "V 3"]
     """The true result: the identity person in the driving pose."""
     height: float
-    """The identity person's height at rest in metres, without hair or shoes."""
+    """The identity person's height at rest, without hair or shoes."""
     aligned: Float[np.ndarray, "V 3"] | None = None
     """The driving person with true correspondence, complete and dressed like the identity, for the baseline `copy`."""
     aligned_reference: Float[np.ndarray, "V 3"] | None = None
@@ -147,12 +148,12 @@ def reorder_vertices(pair: Pair, order: Int[np.ndarray, " V"], driving_order: In
         identity=permute_vertices(pair.identity, order),
         driving=permute_vertices(pair.driving, driving_order),
         truth=pair.truth[order],
-        aligned=_reordered(pair.aligned, order),
-        aligned_reference=_reordered(pair.aligned_reference, order),
-        reference=_reordered(pair.reference, driving_order),
+        aligned=_rows(pair.aligned, order),
+        aligned_reference=_rows(pair.aligned_reference, order),
+        reference=_rows(pair.reference, driving_order),
         markers=markers,
     )
 
 
-def _reordered(array: Float[np.ndarray, "N 3"] | None, order: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"] | None:
+def _rows(array: Float[np.ndarray, "N 3"] | None, order: Int[np.ndarray, " N"]) -> Float[np.ndarray, "N 3"] | None:
     return None if array is None else array[order]

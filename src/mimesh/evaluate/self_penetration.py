@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ..bodies.character_limbs import SIDES
 from ..core.geometry import face_areas, face_vectors, unit_vectors
 from ..core.surface_points import at_barycentric
 
@@ -29,7 +30,7 @@ PLASTIC = (0.7548776662466927, 0.5698402909980532)
 """Steps of the R2 sequence (Roberts 2018), which fills a square evenly: 1/p and 1/p², p the plastic number."""
 NEXT_TO = {frozenset(("Trunk", "Head"))} | {
     frozenset(pair)
-    for side in ("Left", "Right")
+    for side in SIDES
     for pair in (
         ("Trunk", f"{side}Arm"),
         ("Trunk", f"{side}UpLeg"),
@@ -37,7 +38,7 @@ NEXT_TO = {frozenset(("Trunk", "Head"))} | {
         (f"{side}UpLeg", f"{side}Leg"),
     )
 }
-"""Pairs of limbs that touch in every pose."""
+"""Pairs of limbs that touch in every pose. An arm or leg of one joint is next to the trunk as a whole."""
 
 
 @dataclass(frozen=True, eq=False)
