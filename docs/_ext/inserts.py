@@ -65,12 +65,13 @@ def _report_row(name: str, kind: str, method: str = "") -> dict:
         KeyError: the model has not been measured.
     """
     protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
-    kinds = (kind, "held-out") if kind == "unseen" else (kind,)
+    # Of clips, new walks and splines; not yet every model has been measured on the held-out takes.
+    kind = "procedural" if (protocol, kind) == ("clips-aniformer", "unseen") else kind
     method = method or {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
     for path in sorted((DOCS / "results").glob("*.json")):
         report = json.loads(path.read_text())
         for row in report["results"]:
-            if (report["protocol"], row["method"]) == (protocol, method) and row["split"] in kinds:
+            if (report["protocol"], row["method"]) == (protocol, method) and row["split"] == kind:
                 return row
     raise KeyError(method)
 
@@ -87,7 +88,11 @@ def card(name: str) -> str:
     stages = f" in {len(earlier) + 1} stages; the card has the configuration of the last one only" if earlier else ""
     dirty = " (a working tree with uncommitted changes)" if facts["commit"].endswith("-dirty") else ""
     # Shipped weights are not trained on the poses that the papers' rows have seen.
-    sets = "motions of the tables / held out" if name == "aniformer" else "the tables' training poses / new poses"
+    sets = (
+        "motions of the tables / new walks and splines"
+        if name == "aniformer"
+        else "the tables' training poses / new poses"
+    )
     rows = [
         ["licence", facts["license"]],
         ["trained on", facts["data"]],
