@@ -40,6 +40,19 @@ def test_a_compact_checkpoint_is_half_as_large_and_continues(tmp_path, optimizer
     assert {p.dtype for p in model.parameters()} == {torch.float32}
 
 
+def test_weights_alone_are_a_start_for_another_training(tmp_path):
+    run = TrainingRun.start(dataclasses.replace(TINY, precision="fp32"), tmp_path / "none")
+    losses(run, 2)
+    run.save(tmp_path / "last.safetensors")
+    checkpoint.save_compact(tmp_path / "last.safetensors", tmp_path / "weights.safetensors", weights_only=True)
+    alone = checkpoint.load(tmp_path / "weights.safetensors").tensors
+    whole = checkpoint.load(tmp_path / "last.safetensors").tensors
+    assert set(alone) == {name for name in whole if name.startswith("model.")}
+    model, _ = checkpoint.load_model(tmp_path / "weights.safetensors")
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(value, whole[f"model.{name}"], rtol=1e-3, atol=1e-6)
+
+
 def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
     """A checkpoint of mime as earlier versions wrote it: other names of weights, and the losses of all networks."""
     config = config_from(

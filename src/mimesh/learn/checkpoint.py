@@ -92,8 +92,10 @@ def load(path: Path) -> Checkpoint:
     return Checkpoint(config, tensors=tensors, **position)
 
 
-def save_compact(path: Path, out: Path) -> None:
+def save_compact(path: Path, out: Path, weights_only: bool = False) -> None:
     """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
+
+    With `weights_only`, average and optimizer state are left out: a start for another training (`--weights`).
 
     `load` reads it as any other and a training continues from it, from rounded numbers. Adam's squares of small
     gradients would be zero in float16.
@@ -101,7 +103,8 @@ def save_compact(path: Path, out: Path) -> None:
     load(path)  # raises InputError
     with safe_open(path, "pt") as file:
         metadata = file.metadata()
-        tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+        kept = (key for key in file.keys() if key.startswith("model.") or not weights_only)  # noqa: SIM118 (not a dict)
+        tensors = {key: file.get_tensor(key) for key in kept}
     for key, value in tensors.items():
         if value.dtype == torch.float32 and value.ndim:
             tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
