@@ -25,7 +25,8 @@ from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.studio import make_session
-from mimesh.studio.session import Item, Session
+from mimesh.studio.items import Item
+from mimesh.studio.session import Session
 from mimesh.studio.state import describe, scene
 from mimesh.tools.demo import driving_clip
 

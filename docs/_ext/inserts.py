@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import json
 import re
+from functools import cache
 from pathlib import Path
 
 from commands import command_reference
 
 from mimesh.commands.about import DESCRIPTIONS
 from mimesh.evaluate.markdown import markdown_table
+from mimesh.evaluate.results import read_reports, rows_by_set
 from mimesh.evaluate.tables import paper_table
 from mimesh.methods.find import MODELS, SHIPPED_NETWORKS
 from mimesh.zoo import cards
@@ -62,18 +64,19 @@ def _report_row(name: str, kind: str, method: str = "") -> dict:
     """Return the report row of a model, or of `method`, on the model's set: of poses, or of clips for aniformer.
 
     Raises:
-        KeyError: the model has not been measured.
+        StopIteration: the model has not been measured.
     """
     protocol = "clips-aniformer" if name == "aniformer" else "human-npt"
     # Of clips, new walks and splines; not yet every model has been measured on the held-out takes.
     kind = "procedural" if (protocol, kind) == ("clips-aniformer", "unseen") else kind
     method = method or {"deformation-transfer": "deformation-transfer-13"}.get(name, name)
-    for path in sorted((DOCS / "results").glob("*.json")):
-        report = json.loads(path.read_text())
-        for row in report["results"]:
-            if (report["protocol"], row["method"]) == (protocol, method) and row["split"] == kind:
-                return row
-    raise KeyError(method)
+    return next(row for row in rows_by_set(_reports())[protocol, kind] if row["method"] == method)
+
+
+@cache
+def _reports() -> dict[str, dict]:
+    """Read the reports of docs/results once."""
+    return read_reports(DOCS / "results")
 
 
 def card(name: str) -> str:
@@ -109,8 +112,7 @@ def card(name: str) -> str:
 
 def table(name: str) -> str:
     """Return a table of a paper with its values next to ours, from the reports in docs/results."""
-    reports = [json.loads(path.read_text()) for path in sorted((DOCS / "results").glob("*.json"))]
-    return paper_table(name, *reports)
+    return paper_table(name, *_reports().values())
 
 
 def speed() -> str:

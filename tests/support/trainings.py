@@ -1,5 +1,9 @@
 """A training of seconds, and the losses that it logs."""
 
+import dataclasses
+
+import torch
+
 from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTrainConfig
@@ -21,3 +25,12 @@ TINY = NPTTrainConfig(
 
 def losses(run: TrainingRun, steps: int) -> list[float]:
     return [float(run.advance()) for _ in range(steps)]
+
+
+def assert_steps_are_pure(source):
+    """Batches of one step are equal whenever they are made, those of another step differ."""
+    first, again, other = source.batch(2, 5), source.batch(2, 5), source.batch(2, 6)
+    for field in dataclasses.fields(first):
+        a, b = getattr(first, field.name), getattr(again, field.name)
+        assert torch.equal(a, b) if isinstance(a, torch.Tensor) else a == b
+    assert not torch.equal(first.truth, other.truth)

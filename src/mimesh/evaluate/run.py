@@ -10,6 +10,7 @@ import json
 import os
 import re
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,8 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, find_method, weights_path
-from .characters import CharacterPair, Characters, characters
-from .clip_protocols import ClipPair, ClipsAniformer, clips_aniformer
+from .characters import Characters, characters
+from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
@@ -87,12 +88,15 @@ def evaluate_command(
             for i in range(counts[kind]):
                 key = [method, weights, code.get(method), kind, i]
                 stored = ledger.get(key)
-                figures.append(stored or ledger.put(key, measure_trial(chosen.pair(split, kind, i), method, options)))
+                figures.append(
+                    stored or ledger.put(key, measure_trial(chosen, chosen.pair(split, kind, i), method, options))
+                )
                 done += 1
                 if progress is not None:
                     progress(done, total)
             rows.append({**summary(method, kind, figures), "weights": weights})
-            sets[kind] = set_facts(chosen.name, split, kind, [metrics["pair"] for metrics in figures])
+            if kind not in sets:  # every method gets the same pairs
+                sets[kind] = set_facts(chosen.name, split, kind, [metrics["pair"] for metrics in figures])
             if dump is not None:
                 from .dump import dump_worst
 
@@ -123,14 +127,17 @@ def _on_one_line(found: re.Match[str]) -> str:
     return re.sub(r"\n\s*", "", re.sub(r",\n\s*", ", ", found[0]))
 
 
-def measure_trial(trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
+def measurement_of(protocol: Protocol) -> Callable[..., dict[str, Any]]:
+    """Return the function that measures a method on one pair of a protocol."""
+    if isinstance(protocol, ClipsAniformer):
+        return measure_clip
+    return measure_characters if isinstance(protocol, Characters) else measure
+
+
+def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[str, Any]) -> dict[str, Any]:
     """Measure a method on one trial, a pair of meshes or a clip, and return its metrics with what identifies it."""
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
-    if isinstance(trial, ClipPair):
-        return labels | measure_clip(trial, method, **options)
-    if isinstance(trial, CharacterPair):
-        return labels | measure_characters(trial, method, **options)
-    return labels | measure(trial, method, **options)
+    return labels | measurement_of(protocol)(trial, method, **options)
 
 
 class PartialReport:
@@ -235,12 +242,11 @@ def settings(protocol: Protocol) -> dict[str, Any]:
 def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
     """Return the fingerprint of the code that the figures of each method on a protocol can depend on."""
     source = PackageSource()
-    of_type = {ClipsAniformer: measure_clip, Characters: measure_characters}
-    measurement = (of_type.get(type(protocol), measure), pair_checksum)
+    roots = (type(protocol), measurement_of(protocol), pair_checksum)
     names = {m: "deformation-transfer" if m.startswith("deformation-transfer") else m for m in methods}
     # The unmoved identity and the truth have no method of their own, only code of the measurement, as `copy`.
     names |= {method: "copy" for method in ("identity", "truth") if method in names}
-    return {m: source.fingerprint(type(find_method(name)), type(protocol), *measurement) for m, name in names.items()}
+    return {m: source.fingerprint(type(find_method(name)), *roots) for m, name in names.items()}
 
 
 def fingerprint(method: str) -> int:

@@ -171,7 +171,7 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
                 *(with_interval(figures, "pmd_e4") for figures in kinds),
                 *(cell(figures, "pmd_mse_e4") for figures in kinds),
                 *(cell(unseen, key) for key in ("pmd_e4_median", "pmd_e4_p90", "mm", "mm_median")),
-                _share_of_compute(row, seen),
+                _share_of_compute(name.split("-")[0], row, seen),
                 *described,
             ]
         )  # fmt: skip
@@ -183,11 +183,11 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
     return f"{title}\n\n" + markdown_table(head, lines)
 
 
-def _share_of_compute(row: Row, figures: dict[str, Any] | None) -> str:
-    """Format the arithmetic of a row's training over that of its paper; a dash for methods that are not of a paper."""
-    paper = PAPER_PFLOP.get(row.method.split("-")[0])
-    # What AniFormer's authors spent on NPT for their own tables is not known.
-    other = row.method in ("npt-frames", "npt-maxpool-frames")
-    if other or paper is None or figures is None or "pflop" not in figures:
+def _share_of_compute(paper: str, row: Row, figures: dict[str, Any] | None) -> str:
+    """Format the arithmetic of a row's training over that of the paper (a key of PAPER_PFLOP).
+
+    A dash for other networks than the paper's own: what its authors spent on those is not known.
+    """
+    if row.method.split("-")[0] != paper or figures is None or "pflop" not in figures:
         return "-"
-    return f"1 / {paper / figures['pflop']:,.0f}"
+    return f"1 / {PAPER_PFLOP[paper] / figures['pflop']:,.0f}"

@@ -14,7 +14,8 @@ from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene
 from . import operations
 from .exports import Export, formats
-from .session import Item, Session
+from .items import Item
+from .session import Session
 
 STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
 """Models that need nothing but the two meshes."""

@@ -1,0 +1,83 @@
+"""Meshes to move and the driving clip of a studio: their files, their content once read, and their results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..pipeline.result import ClipResult
+from ..pipeline.run import Prepared
+from .options import Options
+
+
+@dataclass(eq=False)
+class Item:
+    """A mesh to move or the driving clip: its file, its content once read, and its result."""
+
+    number: int
+    name: str
+    path: Path | None = None
+    """None for characters and motions that ship with mimesh."""
+    upload: int | None = None
+    """Number of the upload it came with; None for files of the command line and shipped ones."""
+    content: Mesh | Clip | None = None
+    """None until it has been read."""
+    animations: tuple[str, ...] = ()
+    """Names of the animations in the file."""
+    animation: str | None = None
+    """Chosen animation; None for the first."""
+    fps: float | None = None
+    """Chosen frame rate; None for the file's own."""
+    up: str | None = None
+    front: str | None = None
+    error: str = ""
+    facing: dict[str, Any] = field(default_factory=dict)
+    """Detected or chosen axes as `report.facing` gives them, and whether they are uncertain."""
+    read: int = 0
+    """Number of times it has been read, so that results of an earlier reading are recognized."""
+    outcome: Outcome | None = None
+    prepared: tuple[tuple, bool | None, Prepared] | None = None
+    """Inputs (see `preparation_inputs`), option `refine`, and what the model prepared for them last."""
+
+    @property
+    def axes(self) -> tuple[str | None, str | None]:
+        return self.up, self.front
+
+
+@dataclass(eq=False)
+class Outcome:
+    """State of the result of one mesh for the current driving clip and options."""
+
+    version: int
+    """Version of the session when this was begun or finished."""
+    progress: float = 0.0
+    """Finished share of the frames, 0 to 1."""
+    error: str = ""
+    stopped: bool = False
+    result: ClipResult | None = None
+    """The previous result until this one is finished."""
+    result_version: int = 0
+    """Version of the session when `result` was finished."""
+    current: bool = False
+    """Whether `result` is finished for the current inputs."""
+    inputs: tuple = ()
+    """Everything the result depends on; another value means that it must be computed again."""
+
+
+def finished_result(item: Item) -> ClipResult:
+    """Return the result of a mesh.
+
+    Raises:
+        InputError: it is not finished for the current inputs.
+    """
+    if item.outcome is None or item.outcome.result is None or not item.outcome.current:
+        raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see its error message")
+    return item.outcome.result
+
+
+def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
+    """Return everything that preparing a mesh and the driving clip for a model depends on."""
+    return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes)
