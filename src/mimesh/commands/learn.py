@@ -23,6 +23,9 @@ def train(
     weights: Annotated[
         Path | None, typer.Option(help="Checkpoint whose network a new training begins with.", metavar="CHECKPOINT")
     ] = None,
+    characters: Annotated[
+        Path | None, typer.Option(help="Folder of rigged characters to train mime on.", metavar="DIR")
+    ] = None,
     json: Json = False,
 ) -> None:
     """Train a network on data made as it goes.
@@ -32,7 +35,7 @@ def train(
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     from ..learn.train import train_command
 
-    folder = train_command(model, config, output, resume, max_minutes, change or [], weights)
+    folder = train_command(model, config, output, resume, max_minutes, change or [], weights, characters)
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation
     if json:

@@ -98,7 +98,7 @@ def body_tail(character: PoolCharacter, name: str) -> str | None:
 @cache
 def find_character_landmarks(character: PoolCharacter) -> Int[np.ndarray, "M"]:
     """Find the vertices of a character at the landmarks of the shipped body; -1 where it has no vertex there."""
-    rig, points = character.rig, _body_points(character)
+    rig, points = character.rig, place_body_joints(character)
     t_pose = pose_character(character, np.tile(np.eye(3), (len(human().parents), 1, 1)))
     wrapped = as_body(rig, t_pose, character.joints, points)
     found = np.array(list(landmarks(wrapped).values()))
@@ -112,7 +112,7 @@ def find_character_landmarks(character: PoolCharacter) -> Int[np.ndarray, "M"]:
     return found
 
 
-def _body_points(character: PoolCharacter) -> dict[str, tuple[int, Float[np.ndarray, " 3"]]]:
+def place_body_joints(character: PoolCharacter) -> dict[str, tuple[int, Float[np.ndarray, " 3"]]]:
     """Place the shipped body's joints on a character: the joint that carries each, and the point at rest.
 
     Elbows and knees of limbs of one joint are in the middle; missing hands and feet are at the ends, toes at the foot.

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
@@ -81,6 +81,47 @@ class TorchBody(nn.Module):
         turned = torch.stack(rotation, 1)
         offset = torch.stack(position, 1)[..., None] - turned @ joints[..., None]
         return torch.cat([turned, offset], dim=-1)
+
+
+def scaled_joints(
+    rest: Float[Tensor, "B J 3"],
+    bones: Float[Tensor, "#B J 3"],
+    branching: Bool[Tensor, " J"],
+    length: Float[Tensor, "B J"],
+    girth: Float[Tensor, "B J"],
+    turned: Float[Tensor, "B J 3 3"],
+    parents: tuple[int, ...],
+) -> tuple[Float[Tensor, "B J 3"], Float[Tensor, "B J 3 3"], Float[Tensor, "B J 3 3"]]:
+    """Compute positions of joints, and each joint's linear map of rest points and of rest normals, under bone scales.
+
+    A joint scales its surface by `length` along its bone's direction d and by `girth` across, then rotates it:
+    S = girth 1 + (length - girth) d d^T. Normals are mapped by the inverse transpose, which has 1 / girth and
+    1 / length in their place. Where bones branch there is no one direction, and `girth` is used for both.
+
+    Args:
+        rest: joints at rest.
+        bones: direction of each joint's bone at rest.
+        branching: joints with several bones.
+        turned: rotation of each joint from rest, in the world.
+    """
+    length = torch.where(branching, girth, length)[..., None, None]
+    girth = girth[..., None, None]
+    along = bones[..., :, None] * bones[..., None, :]
+    eye = torch.eye(3, device=rest.device)
+    scaling, inverse = girth * eye + (length - girth) * along, eye / girth + (1 / length - 1 / girth) * along
+    position = [rest[:, 0]]
+    for j, parent in enumerate(parents[1:], 1):
+        bone = turned[:, parent] @ (scaling[:, parent] @ (rest[:, j] - rest[:, parent])[..., None])
+        position.append(position[parent] + bone[..., 0])
+    return torch.stack(position, 1), turned @ scaling, turned @ inverse
+
+
+def world_rotations(local: Float[Tensor, "B J 3 3"], parents: tuple[int, ...]) -> Float[Tensor, "B J 3 3"]:
+    """Multiply local rotations along the skeleton."""
+    world = [local[:, 0]]
+    for j, parent in enumerate(parents[1:], 1):
+        world.append(world[parent] @ local[:, j])
+    return torch.stack(world, 1)
 
 
 def rotvec_to_rotmat(rotvec: Float[Tensor, "*B 3"]) -> Float[Tensor, "*B 3 3"]:

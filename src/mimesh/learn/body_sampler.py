@@ -45,6 +45,8 @@ class DataConfig:
     """`wide`: share of driving meshes that are rotated any way at all, as people who lie or roll are."""
     contacts: float = 0.0
     """`wide`: share of people whose body parts touch each other."""
+    characters: float = 0.0
+    """`mime`, `wide`: share of every batch that are characters of a folder and people of primitives."""
     reflect: float = 0.0
     """`npt` and `aniformer`: share of every batch whose meshes are all mirrored, left to right."""
 

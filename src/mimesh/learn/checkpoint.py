@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision")
+POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters")
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -43,6 +43,8 @@ class Checkpoint:
     """Step of the last validation; None in checkpoints that do not say."""
     precision: str = ""
     """Of matrix products, `fp32` or `bf16`; empty in checkpoints that do not say."""
+    characters: dict[str, Any] = field(default_factory=dict)
+    """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
 
     def spent(self) -> dict[str, int]:
         """Give the time and the pairs of this training so far."""

@@ -131,6 +131,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         **trained.spent(),
         "pflop": training_pflop(trained.config, trained.pairs),
         **({"before": list(trained.before)} if trained.before else {}),
+        **({"characters": trained.characters} if trained.characters else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
 

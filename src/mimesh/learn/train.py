@@ -18,7 +18,9 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from ..core.errors import InputError
+from ..bodies import load_body
 from . import checkpoint
+from .character_surfaces import TrainingCharacters
 from .config import load_config
 from .optimizers import make_optimizers
 from .tasks.base import BatchSource, Task, TrainConfig
@@ -45,12 +47,14 @@ def train_command(
     max_minutes: float | None,
     changes: Sequence[str] = (),
     weights: Path | None = None,
+    characters: Path | None = None,
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
     Args:
         changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
         weights: checkpoint whose network a new training begins with.
+        characters: folder of characters to train on, where the configuration asks for them.
     """
     if model not in NETWORKS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
@@ -61,19 +65,36 @@ def train_command(
         if changes or weights:
             what = f"--set {changes[0]}" if changes else f"--weights {weights}"
             raise InputError(f"{what}: expected no changes with --resume, found some; leave them out")
-        return train(checkpoint.load(last).config, resume, max_minutes)
+        config_before = checkpoint.load(last).config
+        return train(config_before, resume, max_minutes, read_characters(config_before, characters))
     settings = load_config(config, model, changes)
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
     if (folder / "last.safetensors").exists():
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
+    pool = read_characters(settings, characters)
     if weights is not None:
-        begin_with(settings, weights, folder)
-    return train(settings, folder, max_minutes)
+        begin_with(settings, weights, folder, pool)
+    return train(settings, folder, max_minutes, pool)
 
 
-def begin_with(config: TrainConfig, weights: Path, folder: Path) -> None:
+def read_characters(config: TrainConfig, folder: Path | None) -> TrainingCharacters | None:
+    """Read the characters that a configuration asks for; None if it asks for none.
+
+    Raises:
+        InputError: a folder is needed and not given, or given and not needed, or it has no characters to train on.
+    """
+    if bool(config.data.characters) != (folder is not None):
+        needed, given = ("a folder", "none") if folder is None else ("none", str(folder))
+        raise InputError(
+            f"--characters: expected {needed} with data.characters {config.data.characters:g}, found {given}; "
+            "it is the share of the training that characters of a folder have"
+        )
+    return TrainingCharacters.read(folder, load_body()) if folder is not None else None
+
+
+def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingCharacters | None = None) -> None:
     """Write the first checkpoint of a training whose network is that of another checkpoint; all else is new.
 
     Raises:
@@ -83,28 +104,32 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path) -> None:
     if trained.config.model != config.model:
         raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
     folder.mkdir(parents=True, exist_ok=True)
-    run = TrainingRun.start(config, folder)
+    run = TrainingRun.start(config, folder, pool)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
     run.before = (*trained.before, trained.spent())
     run.save(folder / "last.safetensors")
 
 
-def train(config: TrainConfig, folder: Path, max_minutes: float | None = None) -> Path:
+def train(
+    config: TrainConfig, folder: Path, max_minutes: float | None = None, pool: TrainingCharacters | None = None
+) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
 
     A checkpoint is written every minute, before every validation and at the end. At least one step is taken.
 
     Args:
         max_minutes: wall-clock time, counted from this call.
+        pool: characters to train on, where the configuration asks for them.
 
     Raises:
+        InputError: the characters are not those of the training so far.
         KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
     folder.mkdir(parents=True, exist_ok=True)
     last = folder / "last.safetensors"
     with StopRequest(max_minutes) as stop:
-        run = TrainingRun.start(config, folder)
+        run = TrainingRun.start(config, folder, pool)
         validation = Validation(run.task)
         with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
             log = TrainingLog(lines, board, run)
@@ -161,19 +186,25 @@ class TrainingRun:
     """Trainings whose network this one began with."""
 
     @classmethod
-    def start(cls, config: TrainConfig, folder: Path) -> TrainingRun:
+    def start(cls, config: TrainConfig, folder: Path, pool: TrainingCharacters | None = None) -> TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         last = folder / "last.safetensors"
         state = checkpoint.load(last) if last.exists() else None
         precision, reason = choose_precision(config.precision, device, state.precision if state else "")
         torch.manual_seed(config.seed)
-        task = find_task(config.network)(config, device, precision)
+        task = find_task(config.network)(config, device, precision, pool)
         model = task.make_model().to(device)
         ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = task.source(config.seed)
         step_model: Any = torch.compile(model) if config.compile else model
+        facts = pool.facts if pool else {}
+        if state and state.characters not in ({}, facts):
+            raise InputError(
+                f"{folder}: expected the characters of the training so far "
+                f"({', '.join(state.characters['makers'])}), found others; begin a new training with --weights {last}"
+            )
         run = cls(config, task, model, step_model, ema, optimizers, source, device, reason, saved=time.monotonic())
         if state:
             checkpoint.unpack(state, model, ema, optimizers)
@@ -248,7 +279,8 @@ class TrainingRun:
         """Write a checkpoint."""
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
-        checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision))
+        facts = self.task.characters.facts if self.task.characters else {}
+        checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision, facts))
         self.saved = time.monotonic()
 
 

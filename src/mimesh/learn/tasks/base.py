@@ -15,6 +15,7 @@ from ...bodies import RiggedBody, load_body
 from ...core.errors import InputError
 from ...evaluate import protocols
 from ..body_sampler import DataConfig
+from ..character_surfaces import TrainingCharacters
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,11 @@ class TrainConfig:
     validation_pairs: int = 24
     """Pairs of each kind in a validation, at most 72."""
     seed: int = 0
+
+    @property
+    def needs_characters(self) -> bool:
+        """Whether the training needs a folder of characters."""
+        return self.data.characters > 0
 
     def check(self, where: str) -> None:
         """Raise InputError for values that do not go together; `where` begins the message."""
@@ -107,8 +113,14 @@ class Task(ABC, Generic[Config, Network]):
     test_set: ClassVar[str]
     """Protocol whose test figures belong on the model card."""
 
-    def __init__(self, config: Config, device: torch.device, precision: str = "fp32") -> None:
-        self.config, self.device, self.precision = config, device, precision
+    def __init__(
+        self,
+        config: Config,
+        device: torch.device,
+        precision: str = "fp32",
+        characters: TrainingCharacters | None = None,
+    ) -> None:
+        self.config, self.device, self.precision, self.characters = config, device, precision, characters
 
     @property
     def body(self) -> RiggedBody:

@@ -21,13 +21,19 @@ from ...core.errors import InputError
 from ...core.mesh import Mesh
 from ...evaluate.metrics import pmd_of_pair
 from ...evaluate.pairs import Pair
-from ..body_sampler import TABLE_KINDS, BodySampler
+from ..bodies import world_rotations
+from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
+from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
+from ..primitives import primitive_person
 from .base import OnnxInterface, Task, TrainConfig
+from .mime_characters import OWN_REST, CharacterBank, FigureSampler
 from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
 
 DEFAULT_POINTS = 320
 """Points of each mesh, unless the configuration says more."""
+PRIMITIVE_PEOPLE = 96
+"""People of primitives beside the characters of a folder; they count as one more pack."""
 MISSING = (0.08, 0.25)
 """Share of identities and of driving meshes that lack the points within a ball."""
 WITHOUT_NORMALS = (0.1, 0.2)
@@ -71,6 +77,11 @@ class MimeTrainConfig(TrainConfig):
             )
         if self.model.heads < 1 or self.model.width % self.model.heads:
             raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")
+        if not 0.0 <= self.data.characters <= 1.0 or (self.data.characters and self.data.kind != "wide"):
+            raise InputError(
+                f"{where}: expected data.characters from 0 to 1 with data.kind wide, found "
+                f"{self.data.characters} with {self.data.kind}"
+            )
         if self.data.reflect:
             raise InputError(f"{where}: expected data.reflect 0 with mime, found {self.data.reflect}; leave it out")
 
@@ -88,28 +99,70 @@ class SurfaceBatch:
 
 
 class SurfaceSource(BodySampler):
-    """Makes batches of one kind of data: NPT's table of plain people, or endless people of all kinds."""
+    """Makes batches of one kind of data: NPT's table of plain people, or endless people and characters of all kinds."""
 
-    def _load(self, body: RiggedBody) -> None:
-        super()._load(body)
-        self.surface = SurfaceBody(body).to(self.device)
-        self.people = PeopleSampler(body, self.config.spread, self.device)
+    def __init__(
+        self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters | None
+    ) -> None:
+        super().__init__(config, body, device, seed)
+        self.surface = SurfaceBody(body).to(device)
+        self.people = PeopleSampler(body, config.spread, device)
+        self.count = config.vertices or DEFAULT_POINTS
+        if config.characters:
+            assert characters is not None
+            people = [primitive_person(body, np.random.default_rng(k)) for k in range(PRIMITIVE_PEOPLE)]
+            surfaces = [*characters.surfaces, *people]
+            self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
+            self.motion_frames = torch.cat([self.motion_frames, self._tensor(characters.poses)])
 
     def batch(self, size: int, step: int) -> SurfaceBatch:
         """Make the pairs of a step."""
         rng = self._generator(step)
-        table = self.config.kind in TABLE_KINDS
-        shapes, poses, touching = self._sample_pairs(size, rng)
-        people = self._dress(shapes, touching, rng)
-        count = self.config.vertices or DEFAULT_POINTS
-        missing = (0.0, 0.0) if table else MISSING
-        index = [self.surface.choose(who, count, rng, share) for who, share in zip(people, missing, strict=True)]
-        identity, driving = (self.surface.posed(*given) for given in zip(people, poses, index, strict=True))
-        truth = self.surface.posed(people[0], poses[1], index[0])
-        if table:
+        figures = round(self.config.characters * size)
+        surfaces = self._people(size - figures, rng)
+        if figures:
+            both = zip(surfaces, self._figures(figures, rng), strict=True)
+            surfaces = tuple(people.joined(others) for people, others in both)
+        identity, driving, truth = surfaces
+        if self.config.kind in TABLE_KINDS:
             exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
             return SurfaceBatch(identity, driving, truth, exact)
         return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
+
+    def _people(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
+        """Make identity, driving mesh and truth of pairs of the shipped body's people."""
+        shapes, poses, touching = self._sample_pairs(size, rng)
+        people = self._dress(shapes, touching, rng)
+        missing = (0.0, 0.0) if self.config.kind in TABLE_KINDS else MISSING
+        index = [self.surface.choose(who, self.count, rng, share) for who, share in zip(people, missing, strict=True)]
+        identity, driving = (self.surface.posed(*given) for given in zip(people, poses, index, strict=True))
+        return identity, driving, self.surface.posed(people[0], poses[1], index[0])
+
+    def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
+        """Make the same of pairs of characters. Half of the identities stand as in their files."""
+        _, (identity_pose, driving_pose), _ = self._sample_pairs(size, rng)
+        identity, driving = (self.figures.draw(size, rng) for _ in range(2))
+        index = [
+            self.bank.choose(figures, self.count, rng, share)
+            for figures, share in zip((identity, driving), MISSING, strict=True)
+        ]
+        has, both_have = self.bank.turning(identity.which), self.bank.turning(driving.which)
+        both_have = both_have & has  # joints that one of two lacks stay straight in both, so that the truth is exact
+        rest = self._random_headings(size, math.radians(self.config.heading) / 4, rng)[:, None]
+        rest = rest @ self.bank.alignment[identity.which]
+        posed = self._world(identity_pose, has)
+        own = self._uniform(size, rng)[..., None] < OWN_REST
+        turned = self._world(driving_pose, both_have)
+        return (
+            self.bank.posed(identity, torch.where(own, rest, posed), index[0]),
+            self.bank.posed(driving, turned, index[1]),
+            self.bank.posed(identity, turned, index[0]),
+        )
+
+    def _world(self, local: Float[Tensor, "B J 3 3"], known: Bool[Tensor, "B J"]) -> Float[Tensor, "B J 3 3"]:
+        """Compute world rotations of joints; those that are not known turn with their parents."""
+        eye = torch.eye(3, device=local.device)
+        return world_rotations(torch.where(known[..., None, None], local, eye), self.body.parents)
 
     def _dress(
         self, shapes: Float[Tensor, "2 B K"], touching: Bool[Tensor, "2 B"], rng: torch.Generator
@@ -175,11 +228,17 @@ def pmd(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float[Tensor, " 
 
 
 def _joint_errors(prediction: Prediction, true: PosedSurface) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Compute errors of rotations and of joint positions, mean over the estimates."""
+    """Compute errors of rotations and of joint positions, mean over the estimates and the joints that are known."""
     rotation = [(found - true.rotation).square().sum((-1, -2)) for found in prediction.rotations]
     joints = [((found - true.joints) / prediction.scale).square().sum(-1) for found in prediction.positions]
-    errors = (torch.stack(rotation), ROTATION_KNEE), (torch.stack(joints), JOINT_KNEE)
-    return pseudo_huber(*errors[0]).mean(), pseudo_huber(*errors[1]).mean()
+    return (
+        _masked_mean(pseudo_huber(torch.stack(rotation), ROTATION_KNEE), true.turning),
+        _masked_mean(pseudo_huber(torch.stack(joints), JOINT_KNEE), true.placed),
+    )
+
+
+def _masked_mean(values: Float[Tensor, "E B J"], known: Bool[Tensor, "B J"]) -> Float[Tensor, ""]:
+    return (values * known).sum() / (len(values) * known.sum())
 
 
 class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
@@ -194,7 +253,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
 
     def source(self, seed: int) -> SurfaceSource:
         """Build the generator of pairs."""
-        return SurfaceSource(self.config.data, self.body, self.device, seed)
+        return SurfaceSource(self.config.data, self.body, self.device, seed, self.characters)
 
     def loss(self, model: MimeNetwork, batch: SurfaceBatch, step: int) -> Tensor:
         """Compute reconstruction and structural terms."""

@@ -19,6 +19,7 @@ from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
+from ..bodies import scaled_joints, world_rotations
 
 WAVES = 6
 """Sines that a person's bumps are the sum of."""
@@ -71,6 +72,15 @@ class PosedSurface:
     rotation: Float[Tensor, "B J 3 3"]
     """Of every joint in the world; at rest all are the identity matrix."""
     joints: Float[Tensor, "B J 3"]
+    turning: Bool[Tensor, "B J"]
+    """Whether the rotation of a joint is known: figures lack some joints."""
+    placed: Bool[Tensor, "B J"]
+    """Whether the position of a joint is known."""
+
+    def joined(self, others: PosedSurface) -> PosedSurface:
+        """Append other surfaces to these."""
+        fields = (field.name for field in dataclasses.fields(self))
+        return PosedSurface(*(torch.cat([getattr(self, name), getattr(others, name)]) for name in fields))
 
 
 class SurfaceBody(nn.Module):
@@ -126,42 +136,25 @@ class SurfaceBody(nn.Module):
 
     def posed(self, people: People, rotmat: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
         """Pose chosen points of people by local joint rotations; the root joint stays where it rests."""
-        rotation, position, linear, normal_map = self._joints(people, rotmat)
+        joints, rotation = self._rest_joints(people), world_rotations(rotmat, self.parents)
+        position, linear, normal_map = scaled_joints(
+            joints, self.bones, self.branching, people.length, people.girth, rotation, self.parents
+        )
         rest = self.rest[:, index].transpose(0, 1)
         rest = rest + torch.einsum("bk,kcbn->bcn", people.shape, self.components[:, :, index])
         normal = self.normals[:, index].transpose(0, 1)
         rest = rest + self._bump_heights(people, index) * normal
         weights = self.weights[:, index].permute(1, 2, 0)
-        offset = position - (linear @ self._rest_joints(people)[..., None])[..., 0]
+        offset = position - (linear @ joints[..., None])[..., 0]
         # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
         blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
         points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
         normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
-        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position)
+        known = torch.ones_like(position[..., 0], dtype=torch.bool)
+        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position, known, known)
 
     def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
         return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)
-
-    def _joints(self, people: People, rotmat: Float[Tensor, "B J 3 3"]):
-        """Compute rotation and position of each joint (world), its map of rest points, and of normals.
-
-        A joint scales its surface by `length` along its bone's direction d and by `girth` across, then rotates it:
-        S = girth 1 + (length - girth) d d^T. Normals are mapped by the inverse transpose, which has 1 / girth and
-        1 / length in their place. Where bones branch there is no one direction, and `girth` is used for both.
-        """
-        rest = self._rest_joints(people)
-        length = torch.where(self.branching, people.girth, people.length)[..., None, None]
-        girth = people.girth[..., None, None]
-        along = self.bones[:, :, None] * self.bones[:, None]
-        eye = torch.eye(3, device=rest.device)
-        scaling, inverse = girth * eye + (length - girth) * along, eye / girth + (1 / length - 1 / girth) * along
-        rotation, position = [rotmat[:, 0]], [rest[:, 0]]
-        for j, parent in enumerate(self.parents[1:], 1):
-            bone = rotation[parent] @ (scaling[:, parent] @ (rest[:, j] - rest[:, parent])[..., None])
-            position.append(position[parent] + bone[..., 0])
-            rotation.append(rotation[parent] @ rotmat[:, j])
-        turned = torch.stack(rotation, 1)
-        return turned, torch.stack(position, 1), turned @ scaling, turned @ inverse
 
     def _bump_heights(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
         position = self.rest[:, index].transpose(0, 1)
@@ -186,11 +179,7 @@ class PeopleSampler:
         drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
         larger = HEAD_SCALE * unusual * self._uniform(rng, size, 1) * self.head
         length, girth = ((scale[:, self.group] + larger).exp() for scale in drawn)
-        # Squared uniform numbers: most people are nearly smooth. The root of WAVES keeps the sum's height.
-        height = BUMP_HEIGHT * self._uniform(rng, size, 1, 1).square()
-        height = height * self._normal(rng, size, WAVES, 1) / math.sqrt(WAVES)
-        frequency = BUMP_FREQUENCY * self._normal(rng, size, WAVES, 3) * self._uniform(rng, size, WAVES, 1)
-        bumps = torch.cat([frequency, 2 * math.pi * self._uniform(rng, size, WAVES, 1), height], -1)
+        bumps = random_bumps(size, rng, self.device)
         worn = self._uniform(rng, size, 1 + len(GARMENTS)) < GARMENT_SHARE
         worn[:, 0] = True
         return People(shape, length, girth, bumps, worn)
@@ -200,6 +189,21 @@ class PeopleSampler:
 
     def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.randn(*size, generator=rng, device=self.device)
+
+
+def random_bumps(size: int, rng: torch.Generator, device: torch.device) -> Float[Tensor, "B W 5"]:
+    """Draw the bumps of surfaces, as in `People`."""
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(size, *shape, generator=rng, device=device)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(size, *shape, generator=rng, device=device)
+
+    # Squared uniform numbers: most surfaces are nearly smooth. The root of WAVES keeps the sum's height.
+    height = BUMP_HEIGHT * uniform(1, 1).square() * normal(WAVES, 1) / math.sqrt(WAVES)
+    frequency = BUMP_FREQUENCY * normal(WAVES, 3) * uniform(WAVES, 1)
+    return torch.cat([frequency, 2 * math.pi * uniform(WAVES, 1), height], -1)
 
 
 def plain_people(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:

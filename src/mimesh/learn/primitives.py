@@ -1,0 +1,191 @@
+"""Boxes, ellipsoids, cylinders, cones and capsules as points with normals, and people made of them, for training.
+
+People of primitives stand for figures of blocks, for mannequins of separate shells and for anything else that has the
+limbs of a person and no skin: toys, robots, snowmen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody
+from ..bodies.character_limbs import SIDES
+from ..bodies.sampling import rotvec_to_rotmat
+from ..core.geometry import unit_vectors
+from ..motions.rest_calibration import rotation_between
+from .character_surfaces import POINTS, CharacterSurface, carriers
+
+Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]
+SHAPES: tuple[Shape, ...] = ("box", "ellipsoid", "cylinder", "cone", "disc")
+PACK = "primitives"
+"""Name under which people of primitives are sampled beside the packs of a pool."""
+LIMBS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand", "Hand"), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot", "Foot")}
+"""Limb joints without their side, the joint at the other end, and the one at the end of a limb without that joint."""
+LIMB_ENDS = {"ForeArm": ("ForeArm", "Hand"), "Leg": ("Leg", "Foot")}
+"""Joints without their side that limbs of one joint lack."""
+DETAILS = ("HipJoint", "Thumb", "FingerBase", "HandFinger1", "ToeBase", "Shoulder", "Neck1")
+"""Joints that no person of primitives has."""
+Points = tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]
+
+
+def sample_primitive(shape: Shape, half: Float[np.ndarray, " 3"], count: int, rng: np.random.Generator) -> Points:
+    """Draw points, about evenly spread, and unit normals of a primitive centred at the origin; round ones stand along y.
+
+    Args:
+        half: half of its size along x, y and z.
+    """
+    x, y, z = half
+    up = np.array([0.0, 1.0, 0.0])
+    if shape == "ellipsoid":
+        points = normals = unit_vectors(rng.normal(size=(count, 3)))
+    elif shape == "box":
+        areas = np.array([y * z, x * z, x * y])
+        axis, sign = rng.choice(3, count, p=areas / areas.sum()), rng.choice([-1.0, 1.0], count)
+        normals = np.eye(3)[axis] * sign[:, None]
+        points = np.where(normals != 0, normals, rng.uniform(-1, 1, (count, 3)))
+    else:
+        angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(-1, 1, count)
+        lids = x * z * (1 if shape == "cone" else 2)
+        side = 2 * y * np.hypot(x, z) / np.sqrt(2) * (1 if shape == "cone" else 2)
+        on_lid = (rng.random(count) < lids / (lids + side)) | (shape == "disc")
+        top = (rng.random(count) < 0.5) & (shape != "cone")
+        if shape == "cone":  # its surface grows towards the base, at y = -1
+            height = 1 - 2 * np.sqrt(rng.random(count))
+        radius = (1 - height) / 2 if shape == "cone" else 1.0
+        radius = np.where(on_lid, np.sqrt(rng.random(count)), radius)
+        lid = np.where(top, 1.0, -1.0)
+        around = np.stack([np.cos(angle), np.zeros(count), np.sin(angle)], axis=1)
+        points = around * radius[:, None] + up * np.where(on_lid, lid * (shape != "disc"), height)[:, None]
+        normals = np.where(on_lid[:, None], up * lid[:, None], around + 0.5 * up * (shape == "cone"))
+    return points * half, unit_vectors(normals / half)
+
+
+def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:
+    """Make a person of primitives, each moved by one joint, with the body's joints at rest and random girths.
+
+    Arms rest anywhere between a T-pose and hanging; some people have limbs of one joint, a stiff trunk, no hands or no
+    feet. Lengths are varied later, as those of all characters.
+    """
+    has = _random_joints(body, rng)
+    carrier = carriers(has, body)
+    alignment, joints = _rest(body, lowered=rng.uniform(0, 1.4) * (rng.random() < 0.7))
+    parts = [*_limbs(body, joints, has, rng), *_ends(body, joints, alignment, has, rng), *_trunk(body, joints, has, rng)]
+    area = np.array([part.area for part in parts])
+    which = rng.choice(len(parts), POINTS, p=area / area.sum())
+    points, normals = np.empty((2, POINTS, 3))
+    for k, part in enumerate(parts):
+        points[which == k], normals[which == k] = part.sample(int((which == k).sum()), rng)
+    return CharacterSurface(
+        name="",
+        pack=PACK,
+        points=points,
+        normals=normals,
+        weights=np.eye(len(body.parents))[carrier[np.array([part.joint for part in parts])[which]]],
+        joints=joints,
+        alignment=alignment[carrier],
+        carrier=carrier,
+        placed=np.array([name in has for name in body.joint_names]),
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """A primitive that one joint moves."""
+
+    shape: Shape
+    joint: int
+    centre: Float[np.ndarray, " 3"]
+    axes: Float[np.ndarray, "3 3"]
+    """Unit vectors of its x, y and z in columns."""
+    half: Float[np.ndarray, " 3"]
+    """Half of its size along them (metres)."""
+
+    @property
+    def area(self) -> float:
+        """Area of the box around it (square metres)."""
+        x, y, z = self.half
+        return float(8 * (x * y + y * z + z * x))
+
+    def sample(self, count: int, rng: np.random.Generator) -> Points:
+        """Draw points of its surface and their normals."""
+        points, normals = sample_primitive(self.shape, self.half, count, rng)
+        return self.centre + points @ self.axes.T, normals @ self.axes.T
+
+
+def _random_joints(body: RiggedBody, rng: np.random.Generator) -> set[str]:
+    """Draw which of the body's joints a person has."""
+    has = {name for name in body.joint_names if not name.endswith(DETAILS)}
+    drop = [LIMB_ENDS["ForeArm"], LIMB_ENDS["Leg"], ("Hand",), ("Foot",), ("LowerBack", "Spine"), ("Spine1",), ("Neck",)]
+    for parts, share in zip(drop, (0.3, 0.3, 0.2, 0.2, 0.5, 0.3, 0.5), strict=True):
+        if rng.random() < share:
+            has -= {name for name in has if name.endswith(parts) and name.removeprefix("Left").removeprefix("Right") in parts}
+    return has
+
+
+def _rest(body: RiggedBody, lowered: float) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+    """Compute rotations and positions of the body's joints with arms lowered by an angle (radians)."""
+    local = np.zeros((len(body.parents), 3))
+    local[body.joint("LeftArm"), 2], local[body.joint("RightArm"), 2] = -lowered, lowered
+    rotation, translation = body.skinning_transforms(body.joints, rotvec_to_rotmat(local))
+    return rotation, np.einsum("jkl,jl->jk", rotation, body.joints) + translation
+
+
+def _limbs(body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], rng: np.random.Generator) -> list[_Part]:
+    """Make a primitive for each limb joint, as long as its bone; left and right are alike."""
+    girth, shape = 0.05 * np.exp(rng.normal(0, 0.4)), SHAPES[rng.integers(3)]
+    parts = []
+    for part, (tail, last) in LIMBS.items():
+        width = girth * (1.4 if part.endswith("Leg") else 1.0) * np.exp(rng.normal(0, 0.2, 2))
+        overlap = rng.uniform(0.8, 1.15)
+        for side in SIDES:
+            if side + part in has:
+                start = joints[body.joint(side + part)]
+                end = joints[body.joint(side + (tail if side + tail in has else last))]
+                along = end - start
+                axes = rotation_between(np.array([0.0, 1.0, 0.0]), along)
+                half = np.array([width[0], overlap * np.linalg.norm(along) / 2, width[1]])
+                parts.append(_Part(shape, body.joint(side + part), (start + end) / 2, axes, half))
+    return parts
+
+
+def _ends(
+    body: RiggedBody,
+    joints: Float[np.ndarray, "J 3"],
+    alignment: Float[np.ndarray, "J 3 3"],
+    has: set[str],
+    rng: np.random.Generator,
+) -> list[_Part]:
+    """Make hands and feet; left and right are alike."""
+    parts = []
+    for part, offset, size in (("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)), ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12))):
+        shape, scale = SHAPES[rng.integers(2)], np.exp(rng.normal(0, 0.35, 3))
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+            if side + part in has:
+                j = body.joint(side + part)
+                centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
+                parts.append(_Part(shape, j, centre, alignment[j], np.array(size) * scale))
+    return parts
+
+
+def _trunk(body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], rng: np.random.Generator) -> list[_Part]:
+    """Make the trunk, of one or two primitives, and the head."""
+    hips, head, chest = (body.joint(name) for name in ("Hips", "Head", "Spine1"))
+    shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
+    legs = (joints[body.joint("LeftUpLeg")] + joints[body.joint("RightUpLeg")]) / 2
+    width = np.ptp(joints[[body.joint("LeftArm"), body.joint("RightArm")], 0]) / 2 * rng.uniform(0.6, 1.1)
+    depth, shape = 0.11 * np.exp(rng.normal(0, 0.3)), SHAPES[rng.integers(3)]
+    cuts = [(hips, legs - [0, 0.06, 0], shoulders)]
+    if "Spine1" in has:
+        middle = legs + rng.uniform(0.3, 0.6) * (shoulders - legs)
+        cuts = [(hips, cuts[0][1], middle), (chest, middle, shoulders + [0, 0.05, 0])]
+    parts = []
+    for joint, low, high in cuts:
+        half = np.array([width * rng.uniform(0.7, 1.0), (high - low)[1] / 2, depth])
+        parts.append(_Part(shape, joint, (low + high) / 2, np.eye(3), half))
+    size = np.array([0.08, 0.12, 0.1]) * np.exp(rng.uniform(-0.1, 1.1) * (rng.random() < 0.5) + rng.normal(0, 0.15, 3))
+    centre = joints[head] + [0, 0.8 * size[1], 0.02]
+    return [*parts, _Part(SHAPES[rng.integers(3)], head, centre, np.eye(3), size)]

@@ -1,0 +1,190 @@
+"""Characters of a pool and people of primitives as surfaces for mime, with proportions and props drawn at random.
+
+Packs take turns, files are drawn from a pack: a pack of many files counts as much as one of few. All changes are exact
+under linear blend skinning, so one figure in two poses is a true transfer.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ...bodies import RiggedBody
+from ...bodies.character_limbs import SIDES
+from ...bodies.sampled_body import bone_directions, kinds_of_bones
+from ..bodies import scaled_joints
+from ..character_surfaces import CharacterSurface
+from ..props import Props, PropSampler
+from .mime_people import MAX_HOLE, PosedSurface, random_bumps
+
+USUAL_SPREAD, UNUSUAL_SPREAD, UNUSUAL = 0.06, 0.3, 0.4
+"""Largest standard deviation of the logarithm of a bone's scale, what is added for unusual figures, and their share."""
+LARGE_HEADS, HEAD_SCALE = 0.25, 1.1
+"""Share of figures with larger heads, and the logarithm of the largest factor: three times."""
+SHORT_LIMBS, LIMB_SCALE = 0.15, 0.9
+"""Share of figures with shorter arms and legs, and the logarithm of the smallest factor: two fifths."""
+WITHOUT_ENDS = 0.1
+"""Share of figures without hands, and without feet."""
+LAST = 1e3
+"""Added to the keys of points that are taken last."""
+OWN_REST = 0.5
+"""Share of identities in the rest pose of their file."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """B figures, apart from their poses."""
+
+    which: Int[Tensor, " B"]
+    """Row of each in the bank."""
+    length: Float[Tensor, "B J"]
+    """Scale along each bone."""
+    girth: Float[Tensor, "B J"]
+    """Scale across each bone."""
+    bumps: Float[Tensor, "B W 5"]
+    """As of `mime_people.People`."""
+    lacking: Bool[Tensor, "B J"]
+    """Joints whose surface is missing."""
+    props: Props
+
+
+class CharacterBank(nn.Module):
+    """All figures of a training, each as the same number of points, to be posed in batches."""
+
+    points: Tensor
+    normals: Tensor
+    weights: Tensor
+    joints: Tensor
+    alignment: Tensor
+    carrier: Tensor
+    placed: Tensor
+    bones: Tensor
+    branching: Tensor
+    strongest: Tensor
+
+    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
+        super().__init__()
+        self.parents = body.parents
+        for name in ("points", "normals", "weights", "joints", "alignment"):
+            stacked = np.stack([getattr(surface, name) for surface in surfaces])
+            self.register_buffer(name, torch.from_numpy(stacked).float())
+        self.register_buffer("carrier", torch.from_numpy(np.stack([surface.carrier for surface in surfaces])))
+        self.register_buffer("placed", torch.from_numpy(np.stack([surface.placed for surface in surfaces])))
+        self.register_buffer("strongest", self.weights.argmax(-1))
+        bones, branching = bone_directions(body)
+        self.register_buffer("bones", (self.alignment @ torch.from_numpy(bones).float()[..., None])[..., 0])
+        self.register_buffer("branching", torch.from_numpy(branching))
+
+    def choose(self, figures: Figures, count: int, rng: torch.Generator, missing: float) -> Int[Tensor, "B N"]:
+        """Choose random points of figures and their props, even by area; a share `missing` of them lack those of a ball.
+
+        Each point has an exponentially distributed key whose rate is the area that it stands for, and the smallest keys
+        are taken. Keys are raised where points are taken only if no others are left.
+        """
+        size, total = len(figures.which), self.points.shape[1]
+        device = self.points.device
+        strongest = torch.cat([self.strongest[figures.which], figures.props.joint], 1)
+        area = (figures.length * figures.girth).gather(1, strongest)
+        key = -torch.rand(area.shape, generator=rng, device=device).log() / area
+        centre = torch.randint(total, (size, 1), generator=rng, device=device)
+        radius = MAX_HOLE * torch.rand(size, 1, generator=rng, device=device)
+        radius = radius * (torch.rand(size, 1, generator=rng, device=device) < missing)
+        points = self.points[figures.which]
+        offset = points - points.gather(1, centre[..., None].expand(-1, -1, 3))
+        in_ball = offset.square().sum(-1) < radius.square()
+        absent = torch.cat([figures.lacking.gather(1, strongest[:, :total]), ~figures.props.there], 1)
+        key = key + LAST * absent
+        key[:, :total] += LAST * in_ball
+        return key.topk(count, dim=1, largest=False, sorted=False).indices
+
+    def turning(self, which: Int[Tensor, " B"]) -> Bool[Tensor, "B J"]:
+        """Tell which joints figures have."""
+        return self.carrier[which] == torch.arange(len(self.parents), device=which.device)
+
+    def posed(self, figures: Figures, rotation: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
+        """Pose chosen points of figures by the world rotations of their joints; the root joint stays where it rests."""
+        who, carrier = figures.which, self.carrier[figures.which]
+        alignment, joints = self.alignment[who], self.joints[who]
+        of_carrier = carrier[..., None, None].expand(-1, -1, 3, 3)
+        turned = (rotation @ alignment.mT).gather(1, of_carrier)
+        length, girth = figures.length.gather(1, carrier), figures.girth.gather(1, carrier)
+        position, linear, normal_map = scaled_joints(
+            joints, self.bones[who], self.branching, length, girth, turned, self.parents
+        )
+        rest, normal, weights = self._rest(figures, joints, index)
+        offset = position - (linear @ joints[..., None])[..., 0]
+        # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
+        blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
+        points = (blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3]
+        normals = (blended[..., 4:] @ normal[..., None])[..., 0]
+        known = self.turning(who) & ~figures.lacking
+        return PosedSurface(
+            points,
+            nn.functional.normalize(normals, dim=-1),
+            weights,
+            turned @ alignment,
+            position,
+            known,
+            self.placed[who],
+        )
+
+    def _rest(self, figures: Figures, joints: Float[Tensor, "B J 3"], index: Int[Tensor, "B N"]):
+        """Give positions, normals and weights of chosen points of figures and props at rest, with bumps."""
+        total, props = self.points.shape[1], figures.props
+        of_prop, row = index >= total, (index - total).clamp_min(0)
+        who, column = figures.which[:, None], index.clamp_max(total - 1)
+        joint = self.carrier[figures.which].gather(1, props.joint.gather(1, row))
+        expand = (-1, -1, 3)
+        place = joints.gather(1, joint[..., None].expand(expand)) + props.offset.gather(1, row[..., None].expand(expand))
+        prop_normal = props.normals.gather(1, row[..., None].expand(expand))
+        rest = torch.where(of_prop[..., None], place, self.points[who, column])
+        normal = torch.where(of_prop[..., None], prop_normal, self.normals[who, column])
+        one_joint = nn.functional.one_hot(joint, len(self.parents)).float()
+        weights = torch.where(of_prop[..., None], one_joint, self.weights[who, column])
+        waves = rest @ figures.bumps[..., :3].mT + figures.bumps[..., None, :, 3]
+        return rest + (waves.sin() @ figures.bumps[..., 4:]) * normal, normal, weights
+
+
+class FigureSampler:
+    """Draws figures of a bank; each call is a pure function of its generator."""
+
+    def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody, device: torch.device) -> None:
+        packs = [surface.pack for surface in surfaces]
+        self.rows = [
+            torch.tensor([i for i, pack in enumerate(packs) if pack == one], device=device)
+            for one in dict.fromkeys(packs)
+        ]
+        self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
+        names, self.device = body.joint_names, device
+        self.head = torch.tensor([name == "Head" for name in names], device=device)
+        limbs = {side + part for side in SIDES for part in ("Arm", "ForeArm", "UpLeg", "Leg")}
+        self.limbs = torch.tensor([name in limbs for name in names], device=device)
+        ends = [("Hand", "Finger", "Thumb"), ("Foot", "ToeBase")]
+        self.ends = torch.tensor([[any(word in name for word in words) for name in names] for words in ends], device=device)
+        self.props = PropSampler(body, device)
+
+    def draw(self, size: int, rng: torch.Generator) -> Figures:
+        """Draw figures; left and right bones are scaled alike."""
+        pack = torch.randint(len(self.rows), (size,), generator=rng, device=self.device)
+        place = self._uniform(rng, size)
+        which = torch.stack([rows[(place * len(rows)).long()] for rows in self.rows])[pack, torch.arange(size)]
+        spread = (self._uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
+        groups = int(self.group.max()) + 1
+        drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]
+        larger = (self._uniform(rng, size, 1) < LARGE_HEADS) * HEAD_SCALE * self._uniform(rng, size, 1) * self.head
+        shorter = (self._uniform(rng, size, 1) < SHORT_LIMBS) * LIMB_SCALE * self._uniform(rng, size, 1) * self.limbs
+        length = (drawn[0][:, self.group] + larger - shorter).exp()
+        girth = (drawn[1][:, self.group] + larger).exp()
+        lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
+        bumps = random_bumps(size, rng, self.device)
+        return Figures(which, length, girth, bumps, lacking, self.props.draw(size, rng))
+
+    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.rand(*size, generator=rng, device=self.device)
+
+    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.randn(*size, generator=rng, device=self.device)
