@@ -54,6 +54,8 @@ class CharacterSurface:
     """The joint whose rotation each joint has: itself, or its nearest ancestor that the character has."""
     placed: Bool[np.ndarray, " J"]
     """Whether the position of each joint is known."""
+    piece: Int[np.ndarray, " N"]
+    """Number of each point's connected component of the surface."""
 
     @property
     def turning(self) -> Bool[np.ndarray, " J"]:
@@ -89,6 +91,7 @@ class CharacterSurface:
             alignment=alignment,
             carrier=carrier,
             placed=np.array([name in named for name in body.joint_names]),
+            piece=connected_pieces(mesh)[mesh.faces[face, 0]],
         )
 
 
@@ -123,6 +126,15 @@ class TrainingCharacters:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
         facts = {"makers": dict(makers), "sha256": digest.hexdigest()}
         return cls(surfaces, poses, facts, pool.refusals())
+
+
+def connected_pieces(mesh: Mesh) -> Int[np.ndarray, " V"]:
+    """Number the connected components of a surface, whose seams are welded, and give that of each vertex."""
+    from scipy.sparse.csgraph import connected_components
+
+    distinct, group = geometry.weld(mesh.vertices)
+    pairs = geometry.edges(group[mesh.faces])
+    return connected_components(geometry.links(pairs, len(distinct)), directed=False)[1][group]
 
 
 def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:

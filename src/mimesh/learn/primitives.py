@@ -89,6 +89,7 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
         alignment=alignment[carrier],
         carrier=carrier,
         placed=np.array([name in has for name in body.joint_names]),
+        piece=which,
     )
 
 

@@ -101,12 +101,16 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingC
         InputError: the checkpoint holds another network.
     """
     model, trained = checkpoint.load_model(weights)
-    if trained.config.model != config.model:
+    run = TrainingRun.start(config, folder, pool)
+    fresh, given = run.model.state_dict(), model.state_dict()
+    # New parts of a network may be added to a trained one if they begin without effect.
+    fits = all(name in fresh and fresh[name].shape == value.shape for name, value in given.items())
+    if not fits or any(value.any() for name, value in fresh.items() if name not in given):
         raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
     folder.mkdir(parents=True, exist_ok=True)
-    run = TrainingRun.start(config, folder, pool)
-    run.model.load_state_dict(model.state_dict())
-    run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
+    run.model.load_state_dict(fresh | given)
+    current = run.model.state_dict()
+    run.ema = {name: value.detach().clone() for name, value in current.items()} if config.ema else {}
     run.before = (*trained.before, trained.spent())
     run.save(folder / "last.safetensors")
 

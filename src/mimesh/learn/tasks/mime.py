@@ -25,6 +25,7 @@ from ..bodies import world_rotations
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
+from ..pieces import describe_pieces
 from ..primitives import primitive_person
 from .base import OnnxInterface, Task, TrainConfig
 from .mime_characters import OWN_REST, CharacterBank, FigureSampler
@@ -36,6 +37,8 @@ PRIMITIVE_PEOPLE = 96
 """People of primitives beside the characters of a folder; they count as one more pack."""
 MISSING = (0.08, 0.25)
 """Share of identities and of driving meshes that lack the points within a ball."""
+WITHOUT_PIECES = 0.25
+"""Share of the meshes whose pieces are not given, as of point clouds."""
 WITHOUT_NORMALS = (0.1, 0.2)
 """Share of identities and of driving meshes without normals, as point clouds are."""
 ONE_SIDED = 0.1
@@ -94,8 +97,8 @@ class SurfaceBatch:
     driving: PosedSurface
     truth: PosedSurface
     """The identity's points in the driving pose."""
-    inputs: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]], ...]
-    """Points and normals of identity and of driving; the driving's rows are not those of `driving`."""
+    inputs: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"], Float[Tensor, "B N 5"]], ...]
+    """Points, normals and pieces of identity and of driving; the driving's rows are not those of `driving`."""
 
 
 class SurfaceSource(BodySampler):
@@ -125,7 +128,9 @@ class SurfaceSource(BodySampler):
             surfaces = tuple(people.joined(others) for people, others in both)
         identity, driving, truth = surfaces
         if self.config.kind in TABLE_KINDS:
-            exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
+            exact = tuple(
+                (mesh.points, mesh.normals, self._pieces(mesh.points, mesh.piece, rng)) for mesh in (identity, driving)
+            )
             return SurfaceBatch(identity, driving, truth, exact)
         return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
 
@@ -182,11 +187,22 @@ class SurfaceSource(BodySampler):
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
         noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
         noisy = _gather(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
-        meshes = ((identity.points, identity.normals), (noisy, _gather(driving.normals, index)))
-        return tuple(
-            (points, normals * (self._uniform(size, rng) >= share))
-            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
+        meshes = (
+            (identity.points, identity.normals, identity.piece),
+            (noisy, _gather(driving.normals, index), driving.piece.gather(1, index)),
         )
+        damaged = [
+            (points, normals * (self._uniform(size, rng) >= share), piece)
+            for (points, normals, piece), share in zip(meshes, WITHOUT_NORMALS, strict=True)
+        ]
+        return tuple((points, normals, self._pieces(points, piece, rng)) for points, normals, piece in damaged)
+
+    def _pieces(
+        self, points: Float[Tensor, "B N 3"], piece: Int[Tensor, "B N"], rng: torch.Generator
+    ) -> Float[Tensor, "B N 5"]:
+        """Describe the pieces of surfaces, of some as if they were not known."""
+        known = torch.rand(len(points), generator=rng, device=self.device) >= WITHOUT_PIECES
+        return describe_pieces(points, piece, known)
 
     def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""

@@ -18,6 +18,7 @@ from ...bodies.character_limbs import SIDES
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ..bodies import scaled_joints
 from ..character_surfaces import CharacterSurface
+from ..props import POINTS as PROP_POINTS
 from ..props import Props, PropSampler
 from .mime_people import MAX_HOLE, PosedSurface, random_bumps
 
@@ -29,6 +30,8 @@ SHORT_LIMBS, LIMB_SCALE = 0.15, 0.9
 """Share of figures with shorter arms and legs, and the logarithm of the smallest factor: two fifths."""
 WITHOUT_ENDS = 0.1
 """Share of figures without hands, and without feet."""
+IN_PARTS = 0.1
+"""Share of figures whose surface is cut into parts between the joints, as of mannequins and robots."""
 LAST = 1e3
 """Added to the keys of points that are taken last."""
 OWN_REST = 0.5
@@ -49,6 +52,8 @@ class Figures:
     """As of `mime_people.People`."""
     lacking: Bool[Tensor, "B J"]
     """Joints whose surface is missing."""
+    in_parts: Bool[Tensor, " B"]
+    """Whether the surfaces of different joints are not connected."""
     props: Props
 
 
@@ -65,6 +70,7 @@ class CharacterBank(nn.Module):
     bones: Tensor
     branching: Tensor
     strongest: Tensor
+    piece: Tensor
 
     def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
         super().__init__()
@@ -72,6 +78,8 @@ class CharacterBank(nn.Module):
         for name in ("points", "normals", "weights", "joints", "alignment"):
             stacked = np.stack([getattr(surface, name) for surface in surfaces])
             self.register_buffer(name, torch.from_numpy(stacked).float())
+        self.register_buffer("piece", torch.from_numpy(np.stack([surface.piece for surface in surfaces])))
+        self.pieces = int(self.piece.max()) + 1
         self.register_buffer("carrier", torch.from_numpy(np.stack([surface.carrier for surface in surfaces])))
         self.register_buffer("placed", torch.from_numpy(np.stack([surface.placed for surface in surfaces])))
         self.register_buffer("strongest", self.weights.argmax(-1))
@@ -130,7 +138,17 @@ class CharacterBank(nn.Module):
             position,
             known,
             self.placed[who],
+            self._pieces(figures, index),
         )
+
+    def _pieces(self, figures: Figures, index: Int[Tensor, "B N"]) -> Int[Tensor, "B N"]:
+        """Give the pieces of chosen points; each prop is one, and so is each joint's surface of figures in parts."""
+        total = self.points.shape[1]
+        who, column = figures.which[:, None], index.clamp_max(total - 1)
+        piece = self.piece[who, column]
+        piece = torch.where(figures.in_parts[:, None], self.pieces + self.strongest[who, column], piece)
+        prop = self.pieces + len(self.parents) + (index - total) // PROP_POINTS
+        return torch.where(index >= total, prop, piece)
 
     def _rest(self, figures: Figures, joints: Float[Tensor, "B J 3"], index: Int[Tensor, "B N"]):
         """Give positions, normals and weights of chosen points of figures and props at rest, with bumps."""
@@ -181,7 +199,8 @@ class FigureSampler:
         girth = (drawn[1][:, self.group] + larger).exp()
         lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
         bumps = random_bumps(size, rng, self.device)
-        return Figures(which, length, girth, bumps, lacking, self.props.draw(size, rng))
+        in_parts = self._uniform(rng, size) < IN_PARTS
+        return Figures(which, length, girth, bumps, lacking, in_parts, self.props.draw(size, rng))
 
     def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.rand(*size, generator=rng, device=self.device)

@@ -76,6 +76,8 @@ class PosedSurface:
     """Whether the rotation of a joint is known: figures lack some joints."""
     placed: Bool[Tensor, "B J"]
     """Whether the position of a joint is known."""
+    piece: Int[Tensor, "B N"]
+    """Number of the piece of each point; pieces are not connected to each other."""
 
     def joined(self, others: PosedSurface) -> PosedSurface:
         """Append other surfaces to these."""
@@ -151,7 +153,16 @@ class SurfaceBody(nn.Module):
         points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
         normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
-        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position, known, known)
+        return PosedSurface(
+            points,
+            nn.functional.normalize(normals, dim=-1),
+            weights,
+            rotation,
+            position,
+            known,
+            known,
+            self.piece[index],
+        )
 
     def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
         return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)

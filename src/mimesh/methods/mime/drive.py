@@ -16,6 +16,7 @@ import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -28,6 +29,7 @@ from ...core.mesh import Clip, Mesh
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.surface_points import SurfacePoints
+from ...motions.motion import other_side
 from ..base import Pose, SkinnedDrive
 from ..confidence import Confidence, mean_angle
 from ..npt import batch_of_one, generator
@@ -39,6 +41,8 @@ from .weight_cleanup import clean_weights
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""Factors on coordinates for the reflection at the plane x = 0."""
 CHUNK = 16_384
 """Vertices whose weights are predicted in one run of the network; bounds the memory."""
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
@@ -150,7 +154,7 @@ class MimeMethod:
         even = samples.part(0, ENSEMBLE)
         queries = np.concatenate([vertices, even.points(denoised)]), np.concatenate([normals, even.normals(denoised)])
         rigs = [
-            self._predict(samples.part(k, ENSEMBLE), denoised, queries if k < WEIGHT_ENSEMBLE else None)
+            self._predict_as(k, samples.part(k, ENSEMBLE), denoised, queries if k < WEIGHT_ENSEMBLE else None)
             for k in range(ENSEMBLE)
         ]
         consensus = _consensus(rigs)
@@ -241,11 +245,45 @@ class MimeMethod:
         """Make prediction k for a frame turned back by a rotation; the first few predict weights of tracked points."""
         turned, tracked = vertices @ turn, samples.part(0, TRACKED)
         queries = (tracked.points(turned), tracked.normals(turned)) if k < WEIGHT_ENSEMBLE else None
-        return self._predict(samples.part(k, ENSEMBLE), turned, queries)
+        return self._predict_as(k, samples.part(k, ENSEMBLE), turned, queries)
 
-    def _predict(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: Queries | None) -> Rig:
-        """Run the network: joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time."""
-        inputs = {"points": batch_of_one(samples.points(vertices)), "normals": batch_of_one(samples.normals(vertices))}
+    def _predict_as(
+        self, k: int, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: Queries | None
+    ) -> Rig:
+        """Make prediction k: of the mesh, or for odd k of its mirror image, mirrored back.
+
+        The errors of the two are not the same, so their mean is nearer to the truth than that of as many of one kind.
+        """
+        if k % 2 == 0:
+            return self._predict(samples, vertices, queries)
+        mirrored = None if queries is None else (queries[0] * MIRROR, queries[1] * MIRROR)
+        # Mirrored triangles have normals to the inside: those of the mesh itself are mirrored.
+        rig = self._predict(samples, vertices * MIRROR, mirrored, -1.0)
+        return Rig(
+            rig.rotation[self._other_sides] * MIRROR[:, None] * MIRROR,
+            rig.joints[self._other_sides] * MIRROR,
+            rig.weights[:, self._other_sides],
+        )
+
+    @cached_property
+    def _other_sides(self) -> list[int]:
+        """Joint on the other side of the body of each joint, or itself."""
+        return [self.joints.index(other_side(name, self.joints)) for name in self.joints]
+
+    def _predict(
+        self,
+        samples: SurfacePoints,
+        vertices: Float[np.ndarray, "U 3"],
+        queries: Queries | None,
+        outward: float = 1.0,
+    ) -> Rig:
+        """Run the network: joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time.
+
+        Args:
+            outward: factor on the normals of the triangles.
+        """
+        normals_at_samples = outward * samples.normals(vertices)
+        inputs = {"points": batch_of_one(samples.points(vertices)), "normals": batch_of_one(normals_at_samples)}
         points, normals = queries or np.zeros((2, 1, 3))  # the network takes no empty input
         outputs = []
         for start in range(0, len(points), CHUNK):
