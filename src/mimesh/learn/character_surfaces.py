@@ -54,8 +54,6 @@ class CharacterSurface:
     """The joint whose rotation each joint has: itself, or its nearest ancestor that the character has."""
     placed: Bool[np.ndarray, " J"]
     """Whether the position of each joint is known."""
-    piece: Int[np.ndarray, " N"]
-    """Number of each point's connected component of the surface."""
 
     @property
     def turning(self) -> Bool[np.ndarray, " J"]:
@@ -71,7 +69,10 @@ class CharacterSurface:
         vertex_weights = body_weights(character, body)
         size = spread(Mesh(body.vertices, body.faces)) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found = place_body_joints(character)
-        carrier, alignment = carriers(set(character.joints) | {"Hips"}, body), np.tile(np.eye(3), (len(body.parents), 1, 1))
+        carrier, alignment = (
+            carriers(set(character.joints) | {"Hips"}, body),
+            np.tile(np.eye(3), (len(body.parents), 1, 1)),
+        )
         aligned = rest_alignments(character)
         joints = np.empty((len(body.parents), 3))
         for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
@@ -91,7 +92,6 @@ class CharacterSurface:
             alignment=alignment,
             carrier=carrier,
             placed=np.array([name in named for name in body.joint_names]),
-            piece=connected_pieces(mesh)[mesh.faces[face, 0]],
         )
 
 
@@ -116,7 +116,9 @@ class TrainingCharacters:
         """
         pool = read_pool(folder, split)
         if not pool.characters:
-            raise InputError(f"{folder}: expected humanoids of the split {split}, found none that can be used; add some")
+            raise InputError(
+                f"{folder}: expected humanoids of the split {split}, found none that can be used; add some"
+            )
         metas = [character.meta for character in pool.characters]
         makers = Counter(f"{meta.maker}: {meta.pack} ({meta.licence})" for meta in metas)
         surfaces = tuple(CharacterSurface.of(character, body) for character in pool.characters)
@@ -126,15 +128,6 @@ class TrainingCharacters:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
         facts = {"makers": dict(makers), "sha256": digest.hexdigest()}
         return cls(surfaces, poses, facts, pool.refusals())
-
-
-def connected_pieces(mesh: Mesh) -> Int[np.ndarray, " V"]:
-    """Number the connected components of a surface, whose seams are welded, and give that of each vertex."""
-    from scipy.sparse.csgraph import connected_components
-
-    distinct, group = geometry.weld(mesh.vertices)
-    pairs = geometry.edges(group[mesh.faces])
-    return connected_components(geometry.links(pairs, len(distinct)), directed=False)[1][group]
 
 
 def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:

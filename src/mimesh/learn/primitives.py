@@ -33,7 +33,9 @@ Points = tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"]]
 
 
 def sample_primitive(shape: Shape, half: Float[np.ndarray, " 3"], count: int, rng: np.random.Generator) -> Points:
-    """Draw points, about evenly spread, and unit normals of a primitive centred at the origin; round ones stand along y.
+    """Draw points, about evenly spread, and unit normals of a primitive centred at the origin.
+
+    Cylinders, cones and discs stand along y.
 
     Args:
         half: half of its size along x, y and z.
@@ -73,7 +75,11 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     has = _random_joints(body, rng)
     carrier = carriers(has, body)
     alignment, joints = _rest(body, lowered=rng.uniform(0, 1.4) * (rng.random() < 0.7))
-    parts = [*_limbs(body, joints, has, rng), *_ends(body, joints, alignment, has, rng), *_trunk(body, joints, has, rng)]
+    parts = [
+        *_limbs(body, joints, has, rng),
+        *_ends(body, joints, alignment, has, rng),
+        *_trunk(body, joints, has, rng),
+    ]
     area = np.array([part.area for part in parts])
     which = rng.choice(len(parts), POINTS, p=area / area.sum())
     points, normals = np.empty((2, POINTS, 3))
@@ -89,7 +95,6 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
         alignment=alignment[carrier],
         carrier=carrier,
         placed=np.array([name in has for name in body.joint_names]),
-        piece=which,
     )
 
 
@@ -120,10 +125,22 @@ class _Part:
 def _random_joints(body: RiggedBody, rng: np.random.Generator) -> set[str]:
     """Draw which of the body's joints a person has."""
     has = {name for name in body.joint_names if not name.endswith(DETAILS)}
-    drop = [LIMB_ENDS["ForeArm"], LIMB_ENDS["Leg"], ("Hand",), ("Foot",), ("LowerBack", "Spine"), ("Spine1",), ("Neck",)]
+    drop = [
+        LIMB_ENDS["ForeArm"],
+        LIMB_ENDS["Leg"],
+        ("Hand",),
+        ("Foot",),
+        ("LowerBack", "Spine"),
+        ("Spine1",),
+        ("Neck",),
+    ]
     for parts, share in zip(drop, (0.3, 0.3, 0.2, 0.2, 0.5, 0.3, 0.5), strict=True):
         if rng.random() < share:
-            has -= {name for name in has if name.endswith(parts) and name.removeprefix("Left").removeprefix("Right") in parts}
+            has -= {
+                name
+                for name in has
+                if name.endswith(parts) and name.removeprefix("Left").removeprefix("Right") in parts
+            }
     return has
 
 
@@ -162,7 +179,10 @@ def _ends(
 ) -> list[_Part]:
     """Make hands and feet; left and right are alike."""
     parts = []
-    for part, offset, size in (("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)), ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12))):
+    for part, offset, size in (
+        ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
+        ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
+    ):
         shape, scale = SHAPES[rng.integers(2)], np.exp(rng.normal(0, 0.35, 3))
         for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
             if side + part in has:

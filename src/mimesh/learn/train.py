@@ -17,8 +17,8 @@ import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
-from ..core.errors import InputError
 from ..bodies import load_body
+from ..core.errors import InputError
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .config import load_config

@@ -21,7 +21,6 @@ from torch import Tensor, nn
 
 from ...bodies import RiggedBody
 from ..bodies import posed_joints, skinned
-from ..pieces import PIECE_FEATURES
 
 POINTS = 512
 """Points of a mesh that the exported network takes; training takes fewer."""
@@ -64,8 +63,6 @@ class MimeConfig:
     """Channels of a point in a joint's frame."""
     skinning: int = 32
     """Channels of a vertex in a joint's frame, for the skinning weights."""
-    pieces: bool = False
-    """Take in which piece of the surface a point or vertex belongs to (`learn.pieces`)."""
 
 
 @dataclass(frozen=True)
@@ -111,7 +108,6 @@ class MimeNetwork(nn.Module):
         c, joints = config.width, len(body.parents)
         self.embed = nn.Linear(6 + 6 * OCTAVES, c)
         self.mix = nn.Linear(c, c)
-        self.piece = zero_initialized(nn.Linear(PIECE_FEATURES, c, bias=False)) if config.pieces else None
         self.tokens = nn.Parameter(0.5 * torch.randn(1, config.latents + joints, c))
         self.blocks = nn.ModuleList(Block(c, config.heads, cross=i % 2 == 0) for i in range(config.blocks))
         self.first = zero_initialized(nn.Linear(c, 9))
@@ -119,20 +115,15 @@ class MimeNetwork(nn.Module):
         self.skinning_head = SkinningHead(config, joints)
         self.register_load_state_dict_pre_hook(_rename_weights)
 
-    def predict_joints(
-        self,
-        points: Float[Tensor, "B N 3"],
-        normals: Float[Tensor, "B N 3"],
-        pieces: Float[Tensor, "B N 5"] | None = None,
-    ) -> Prediction:
+    def predict_joints(self, points: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Prediction:
         """Predict the joints of meshes from points spread evenly over them, at any place, in any size and order.
 
-        Normals are of unit length, or zero where they are not known; so are `pieces`.
+        Normals are of unit length, or zero where they are not known.
         """
         centre = points.mean(1, keepdim=True)
         scale = (points - centre).square().sum(-1, keepdim=True).mean(1, keepdim=True).sqrt()
         x = (points - centre) / scale
-        features = self._point_features(x, normals, pieces if pieces is None else _rescaled(pieces, scale))
+        features = self._point_features(x, normals)
         tokens = self.tokens.expand(len(x), -1, -1)
         for block in self.blocks:
             tokens = block(tokens, features)
@@ -150,14 +141,10 @@ class MimeNetwork(nn.Module):
         return Prediction(tokens, tuple(rotations), tuple(p * scale + centre for p in positions), scale)
 
     def predict_weights(
-        self,
-        prediction: Prediction,
-        vertices: Float[Tensor, "B V 3"],
-        normals: Float[Tensor, "B V 3"],
-        pieces: Float[Tensor, "B V 5"] | None = None,
+        self, prediction: Prediction, vertices: Float[Tensor, "B V 3"], normals: Float[Tensor, "B V 3"]
     ) -> Float[Tensor, "B V J"]:
         """Predict logarithms of skinning weights, up to a constant a vertex (softmax gives the weights)."""
-        return self.skinning_head(prediction, vertices, normals, pieces)
+        return self.skinning_head(prediction, vertices, normals)
 
     def skin(
         self,
@@ -175,14 +162,14 @@ class MimeNetwork(nn.Module):
             return skinned(vertices, weights, identity.rotation, identity.joints, driving.rotation, joints)
 
     def forward(
-        self, identity: tuple[Tensor, ...], driving: tuple[Tensor, ...]
+        self, identity: tuple[Tensor, Tensor], driving: tuple[Tensor, Tensor]
     ) -> tuple[Prediction, Prediction, Float[Tensor, "B N J"]]:
-        """Predict joints of both (points, normals, pieces) in one batch, and weights of half the identity's points."""
+        """Predict joints of both (points and normals each) in one batch, and weights of half the identity's points."""
         both = self.predict_joints(*(torch.cat(pair) for pair in zip(identity, driving, strict=True)))
         size = len(identity[0])
         own, other = both.select(slice(size)), both.select(slice(size, None))
         half = slice(identity[0].shape[1] // 2)
-        return own, other, self.predict_weights(own, *(given[:, half] for given in identity))
+        return own, other, self.predict_weights(own, identity[0][:, half], identity[1][:, half])
 
     def estimate_flops(self, vertices: int, points: int) -> float:
         """Count floating-point operations of a transfer with so many points a mesh: two for each use of a weight."""
@@ -195,13 +182,9 @@ class MimeNetwork(nn.Module):
         head = _count(self.skinning_head.geometry, self.skinning_head.hidden)
         return 2.0 * (2 * mesh + head * joints * vertices)
 
-    def _point_features(
-        self, x: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"], pieces: Float[Tensor, "B N 5"] | None
-    ) -> Float[Tensor, "B N C"]:
+    def _point_features(self, x: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N C"]:
         waves = (x[..., None] * self.octaves).flatten(-2)
         h = self.embed(torch.cat([x, normals, waves.sin(), waves.cos()], -1))
-        if self.piece is not None and pieces is not None:
-            h = h + self.piece(pieces)
         return rms_normalize(h + self.mix(F.relu(h)))
 
 
@@ -289,24 +272,13 @@ class SkinningHead(nn.Module):
         self.geometry, self.token = nn.Linear(FEATURES, h, bias=False), nn.Linear(config.width, h)
         self.joint = nn.Parameter(torch.zeros(1, joints, h))
         self.hidden, self.out = nn.Linear(h, h), nn.Linear(h, 1)
-        self.piece = zero_initialized(nn.Linear(FEATURES + 2, h, bias=False)) if config.pieces else None
 
-    def forward(
-        self, prediction: Prediction, vertices: Tensor, normals: Tensor, pieces: Tensor | None = None
-    ) -> Float[Tensor, "B V J"]:
+    def forward(self, prediction: Prediction, vertices: Tensor, normals: Tensor) -> Float[Tensor, "B V J"]:
         unit = prediction.scale.detach()
         frames = JointFrames(prediction.rotation.detach(), prediction.joints.detach() / unit)
         local = frames.describe(vertices[:, None] / unit[:, None], normals[:, None])
         token = self.token(rms_normalize(prediction.tokens[:, self.latents :])) + self.joint
-        h = self.geometry(local) + token[:, :, None]
-        if self.piece is not None and pieces is not None:
-            # The centroid of the vertex's piece in each joint's frame, the size of the piece and its share.
-            known = pieces[:, None, :, 4:] > 0
-            pieces = _rescaled(pieces, unit)[:, None]
-            centroid = frames.describe(vertices[:, None] / unit[:, None] + pieces[..., :3], torch.zeros_like(normals)[:, None])
-            extent = pieces[..., 3:].expand(-1, centroid.shape[1], -1, -1)
-            h = h + self.piece(torch.cat([centroid, extent], -1) * known)
-        h = F.relu(self.hidden(F.relu(h)))
+        h = F.relu(self.hidden(F.relu(self.geometry(local) + token[:, :, None])))
         # Near joints are likelier before anything is learned: the distance (feature 3) is taken off the score.
         return (self.out(h)[..., 0].float() - local[..., 3].float()).mT
 
@@ -378,11 +350,6 @@ def _rename_weights(_: nn.Module, state: dict[str, Tensor], prefix: str, *__: ob
     """Rename the weights of an older state dictionary in place, before it is loaded."""
     for name in list(state):
         state[current_name(name)] = state.pop(name)
-
-
-def _rescaled(pieces: Float[Tensor, "B N 5"], scale: Float[Tensor, "B 1 1"]) -> Float[Tensor, "B N 5"]:
-    """Divide the lengths of a description of pieces by the scale of each mesh."""
-    return torch.cat([pieces[..., :4] / scale, pieces[..., 4:]], -1)
 
 
 def _gather(values: Float[Tensor, "B N C"], index: Int[Tensor, "B J M"]) -> Float[Tensor, "B J M C"]:

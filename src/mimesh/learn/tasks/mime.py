@@ -25,7 +25,6 @@ from ..bodies import world_rotations
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
-from ..pieces import describe_pieces
 from ..primitives import primitive_person
 from .base import OnnxInterface, Task, TrainConfig
 from .mime_characters import OWN_REST, CharacterBank, FigureSampler
@@ -37,8 +36,6 @@ PRIMITIVE_PEOPLE = 96
 """People of primitives beside the characters of a folder; they count as one more pack."""
 MISSING = (0.08, 0.25)
 """Share of identities and of driving meshes that lack the points within a ball."""
-WITHOUT_PIECES = 0.25
-"""Share of the meshes whose pieces are not given, as of point clouds."""
 WITHOUT_NORMALS = (0.1, 0.2)
 """Share of identities and of driving meshes without normals, as point clouds are."""
 ONE_SIDED = 0.1
@@ -97,15 +94,20 @@ class SurfaceBatch:
     driving: PosedSurface
     truth: PosedSurface
     """The identity's points in the driving pose."""
-    inputs: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"], Float[Tensor, "B N 5"]], ...]
-    """Points, normals and pieces of identity and of driving; the driving's rows are not those of `driving`."""
+    inputs: tuple[tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]], ...]
+    """Points and normals of identity and of driving; the driving's rows are not those of `driving`."""
 
 
 class SurfaceSource(BodySampler):
     """Makes batches of one kind of data: NPT's table of plain people, or endless people and characters of all kinds."""
 
     def __init__(
-        self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int, characters: TrainingCharacters | None
+        self,
+        config: DataConfig,
+        body: RiggedBody,
+        device: torch.device,
+        seed: int,
+        characters: TrainingCharacters | None = None,
     ) -> None:
         super().__init__(config, body, device, seed)
         self.surface = SurfaceBody(body).to(device)
@@ -122,15 +124,11 @@ class SurfaceSource(BodySampler):
         """Make the pairs of a step."""
         rng = self._generator(step)
         figures = round(self.config.characters * size)
-        surfaces = self._people(size - figures, rng)
-        if figures:
-            both = zip(surfaces, self._figures(figures, rng), strict=True)
-            surfaces = tuple(people.joined(others) for people, others in both)
-        identity, driving, truth = surfaces
+        groups = [self._people(size - figures, rng)] if figures < size else []
+        groups += [self._figures(figures, rng)] if figures else []
+        identity, driving, truth = (PosedSurface.joined(surfaces) for surfaces in zip(*groups, strict=True))
         if self.config.kind in TABLE_KINDS:
-            exact = tuple(
-                (mesh.points, mesh.normals, self._pieces(mesh.points, mesh.piece, rng)) for mesh in (identity, driving)
-            )
+            exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
             return SurfaceBatch(identity, driving, truth, exact)
         return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
 
@@ -158,10 +156,11 @@ class SurfaceSource(BodySampler):
         posed = self._world(identity_pose, has)
         own = self._uniform(size, rng)[..., None] < OWN_REST
         turned = self._world(driving_pose, both_have)
+        surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
         return (
-            self.bank.posed(identity, torch.where(own, rest, posed), index[0]),
-            self.bank.posed(driving, turned, index[1]),
-            self.bank.posed(identity, turned, index[0]),
+            self.bank.posed(identity, surface, torch.where(own, rest, posed), index[0]),
+            self.bank.posed(driving, other, turned, index[1]),
+            self.bank.posed(identity, surface, turned, index[0]),
         )
 
     def _world(self, local: Float[Tensor, "B J 3 3"], known: Bool[Tensor, "B J"]) -> Float[Tensor, "B J 3 3"]:
@@ -187,22 +186,11 @@ class SurfaceSource(BodySampler):
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
         noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
         noisy = _gather(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
-        meshes = (
-            (identity.points, identity.normals, identity.piece),
-            (noisy, _gather(driving.normals, index), driving.piece.gather(1, index)),
+        meshes = ((identity.points, identity.normals), (noisy, _gather(driving.normals, index)))
+        return tuple(
+            (points, normals * (self._uniform(size, rng) >= share))
+            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
         )
-        damaged = [
-            (points, normals * (self._uniform(size, rng) >= share), piece)
-            for (points, normals, piece), share in zip(meshes, WITHOUT_NORMALS, strict=True)
-        ]
-        return tuple((points, normals, self._pieces(points, piece, rng)) for points, normals, piece in damaged)
-
-    def _pieces(
-        self, points: Float[Tensor, "B N 3"], piece: Int[Tensor, "B N"], rng: torch.Generator
-    ) -> Float[Tensor, "B N 5"]:
-        """Describe the pieces of surfaces, of some as if they were not known."""
-        known = torch.rand(len(points), generator=rng, device=self.device) >= WITHOUT_PIECES
-        return describe_pieces(points, piece, known)
 
     def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""

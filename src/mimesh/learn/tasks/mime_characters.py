@@ -16,9 +16,8 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
-from ..bodies import scaled_joints
+from ..bodies import posed_joints, scaled_joints, skinned
 from ..character_surfaces import CharacterSurface
-from ..props import POINTS as PROP_POINTS
 from ..props import Props, PropSampler
 from .mime_people import MAX_HOLE, PosedSurface, random_bumps
 
@@ -30,8 +29,6 @@ SHORT_LIMBS, LIMB_SCALE = 0.15, 0.9
 """Share of figures with shorter arms and legs, and the logarithm of the smallest factor: two fifths."""
 WITHOUT_ENDS = 0.1
 """Share of figures without hands, and without feet."""
-IN_PARTS = 0.1
-"""Share of figures whose surface is cut into parts between the joints, as of mannequins and robots."""
 LAST = 1e3
 """Added to the keys of points that are taken last."""
 OWN_REST = 0.5
@@ -52,9 +49,17 @@ class Figures:
     """As of `mime_people.People`."""
     lacking: Bool[Tensor, "B J"]
     """Joints whose surface is missing."""
-    in_parts: Bool[Tensor, " B"]
-    """Whether the surfaces of different joints are not connected."""
     props: Props
+
+
+@dataclass(frozen=True)
+class RestSurface:
+    """Points of B figures at rest."""
+
+    points: Float[Tensor, "B N 3"]
+    normals: Float[Tensor, "B N 3"]
+    weights: Float[Tensor, "B N J"]
+    joints: Float[Tensor, "B J 3"]
 
 
 class CharacterBank(nn.Module):
@@ -70,7 +75,6 @@ class CharacterBank(nn.Module):
     bones: Tensor
     branching: Tensor
     strongest: Tensor
-    piece: Tensor
 
     def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
         super().__init__()
@@ -78,8 +82,6 @@ class CharacterBank(nn.Module):
         for name in ("points", "normals", "weights", "joints", "alignment"):
             stacked = np.stack([getattr(surface, name) for surface in surfaces])
             self.register_buffer(name, torch.from_numpy(stacked).float())
-        self.register_buffer("piece", torch.from_numpy(np.stack([surface.piece for surface in surfaces])))
-        self.pieces = int(self.piece.max()) + 1
         self.register_buffer("carrier", torch.from_numpy(np.stack([surface.carrier for surface in surfaces])))
         self.register_buffer("placed", torch.from_numpy(np.stack([surface.placed for surface in surfaces])))
         self.register_buffer("strongest", self.weights.argmax(-1))
@@ -88,7 +90,7 @@ class CharacterBank(nn.Module):
         self.register_buffer("branching", torch.from_numpy(branching))
 
     def choose(self, figures: Figures, count: int, rng: torch.Generator, missing: float) -> Int[Tensor, "B N"]:
-        """Choose random points of figures and their props, even by area; a share `missing` of them lack those of a ball.
+        """Choose random points of figures and props, even by area; a share `missing` of them lack those of a ball.
 
         Each point has an exponentially distributed key whose rate is the area that it stands for, and the smallest keys
         are taken. Keys are raised where points are taken only if no others are left.
@@ -113,42 +115,42 @@ class CharacterBank(nn.Module):
         """Tell which joints figures have."""
         return self.carrier[which] == torch.arange(len(self.parents), device=which.device)
 
-    def posed(self, figures: Figures, rotation: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]) -> PosedSurface:
-        """Pose chosen points of figures by the world rotations of their joints; the root joint stays where it rests."""
-        who, carrier = figures.which, self.carrier[figures.which]
-        alignment, joints = self.alignment[who], self.joints[who]
-        of_carrier = carrier[..., None, None].expand(-1, -1, 3, 3)
-        turned = (rotation @ alignment.mT).gather(1, of_carrier)
-        length, girth = figures.length.gather(1, carrier), figures.girth.gather(1, carrier)
-        position, linear, normal_map = scaled_joints(
-            joints, self.bones[who], self.branching, length, girth, turned, self.parents
-        )
+    def shaped(self, figures: Figures, index: Int[Tensor, "B N"]) -> RestSurface:
+        """Compute chosen points of figures at rest, with their proportions, props and bumps."""
+        which, carrier, joints = figures.which, self.carrier[figures.which], self.joints[figures.which]
         rest, normal, weights = self._rest(figures, joints, index)
+        length, girth = figures.length.gather(1, carrier), figures.girth.gather(1, carrier)
+        unturned = torch.eye(3, device=rest.device).expand(*joints.shape, 3)
+        position, linear, normal_map = scaled_joints(
+            joints, self.bones[which], self.branching, length, girth, unturned, self.parents
+        )
         offset = position - (linear @ joints[..., None])[..., 0]
         # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
         blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
         points = (blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3]
         normals = (blended[..., 4:] @ normal[..., None])[..., 0]
-        known = self.turning(who) & ~figures.lacking
+        return RestSurface(points, nn.functional.normalize(normals, dim=-1), weights, position)
+
+    def posed(
+        self, figures: Figures, rest: RestSurface, rotation: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]
+    ) -> PosedSurface:
+        """Pose chosen points of figures by the world rotations of their joints; the root joint stays where it rests."""
+        which, alignment = figures.which, self.alignment[figures.which]
+        of_carrier = self.carrier[which][..., None, None].expand(-1, -1, 3, 3)
+        turned = (rotation @ alignment.mT).gather(1, of_carrier)
+        unturned = torch.eye(3, device=turned.device).expand_as(turned)
+        joints = posed_joints(unturned, rest.joints, turned, rest.joints[:, 0], self.parents)
+        points = skinned(rest.points, rest.weights, unturned, rest.joints, turned, joints)
+        blended = (rest.weights @ turned.flatten(2)).unflatten(2, (3, 3))
         return PosedSurface(
             points,
-            nn.functional.normalize(normals, dim=-1),
-            weights,
+            nn.functional.normalize((blended @ rest.normals[..., None])[..., 0], dim=-1),
+            rest.weights,
             turned @ alignment,
-            position,
-            known,
-            self.placed[who],
-            self._pieces(figures, index),
+            joints,
+            self.turning(which) & ~figures.lacking,
+            self.placed[which],
         )
-
-    def _pieces(self, figures: Figures, index: Int[Tensor, "B N"]) -> Int[Tensor, "B N"]:
-        """Give the pieces of chosen points; each prop is one, and so is each joint's surface of figures in parts."""
-        total = self.points.shape[1]
-        who, column = figures.which[:, None], index.clamp_max(total - 1)
-        piece = self.piece[who, column]
-        piece = torch.where(figures.in_parts[:, None], self.pieces + self.strongest[who, column], piece)
-        prop = self.pieces + len(self.parents) + (index - total) // PROP_POINTS
-        return torch.where(index >= total, prop, piece)
 
     def _rest(self, figures: Figures, joints: Float[Tensor, "B J 3"], index: Int[Tensor, "B N"]):
         """Give positions, normals and weights of chosen points of figures and props at rest, with bumps."""
@@ -157,7 +159,9 @@ class CharacterBank(nn.Module):
         who, column = figures.which[:, None], index.clamp_max(total - 1)
         joint = self.carrier[figures.which].gather(1, props.joint.gather(1, row))
         expand = (-1, -1, 3)
-        place = joints.gather(1, joint[..., None].expand(expand)) + props.offset.gather(1, row[..., None].expand(expand))
+        place = joints.gather(1, joint[..., None].expand(expand)) + props.offset.gather(
+            1, row[..., None].expand(expand)
+        )
         prop_normal = props.normals.gather(1, row[..., None].expand(expand))
         rest = torch.where(of_prop[..., None], place, self.points[who, column])
         normal = torch.where(of_prop[..., None], prop_normal, self.normals[who, column])
@@ -182,7 +186,9 @@ class FigureSampler:
         limbs = {side + part for side in SIDES for part in ("Arm", "ForeArm", "UpLeg", "Leg")}
         self.limbs = torch.tensor([name in limbs for name in names], device=device)
         ends = [("Hand", "Finger", "Thumb"), ("Foot", "ToeBase")]
-        self.ends = torch.tensor([[any(word in name for word in words) for name in names] for words in ends], device=device)
+        self.ends = torch.tensor(
+            [[any(word in name for word in words) for name in names] for words in ends], device=device
+        )
         self.props = PropSampler(body, device)
 
     def draw(self, size: int, rng: torch.Generator) -> Figures:
@@ -199,8 +205,7 @@ class FigureSampler:
         girth = (drawn[1][:, self.group] + larger).exp()
         lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
         bumps = random_bumps(size, rng, self.device)
-        in_parts = self._uniform(rng, size) < IN_PARTS
-        return Figures(which, length, girth, bumps, lacking, in_parts, self.props.draw(size, rng))
+        return Figures(which, length, girth, bumps, lacking, self.props.draw(size, rng))
 
     def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.rand(*size, generator=rng, device=self.device)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,13 +77,12 @@ class PosedSurface:
     """Whether the rotation of a joint is known: figures lack some joints."""
     placed: Bool[Tensor, "B J"]
     """Whether the position of a joint is known."""
-    piece: Int[Tensor, "B N"]
-    """Number of the piece of each point; pieces are not connected to each other."""
 
-    def joined(self, others: PosedSurface) -> PosedSurface:
-        """Append other surfaces to these."""
-        fields = (field.name for field in dataclasses.fields(self))
-        return PosedSurface(*(torch.cat([getattr(self, name), getattr(others, name)]) for name in fields))
+    @classmethod
+    def joined(cls, surfaces: Sequence[PosedSurface]) -> PosedSurface:
+        """Concatenate surfaces."""
+        names = (field.name for field in dataclasses.fields(cls))
+        return cls(*(torch.cat([getattr(surface, name) for surface in surfaces]) for name in names))
 
 
 class SurfaceBody(nn.Module):
@@ -140,7 +140,7 @@ class SurfaceBody(nn.Module):
         """Pose chosen points of people by local joint rotations; the root joint stays where it rests."""
         joints, rotation = self._rest_joints(people), world_rotations(rotmat, self.parents)
         position, linear, normal_map = scaled_joints(
-            joints, self.bones, self.branching, people.length, people.girth, rotation, self.parents
+            joints, self.bones[None], self.branching, people.length, people.girth, rotation, self.parents
         )
         rest = self.rest[:, index].transpose(0, 1)
         rest = rest + torch.einsum("bk,kcbn->bcn", people.shape, self.components[:, :, index])
@@ -153,16 +153,7 @@ class SurfaceBody(nn.Module):
         points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
         normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
-        return PosedSurface(
-            points,
-            nn.functional.normalize(normals, dim=-1),
-            weights,
-            rotation,
-            position,
-            known,
-            known,
-            self.piece[index],
-        )
+        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position, known, known)
 
     def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
         return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)

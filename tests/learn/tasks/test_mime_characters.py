@@ -1,0 +1,153 @@
+"""Characters in mime's training pairs: exact transfers, random proportions, and props."""
+
+import dataclasses
+
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from pools import BLOCKS, blocks, write_character  # noqa: E402
+
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn.bodies import posed_joints, skinned  # noqa: E402
+from mimesh.learn.body_sampler import DataConfig  # noqa: E402
+from mimesh.learn.character_surfaces import TrainingCharacters  # noqa: E402
+from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.tasks.base import shipped_body  # noqa: E402
+from mimesh.learn.tasks.mime import SurfaceSource, mime_loss  # noqa: E402
+from mimesh.learn.tasks.mime_characters import FigureSampler  # noqa: E402
+from mimesh.learn.train import train_command  # noqa: E402
+
+BODY = shipped_body()
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def pool(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pool")
+    write_character(folder, "whole", split="train", pack="people")
+    missing = [name for name in BODY.joint_names if name not in BLOCKS]
+    write_character(folder, "blocks", shape=1, split="train", pack="toys", without=missing, spell=blocks)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def source(pool):
+    config = DataConfig("wide", 200, "identity", heading=180.0, characters=1.0)
+    return SurfaceSource(config, BODY, CPU, 0, TrainingCharacters.read(pool, BODY))
+
+
+def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
+    """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
+    monkeypatch.setattr("mimesh.learn.tasks.mime.OWN_REST", 1.0)
+    for step in range(3):
+        batch = source.batch(12, step)
+        own, driving, truth = batch.identity, batch.driving, batch.truth
+        joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
+        moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
+        assert (moved - truth.points).norm(dim=-1).max() < 1e-5
+        assert torch.allclose(own.weights.sum(-1), torch.ones(12, 200), atol=1e-5)
+
+
+def test_batches_repeat_and_differ_from_step_to_step(source):
+    first, again, other = source.batch(4, 5), source.batch(4, 5), source.batch(4, 6)
+    assert torch.equal(first.identity.points, again.identity.points)
+    assert not torch.equal(first.identity.points, other.identity.points)
+
+
+def test_joints_that_are_not_known_have_no_loss(source):
+    from mimesh.learn.models.mime import MimeNetwork
+
+    config = load_config("small", "mime", ["model.width=32"])
+    batch = source.batch(6, 0)
+    torch.manual_seed(0)
+    model = MimeNetwork(config.model, BODY)
+    loss = mime_loss(model, batch, config.structure)
+    unknown = ~batch.identity.turning
+    assert unknown.any()
+    changed = batch.identity.rotation.clone()
+    changed[unknown] = torch.eye(3)[[1, 2, 0]]
+    other = dataclasses.replace(batch, identity=dataclasses.replace(batch.identity, rotation=changed))
+    assert torch.equal(loss, mime_loss(model, other, config.structure))
+    changed[~unknown] = torch.eye(3)[[1, 2, 0]]
+    other = dataclasses.replace(batch, identity=dataclasses.replace(batch.identity, rotation=changed))
+    assert not torch.equal(loss, mime_loss(model, other, config.structure))
+
+
+def test_packs_take_turns(pool):
+    surfaces = [*TrainingCharacters.read(pool, BODY).surfaces]
+    surfaces += [dataclasses.replace(surfaces[0], pack="many")] * 18
+    sampler = FigureSampler(surfaces, BODY, CPU)
+    drawn = sampler.draw(3000, torch.Generator().manual_seed(0)).which
+    share = torch.bincount(drawn, minlength=20) / 3000
+    assert abs(share[0] - 1 / 3) < 0.05
+    assert abs(share[1] - 1 / 3) < 0.05
+    assert share[2:].min() > 0
+
+
+def test_large_heads_have_more_of_the_points(source):
+    figures = source.figures.draw(64, torch.Generator().manual_seed(1))
+    head = BODY.joint("Head")
+    one = torch.ones_like(figures.length)
+    large = one.clone()
+    large[:, head] = 3.0
+    share = []
+    for scale in (one, large):
+        some = dataclasses.replace(figures, length=scale, girth=scale, lacking=torch.zeros_like(figures.lacking))
+        index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+        rotation = source.bank.alignment[figures.which]
+        share.append(
+            source.bank.posed(some, source.bank.shaped(some, index), rotation, index).weights[..., head].mean()
+        )
+    assert share[1] > 1.5 * share[0]
+
+
+def test_missing_hands_have_no_points(source):
+    figures = source.figures.draw(32, torch.Generator().manual_seed(1))
+    ends = source.figures.ends[0]
+    lacking = ends.expand(32, -1)
+    some = dataclasses.replace(
+        figures, lacking=lacking, props=dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
+    )
+    index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+    posed = source.bank.posed(some, source.bank.shaped(some, index), source.bank.alignment[figures.which], index)
+    strongest = posed.weights.argmax(-1)
+    assert not ends[strongest].any()
+    assert not posed.turning[:, ends].any()
+
+
+def test_props_are_moved_by_one_joint(source, monkeypatch):
+    monkeypatch.setattr("mimesh.learn.props.SHARE", 1.0)
+    figures = source.figures.draw(16, torch.Generator().manual_seed(3))
+    total = source.bank.points.shape[1]
+    index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
+    posed = source.bank.posed(figures, source.bank.shaped(figures, index), source.bank.alignment[figures.which], index)
+    assert ((posed.weights == 1).sum(-1) == 1).all()
+    assert figures.props.there.float().mean(1).min() > 0
+
+
+def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(pool, tmp_path):
+    changes = ["data.characters=0.5", "pairs=32", "batch=8", "validate_every=1000", "validation_pairs=1"]
+    changes += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
+    out = tmp_path / "run"
+    train_command("mime", "small", out, None, 0.001, changes, None, pool)
+    from mimesh.learn import checkpoint
+
+    saved = checkpoint.load(out / "last.safetensors")
+    assert saved.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
+    with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
+        train_command("mime", "small", None, out, 0.001)
+    other = tmp_path / "other"
+    other.mkdir()
+    write_character(other, "one", split="train")
+    with pytest.raises(InputError, match="expected the characters of the training so far"):
+        train_command("mime", "small", None, out, 0.001, [], None, other)
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    assert checkpoint.load(out / "last.safetensors").step > saved.step
+
+
+def test_characters_are_for_mime_and_wide_data_only(pool):
+    with pytest.raises(InputError, match=r"data.characters from 0 to 1 with data.kind wide"):
+        load_config("table", "mime", ["data.characters=0.5"])
+    with pytest.raises(InputError, match=r"--characters: expected none"):
+        train_command("npt", "small", None, None, None, [], None, pool)
