@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -43,21 +44,27 @@ class Normalization:
     up: str
     front: str
     detected: bool
-    """Whether up or front (or both) were detected from the shape, not given."""
+    """Whether up or front (or both) were detected from the shape."""
     margin: float
-    """Probability of the chosen facing minus that of the runner-up; 1 where both axes were given."""
+    """Probability of the chosen facing minus that of the runner-up; 1 where both axes were known."""
+    up_from: Literal["given", "file", "shape"] = "shape"
+    """Whether up was given, is that of the file (`Mesh.up`), or was detected from the shape."""
 
     @classmethod
     def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Normalization:
-        """Compute the normalization of a mesh; axes that are not given ("+y", "-z", "x") are detected from its shape.
+        """Compute the normalization of a mesh from its axes ("+y", "-z", "x"); unknown ones are detected.
 
+        Without `up` it is that of the file, if the file defines one and `front` is on another axis: a given axis wins.
         The detector was trained on people. For other shapes it returns some axes, consistently for all axis rotations
         of a file, and usually a small margin. Shapes with a rotational symmetry have no facing.
 
         Raises:
             InputError: an axis is not one of +x +y +z -x -y -z, or up and front lie on one axis.
         """
-        up, front = parse_axis(up, "--up"), parse_axis(front, "--front")
+        up, front, of_file = parse_axis(up, "--up"), parse_axis(front, "--front"), parse_axis(mesh.up, "Mesh.up")
+        up_from = "shape" if up is None else "given"
+        if up is None and of_file is not None and (front is None or front[1] != of_file[1]):
+            up, up_from = of_file, "file"
         if up and front and up[1] == front[1]:
             raise InputError(f"--up {up} --front {front}: expected two different axes, found one; change one of them")
         candidates = [
@@ -67,7 +74,8 @@ class Normalization:
         up, front = ORIENTATIONS[chosen]
         rotated = _rotate(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
-        return cls(ROTATIONS[chosen], centre, radius(rotated - centre), up, front, len(candidates) > 1, margin)
+        size, detected = radius(rotated - centre), len(candidates) > 1
+        return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from)
 
     def apply(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform file coordinates to normalised ones (float64)."""
@@ -131,6 +139,14 @@ def occupancy(points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, " N"]
     return np.sqrt(total)
 
 
+def mesh_occupancy(mesh: Mesh) -> Float[np.ndarray, " C"]:
+    """Compute the detector's features of a mesh, even by area, or of the points of a cloud."""
+    points, weights = mesh.vertices, np.ones(len(mesh.vertices))
+    if len(mesh.faces) > 1:  # the centroid of a single face has no extent
+        points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
+    return occupancy(points.astype(np.float64), weights.astype(np.float64))
+
+
 def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.ndarray]) -> Float[np.ndarray, "*B 24"]:
     """Score each of the 24 rotations: one two-layer network, applied to the features rotated by each of them."""
     rotated = features[..., TURNED_CELLS]
@@ -140,12 +156,7 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
 
 def _detect_orientation(mesh: Mesh, candidates: list[int]) -> tuple[int, float]:
     """Select the candidate (index of ROTATIONS) of highest score, and compute its margin."""
-    points, weights = mesh.vertices, np.ones(len(mesh.vertices))
-    if len(mesh.faces) > 1:  # the centroid of a single face has no extent
-        points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
-    scores = orientation_scores(occupancy(points.astype(np.float64), weights.astype(np.float64)), _detector())[
-        candidates
-    ]
+    scores = orientation_scores(mesh_occupancy(mesh), _detector())[candidates]
     # Rounded, so that the rounding of a sum cannot decide between the equal facings of a symmetric shape.
     scores = np.round(scores, 6)
     probability = np.exp(scores - scores.max())

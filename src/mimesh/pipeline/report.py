@@ -51,7 +51,8 @@ def flipped_share(
 
 def facing(norm: Normalization) -> dict[str, str | bool | float]:
     """Return the axes that were used for one input, as reports have them."""
-    return {"up": norm.up, "front": norm.front, "detected": norm.detected, "margin": round(norm.margin, 3)}
+    axes = {"up": norm.up, "front": norm.front, "up_from": norm.up_from}
+    return axes | {"detected": norm.detected, "margin": round(norm.margin, 3)}
 
 
 def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
