@@ -18,6 +18,7 @@ from mimesh.studio.operations import detect_facing
 from mimesh.tools.inspect import inspect_file
 
 UPSIDE_DOWN = np.diag([-1.0, -1.0, 1.0])
+Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 NOT_RECOGNISED = Confidence(40.0, 2.0, {})
 
 
@@ -88,6 +89,20 @@ def test_results_of_files_stand_upright_and_the_report_says_why(tmp_path):
         assert (given[which]["up"], given[which]["up_from"]) == ("-y", "given")
     assert "up +y (by the file)" in inspect_file(tmp_path / "a.glb").text()
     json.dumps(report)
+
+
+def test_a_shape_that_contradicts_its_file_gets_a_note(tmp_path):
+    """A z-up person in a glTF file, which is y up by definition: the file is believed, and the user is told."""
+    mesh = dataclasses.replace(saved(turned(person(0), Z_UP), tmp_path / "a.glb"), name="scan")
+    result = transfer(mesh, person(0), "copy")
+    assert result.report["identity"]["up"] == "+y"
+    expected = "the file of scan defines up +y, its shape looks like up +z; give --up +z if the file is wrong"
+    assert expected in result.notes
+    given = transfer(mesh, person(0), "copy", up="+z")
+    assert given.report["identity"]["up"] == "+z"
+    assert not any("defines" in note for note in given.notes)
+    assert not any("defines" in note for note in transfer(person(0), mesh, "copy", driving_up="+z").notes)
+    assert "give --driving-up +z if" in " ".join(transfer(person(0), mesh, "copy").notes)
 
 
 def test_baked_animations_keep_the_up_axis_of_their_file(tmp_path):

@@ -25,6 +25,8 @@ UNSURE = 0.5
 
 Chosen on synthetic people, see scripts/fit_orientation.py.
 """
+CONTRARY = 0.95
+"""Margin from which a detected up that is not the file's gets a note."""
 GRID = 11
 """Cells along each side of the occupancy grid, the input of the network that detects up and front."""
 REACH = 2.2
@@ -49,6 +51,8 @@ class Normalization:
     """Probability of the chosen facing minus that of the runner-up; 1 where both axes were known."""
     up_from: Literal["given", "file", "shape"] = "shape"
     """Whether up was given, is that of the file (`Mesh.up`), or was detected from the shape."""
+    shape_up: str | None = None
+    """Up as the shape has it, where that clearly contradicts the file; None elsewhere."""
 
     @classmethod
     def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Normalization:
@@ -70,12 +74,20 @@ class Normalization:
         candidates = [
             r for r, axes in enumerate(ORIENTATIONS) if (up in (None, axes[0])) and (front in (None, axes[1]))
         ]
-        chosen, margin = (candidates[0], 1.0) if len(candidates) == 1 else _detect_orientation(mesh, candidates)
+        detected, shape_up = len(candidates) > 1, None
+        chosen, margin = candidates[0], 1.0
+        if detected or up_from == "file":
+            scores = orientation_scores(mesh_occupancy(mesh), _detector())
+            likeliest, lead = _best_orientation(scores, list(range(len(ORIENTATIONS))))
+            if up_from == "file" and lead >= CONTRARY and ORIENTATIONS[likeliest][0] != up:
+                shape_up = ORIENTATIONS[likeliest][0]
+            if detected:
+                chosen, margin = _best_orientation(scores, candidates)
         up, front = ORIENTATIONS[chosen]
         rotated = _rotate(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
-        size, detected = radius(rotated - centre), len(candidates) > 1
-        return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from)
+        size = radius(rotated - centre)
+        return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from, shape_up)
 
     def apply(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform file coordinates to normalised ones (float64)."""
@@ -154,11 +166,10 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
     return hidden @ model["out"]
 
 
-def _detect_orientation(mesh: Mesh, candidates: list[int]) -> tuple[int, float]:
+def _best_orientation(scores: Float[np.ndarray, " 24"], candidates: list[int]) -> tuple[int, float]:
     """Select the candidate (index of ROTATIONS) of highest score, and compute its margin."""
-    scores = orientation_scores(mesh_occupancy(mesh), _detector())[candidates]
     # Rounded, so that the rounding of a sum cannot decide between the equal facings of a symmetric shape.
-    scores = np.round(scores, 6)
+    scores = np.round(scores[candidates], 6)
     probability = np.exp(scores - scores.max())
     first, second = np.sort(probability / probability.sum())[::-1][:2]
     return candidates[int(scores.argmax())], float(first - second)

@@ -167,7 +167,7 @@ def reorient(
     if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
         return norm
     # A margin of 0 makes the report say that the facing is uncertain.
-    return dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from)
+    return dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
 
 
 def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
