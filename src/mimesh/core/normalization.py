@@ -20,10 +20,10 @@ from .mesh import Mesh
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of the axes of a file."""
-UNSURE = 0.5
+UNSURE = 0.9
 """Margin (difference of probabilities) below which a detected facing gets a note.
 
-Chosen on synthetic people, see scripts/fit_orientation.py.
+Chosen on people of the shipped body and on characters of the split `val`, see docs/LOG.md.
 """
 CONTRARY = 0.95
 """Margin from which a detected up that is not the file's gets a note."""
