@@ -59,7 +59,8 @@ RULES = """## What to expect
   rate, everything else gets 30.
 * **Axes and units** stay as they are in the file; results have those of the identity. Blender converts y up to z up
   when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up axis; PLY and STL have none,
-  so choose *up* Y on import.
+  so choose *up* Y on import. The up axis of glTF and USD files is taken as it is; in all other formats it is detected
+  from the shape.
 * **Point caches** (.pc2 .mdd .npy) contain points only. Faces and materials come from the mesh of the same name next
   to them (walk.obj for walk.pc2), which is written with the cache unless it exists. In Blender: import the mesh, add
   a *Mesh Cache* modifier.

@@ -87,7 +87,8 @@ def test_uncertain_facing_is_noted_and_a_given_one_is_not():
     sure = transfer(cube(), cube(), "copy", up="y", front="z", driving_up="y", driving_front="z")
     assert sure.notes == ()
     assert np.allclose(sure.vertices, cube().vertices)
-    assert sure.report["identity"] == {"up": "+y", "front": "+z", "detected": False, "margin": 1.0}
+    axes = {"up": "+y", "front": "+z", "up_from": "given"}
+    assert sure.report["identity"] == axes | {"detected": False, "margin": 1.0}
 
 
 def test_notes_of_the_identitys_file_are_passed_on():

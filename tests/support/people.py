@@ -41,6 +41,22 @@ def person(shape: int = 0, pose: int | None = None, faces: int = 1000, wide: boo
     return Mesh(vertices[remaining], triangles, name=f"person{shape}")
 
 
+def boxes_person(head: float) -> Mesh:
+    """Make a person of boxes who stands y up and faces +z, with a cube of half size `head` for a head.
+
+    The detector used to stand figures with heads of 0.5 and more, the size of the body below, on their heads.
+    """
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    sides = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    triangles = np.array([[a, *pair] for a, b, c, d in sides for pair in ((b, c), (c, d))])
+    parts = [((0, 1 + head, 0), (head, head, head)), ((0, 0.75, 0), (0.15, 0.25, 0.1))]
+    for x in (-1, 1):
+        parts += [((0.1 * x, 0.25, 0.02), (0.06, 0.25, 0.07)), ((0.3 * x, 0.9, 0), (0.2, 0.05, 0.05))]
+    vertices = [np.array(centre) + corners * half for centre, half in parts]
+    faces = [triangles + 8 * k for k in range(len(parts))]
+    return Mesh(np.concatenate(vertices), np.concatenate(faces), name="boxes")
+
+
 def walk(shape: int = 1, frames: int = 4, faces: int = 1000) -> Clip:
     """Make a clip of a person who swings one leg, turns by 8 degrees and moves forward by 0.2 m per frame."""
     body = load_body()

@@ -70,6 +70,8 @@ class Mesh:
     parts: tuple[Part, ...] = ()
     """Consecutive runs that cover all faces; empty means one unnamed part."""
     source: Source | None = None
+    up: str | None = None
+    """Axis away from the ground ("+y", "+z"), if the file defines one; None: not known."""
 
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """Replace the points and turn the corner normals along with the surface."""

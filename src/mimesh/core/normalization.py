@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,11 +20,13 @@ from .mesh import Mesh
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of the axes of a file."""
-UNSURE = 0.5
+UNSURE = 0.9
 """Margin (difference of probabilities) below which a detected facing gets a note.
 
-Chosen on synthetic people, see scripts/fit_orientation.py.
+Chosen on people of the shipped body and on characters of the split `val`, see docs/LOG.md.
 """
+CONTRARY = 0.95
+"""Margin from which a detected up that is not the file's gets a note."""
 GRID = 11
 """Cells along each side of the occupancy grid, the input of the network that detects up and front."""
 REACH = 2.2
@@ -43,31 +46,48 @@ class Normalization:
     up: str
     front: str
     detected: bool
-    """Whether up or front (or both) were detected from the shape, not given."""
+    """Whether up or front (or both) were detected from the shape."""
     margin: float
-    """Probability of the chosen facing minus that of the runner-up; 1 where both axes were given."""
+    """Probability of the chosen facing minus that of the runner-up; 1 where both axes were known."""
+    up_from: Literal["given", "file", "shape"] = "shape"
+    """Whether up was given, is that of the file (`Mesh.up`), or was detected from the shape."""
+    shape_up: str | None = None
+    """Up as the shape has it, where that clearly contradicts the file; None elsewhere."""
 
     @classmethod
     def fit(cls, mesh: Mesh, up: str | None = None, front: str | None = None) -> Normalization:
-        """Compute the normalization of a mesh; axes that are not given ("+y", "-z", "x") are detected from its shape.
+        """Compute the normalization of a mesh from its axes ("+y", "-z", "x"); unknown ones are detected.
 
+        Without `up` it is that of the file, if the file defines one and `front` is on another axis: a given axis wins.
         The detector was trained on people. For other shapes it returns some axes, consistently for all axis rotations
         of a file, and usually a small margin. Shapes with a rotational symmetry have no facing.
 
         Raises:
             InputError: an axis is not one of +x +y +z -x -y -z, or up and front lie on one axis.
         """
-        up, front = parse_axis(up, "--up"), parse_axis(front, "--front")
+        up, front, of_file = parse_axis(up, "--up"), parse_axis(front, "--front"), parse_axis(mesh.up, "Mesh.up")
+        up_from = "shape" if up is None else "given"
+        if up is None and of_file is not None and (front is None or front[1] != of_file[1]):
+            up, up_from = of_file, "file"
         if up and front and up[1] == front[1]:
             raise InputError(f"--up {up} --front {front}: expected two different axes, found one; change one of them")
         candidates = [
             r for r, axes in enumerate(ORIENTATIONS) if (up in (None, axes[0])) and (front in (None, axes[1]))
         ]
-        chosen, margin = (candidates[0], 1.0) if len(candidates) == 1 else _detect_orientation(mesh, candidates)
+        detected, shape_up = len(candidates) > 1, None
+        chosen, margin = candidates[0], 1.0
+        if detected or up_from == "file":
+            scores = orientation_scores(mesh_occupancy(mesh), _detector())
+            likeliest, lead = _best_orientation(scores, list(range(len(ORIENTATIONS))))
+            if up_from == "file" and lead >= CONTRARY and ORIENTATIONS[likeliest][0] != up:
+                shape_up = ORIENTATIONS[likeliest][0]
+            if detected:
+                chosen, margin = _best_orientation(scores, candidates)
         up, front = ORIENTATIONS[chosen]
         rotated = _rotate(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
-        return cls(ROTATIONS[chosen], centre, radius(rotated - centre), up, front, len(candidates) > 1, margin)
+        size = radius(rotated - centre)
+        return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from, shape_up)
 
     def apply(self, vertices: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T V 3"]:
         """Transform file coordinates to normalised ones (float64)."""
@@ -131,6 +151,14 @@ def occupancy(points: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, " N"]
     return np.sqrt(total)
 
 
+def mesh_occupancy(mesh: Mesh) -> Float[np.ndarray, " C"]:
+    """Compute the detector's features of a mesh, even by area, or of the points of a cloud."""
+    points, weights = mesh.vertices, np.ones(len(mesh.vertices))
+    if len(mesh.faces) > 1:  # the centroid of a single face has no extent
+        points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
+    return occupancy(points.astype(np.float64), weights.astype(np.float64))
+
+
 def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.ndarray]) -> Float[np.ndarray, "*B 24"]:
     """Score each of the 24 rotations: one two-layer network, applied to the features rotated by each of them."""
     rotated = features[..., TURNED_CELLS]
@@ -138,16 +166,10 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
     return hidden @ model["out"]
 
 
-def _detect_orientation(mesh: Mesh, candidates: list[int]) -> tuple[int, float]:
+def _best_orientation(scores: Float[np.ndarray, " 24"], candidates: list[int]) -> tuple[int, float]:
     """Select the candidate (index of ROTATIONS) of highest score, and compute its margin."""
-    points, weights = mesh.vertices, np.ones(len(mesh.vertices))
-    if len(mesh.faces) > 1:  # the centroid of a single face has no extent
-        points, weights = mesh.vertices[mesh.faces].mean(axis=1), face_areas(mesh.vertices, mesh.faces)
-    scores = orientation_scores(occupancy(points.astype(np.float64), weights.astype(np.float64)), _detector())[
-        candidates
-    ]
     # Rounded, so that the rounding of a sum cannot decide between the equal facings of a symmetric shape.
-    scores = np.round(scores, 6)
+    scores = np.round(scores[candidates], 6)
     probability = np.exp(scores - scores.max())
     first, second = np.sort(probability / probability.sum())[::-1][:2]
     return candidates[int(scores.argmax())], float(first - second)

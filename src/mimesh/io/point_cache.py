@@ -7,6 +7,7 @@ the positions, all big-endian, float32. NPY: one array (T, V, 3), or (V, 3) for 
 
 from __future__ import annotations
 
+import dataclasses
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -70,7 +71,8 @@ def read_cache(
     first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
     if mesh is None:
         return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), stored, fps)
-    return Clip(mesh.with_vertices(first), stored, fps)
+    # The points may have been written with other axes than those of the mesh file.
+    return Clip(dataclasses.replace(mesh.with_vertices(first), up=None), stored, fps)
 
 
 def write_pc2(clip: Clip, path: Path, progress: Progress | None = None) -> None:

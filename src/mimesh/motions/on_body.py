@@ -71,7 +71,7 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
     The mesh is that of the first frame. Positions are single precision; the frames of long clips are stored on disk.
     """
     clip = motion_clip(load_body(), None, motion, progress, np.float32)
-    first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64))
+    first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64), up="+y")
     hips = motion.rotmat[:, motion.joint_names.index("Hips")]
     return dataclasses.replace(clip, mesh=first, headings=hips[..., 2])
 
@@ -80,4 +80,4 @@ def first_frame(motion: Motion) -> Mesh:
     """Make a mesh of the shipped body in the first frame of a motion."""
     first = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
     clip = motion_clip(load_body(), None, first)
-    return dataclasses.replace(clip.mesh, vertices=clip.vertices[0])
+    return dataclasses.replace(clip.mesh, vertices=clip.vertices[0], up="+y")

@@ -51,14 +51,21 @@ def flipped_share(
 
 def facing(norm: Normalization) -> dict[str, str | bool | float]:
     """Return the axes that were used for one input, as reports have them."""
-    return {"up": norm.up, "front": norm.front, "detected": norm.detected, "margin": round(norm.margin, 3)}
+    axes = {"up": norm.up, "front": norm.front, "up_from": norm.up_from}
+    return axes | {"detected": norm.detected, "margin": round(norm.margin, 3)}
 
 
 def facing_note(norm: Normalization, name: str, option: str) -> tuple[str, ...]:
-    """Return a note for the user if the axes were detected with a small margin."""
+    """Return notes for the user if the file's up contradicts the shape, or axes were detected with a small margin."""
+    notes = ()
+    if norm.shape_up is not None:
+        notes += (
+            f"the file of {name} defines up {norm.up}, its shape looks like up {norm.shape_up}; "
+            f"give {option.replace('front', 'up')} {norm.shape_up} if the file is wrong",
+        )
     if not norm.unsure:
-        return ()
-    return (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
+        return notes
+    return notes + (f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); give {option}",)
 
 
 def accelerations(driving: Clip, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, dict[str, float]]:

@@ -145,12 +145,13 @@ def reorient(
     """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
     Needed only where axes were detected and the method does not recognise the mesh. It predicts once for each of the 24
-    orientations that the user's axes allow. The one with the lowest entropy of skinning weights wins, and the axes of
-    the hips predicted in it, rounded to the mesh's axes, are the new up and front.
+    orientations that the axes of the user and the file allow, 4 where up is known. The one with the lowest entropy of
+    skinning weights wins, and the axes of the hips predicted in it, rounded to the mesh's, are the new up and front.
     """
     if not norm.detected or confidence.recognised:
         return norm
     up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
+    up = norm.up if norm.up_from == "file" else up
     allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
     predictions = []
     for names in allowed:
@@ -166,7 +167,7 @@ def reorient(
     if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
         return norm
     # A margin of 0 makes the report say that the facing is uncertain.
-    return dataclasses.replace(chosen, detected=True, margin=0.0)
+    return dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
 
 
 def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
@@ -284,14 +285,14 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
 
 
 def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
-    return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
+    return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices), up="+y")
 
 
 def _keyframes(clip: Clip, first: Mesh, norm: Normalization) -> Clip:
     """Return at most KEYFRAMES frames of a clip, evenly spread and normalised; `first` is its first frame."""
     chosen = np.linspace(0, len(clip) - 1, min(len(clip), KEYFRAMES)).round().astype(int)
     vertices = norm.apply(clip.vertices[chosen])
-    return Clip(dataclasses.replace(first, vertices=vertices[0]), vertices, clip.fps)
+    return Clip(dataclasses.replace(first, vertices=vertices[0], up="+y"), vertices, clip.fps)
 
 
 def _refined(

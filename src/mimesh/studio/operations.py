@@ -38,6 +38,8 @@ __all__ = [
 ]
 
 OPTION_WORDS = {
+    "give --driving-up": "choose as up",
+    "give --up": "choose as up",
     "give --driving-front": "choose its front",
     "give --front": "choose its front",
     "choose it with -m": "choose another model",

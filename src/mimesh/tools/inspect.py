@@ -254,7 +254,8 @@ def _motion_detail(joints: int) -> tuple[str, str]:
 
 def _stands(mesh: Mesh) -> str:
     norm = Normalization.fit(mesh)
-    return f"up {norm.up}, front {norm.front}, taken for a person{' (a guess)' if norm.unsure else ''}"
+    by_file = " (by the file)" if norm.up_from == "file" else ""
+    return f"up {norm.up}{by_file}, front {norm.front}, taken for a person{' (a guess)' if norm.unsure else ''}"
 
 
 def _format(path: Path | None) -> str:

@@ -97,6 +97,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
         corner_normals=_read_corner_normals(document, keys, triangles, T_world_node, vertices, faces),
         vertex_colors=_read_vertex_colors(document, vertex_ranges, len(vertices)),
         parts=_read_parts(document, rest),
+        up="+y",  # glTF 2.0, 3.4 Coordinate System and Units
     )
     return mesh, rest
 

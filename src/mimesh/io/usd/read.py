@@ -157,7 +157,9 @@ def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mes
         meters_per_unit=float(UsdGeom.GetStageMetersPerUnit(stage)),
         notes=writing_notes(stage, mesh_prims),
     )
-    return dataclasses.replace(mesh, source=source)
+    # A stage without this metadatum counts as y up, but says nothing about what its exporter did.
+    authored = stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis)
+    return dataclasses.replace(mesh, source=source, up=f"+{source.up_axis.lower()}" if authored else None)
 
 
 def _concatenate(meshes: list[Mesh], name: str) -> Mesh:
