@@ -3,16 +3,25 @@
 import dataclasses
 import json
 from functools import reduce
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from trainings import TINY, losses
 
+from mimesh.bodies import load_body
+from mimesh.core.mesh import Mesh
+from mimesh.core.surface_points import SurfacePoints
 from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from
+from mimesh.learn.models.mime import MimeNetwork
 from mimesh.learn.train import TrainingRun
+
+ROOT = Path(__file__).parents[2]
+ZOO = ROOT / "src" / "mimesh" / "zoo"
 
 
 @pytest.mark.parametrize("optimizer", ["adam", "muon"])
@@ -94,3 +103,28 @@ def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
     assert losses(again, 2) == losses(run, 2)
     for name, average in run.ema.items():
         assert torch.equal(average, again.ema[name])
+
+
+@torch.no_grad()
+def test_the_tracked_checkpoint_of_mime_is_the_network_that_is_shipped():
+    """Weights of both are the same float16 numbers; what differs is the order of sums."""
+    onnxruntime = pytest.importorskip("onnxruntime")
+    model, trained = checkpoint.load_model(ROOT / "training" / "mime.safetensors")
+    card = json.loads((ZOO / "mime.json").read_text())
+    assert trained.spent() == {"seconds_trained": card["seconds_trained"], "pairs": card["pairs"]}
+    assert [dict(stage) for stage in trained.before] == card["before"]
+    body = load_body()
+    mesh = Mesh(body.vertices, body.faces)
+    samples = SurfacePoints.of(mesh, 512, np.random.default_rng(0))
+    arrays = (samples.points(mesh.vertices), samples.normals(mesh.vertices))
+    points, normals = (torch.from_numpy(array[None]).float() for array in arrays)
+    vertices, vertex_normals = points[:, :300], normals[:, :300]
+    inputs = {"points": points, "normals": normals, "vertices": vertices, "vertex_normals": vertex_normals}
+    session = onnxruntime.InferenceSession(ZOO / "mime.onnx", providers=["CPUExecutionProvider"])
+    found = session.run(["rotation", "joints", "scores"], {name: value.numpy() for name, value in inputs.items()})
+    assert isinstance(model, MimeNetwork)
+    prediction = model.predict_joints(points, normals)
+    weights = model.predict_weights(prediction, vertices, vertex_normals).softmax(-1)
+    assert np.abs(prediction.rotation.numpy() - found[0]).max() < 2e-4
+    assert np.abs(prediction.joints.numpy() - found[1]).max() < 2e-4
+    assert np.abs(weights.numpy() - torch.from_numpy(found[2]).softmax(-1).numpy()).max() < 5e-3
