@@ -189,7 +189,7 @@ def draw_figures(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.nd
         figures = sampler.draw(BATCH, generator)
         index = bank.choose(figures, POINTS, generator, HOLES)
         rotation = draw_figure_poses(body, bank, figures.which, frames, rng)
-        posed = bank.posed(figures, rotation, index)
+        posed = bank.posed(figures, bank.shaped(figures, index), rotation)
         for points, weights in zip(posed.points.double().numpy(), posed.weights.double().numpy(), strict=True):
             stretched = points * np.exp(rng.uniform(-0.15, 0.15, 3))
             noisy = stretched + rng.normal(size=points.shape) * rng.uniform(0, 0.015)

@@ -19,6 +19,7 @@ from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from
 from mimesh.learn.models.mime import MimeNetwork
 from mimesh.learn.train import TrainingRun
+from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]
 ZOO = ROOT / "src" / "mimesh" / "zoo"
@@ -108,7 +109,6 @@ def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
 @torch.no_grad()
 def test_the_tracked_checkpoint_of_mime_is_the_network_that_is_shipped():
     """Weights of both are the same float16 numbers; what differs is the order of sums."""
-    onnxruntime = pytest.importorskip("onnxruntime")
     model, trained = checkpoint.load_model(ROOT / "training" / "mime.safetensors")
     card = json.loads((ZOO / "mime.json").read_text())
     assert trained.spent() == {"seconds_trained": card["seconds_trained"], "pairs": card["pairs"]}
@@ -120,7 +120,7 @@ def test_the_tracked_checkpoint_of_mime_is_the_network_that_is_shipped():
     points, normals = (torch.from_numpy(array[None]).float() for array in arrays)
     vertices, vertex_normals = points[:, :300], normals[:, :300]
     inputs = {"points": points, "normals": normals, "vertices": vertices, "vertex_normals": vertex_normals}
-    session = onnxruntime.InferenceSession(ZOO / "mime.onnx", providers=["CPUExecutionProvider"])
+    session = import_onnxruntime().InferenceSession(ZOO / "mime.onnx", providers=["CPUExecutionProvider"])
     found = session.run(["rotation", "joints", "scores"], {name: value.numpy() for name, value in inputs.items()})
     assert isinstance(model, MimeNetwork)
     prediction = model.predict_joints(points, normals)

@@ -62,7 +62,7 @@ class PropSampler:
 
     def __init__(self, body: RiggedBody, device: torch.device) -> None:
         rng = np.random.default_rng(0)
-        sizes = np.exp(rng.uniform(*np.log(SIZE), (KINDS, 3)))
+        sizes = np.exp(rng.uniform(np.log(SIZE[0]), np.log(SIZE[1]), (KINDS, 3)))
         drawn = [sample_primitive(SHAPES[k % len(SHAPES)], half, POINTS, rng) for k, half in enumerate(sizes)]
         points, normals = (np.stack([prop[k] for prop in drawn]) for k in range(2))
         # Thomsen's formula for the area of an ellipsoid, which is near enough for the others.

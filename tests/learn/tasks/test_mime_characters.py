@@ -96,9 +96,7 @@ def test_large_heads_have_more_of_the_points(source):
         some = dataclasses.replace(figures, length=scale, girth=scale, lacking=torch.zeros_like(figures.lacking))
         index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
         rotation = source.bank.alignment[figures.which]
-        share.append(
-            source.bank.posed(some, source.bank.shaped(some, index), rotation, index).weights[..., head].mean()
-        )
+        share.append(source.bank.posed(some, source.bank.shaped(some, index), rotation).weights[..., head].mean())
     assert share[1] > 1.5 * share[0]
 
 
@@ -110,7 +108,7 @@ def test_missing_hands_have_no_points(source):
         figures, lacking=lacking, props=dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
     )
     index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
-    posed = source.bank.posed(some, source.bank.shaped(some, index), source.bank.alignment[figures.which], index)
+    posed = source.bank.posed(some, source.bank.shaped(some, index), source.bank.alignment[figures.which])
     strongest = posed.weights.argmax(-1)
     assert not ends[strongest].any()
     assert not posed.turning[:, ends].any()
@@ -121,7 +119,7 @@ def test_props_are_moved_by_one_joint(source, monkeypatch):
     figures = source.figures.draw(16, torch.Generator().manual_seed(3))
     total = source.bank.points.shape[1]
     index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
-    posed = source.bank.posed(figures, source.bank.shaped(figures, index), source.bank.alignment[figures.which], index)
+    posed = source.bank.posed(figures, source.bank.shaped(figures, index), source.bank.alignment[figures.which])
     assert ((posed.weights == 1).sum(-1) == 1).all()
     assert figures.props.there.float().mean(1).min() > 0
 

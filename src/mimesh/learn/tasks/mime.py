@@ -158,9 +158,9 @@ class SurfaceSource(BodySampler):
         turned = self._world(driving_pose, both_have)
         surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
         return (
-            self.bank.posed(identity, surface, torch.where(own, rest, posed), index[0]),
-            self.bank.posed(driving, other, turned, index[1]),
-            self.bank.posed(identity, surface, turned, index[0]),
+            self.bank.posed(identity, surface, torch.where(own, rest, posed)),
+            self.bank.posed(driving, other, turned),
+            self.bank.posed(identity, surface, turned),
         )
 
     def _world(self, local: Float[Tensor, "B J 3 3"], known: Bool[Tensor, "B J"]) -> Float[Tensor, "B J 3 3"]:

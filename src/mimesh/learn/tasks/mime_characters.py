@@ -131,10 +131,8 @@ class CharacterBank(nn.Module):
         normals = (blended[..., 4:] @ normal[..., None])[..., 0]
         return RestSurface(points, nn.functional.normalize(normals, dim=-1), weights, position)
 
-    def posed(
-        self, figures: Figures, rest: RestSurface, rotation: Float[Tensor, "B J 3 3"], index: Int[Tensor, "B N"]
-    ) -> PosedSurface:
-        """Pose chosen points of figures by the world rotations of their joints; the root joint stays where it rests."""
+    def posed(self, figures: Figures, rest: RestSurface, rotation: Float[Tensor, "B J 3 3"]) -> PosedSurface:
+        """Pose figures by the world rotations of their joints; the root joint stays where it rests."""
         which, alignment = figures.which, self.alignment[figures.which]
         of_carrier = self.carrier[which][..., None, None].expand(-1, -1, 3, 3)
         turned = (rotation @ alignment.mT).gather(1, of_carrier)
@@ -157,15 +155,12 @@ class CharacterBank(nn.Module):
         total, props = self.points.shape[1], figures.props
         of_prop, row = index >= total, (index - total).clamp_min(0)
         who, column = figures.which[:, None], index.clamp_max(total - 1)
-        joint = self.carrier[figures.which].gather(1, props.joint.gather(1, row))
-        expand = (-1, -1, 3)
-        place = joints.gather(1, joint[..., None].expand(expand)) + props.offset.gather(
-            1, row[..., None].expand(expand)
-        )
-        prop_normal = props.normals.gather(1, row[..., None].expand(expand))
+        joint, axes = props.joint.gather(1, row), row[..., None].expand(-1, -1, 3)
+        place = joints.gather(1, joint[..., None].expand_as(axes)) + props.offset.gather(1, axes)
+        prop_normal = props.normals.gather(1, axes)
         rest = torch.where(of_prop[..., None], place, self.points[who, column])
         normal = torch.where(of_prop[..., None], prop_normal, self.normals[who, column])
-        one_joint = nn.functional.one_hot(joint, len(self.parents)).float()
+        one_joint = nn.functional.one_hot(self.carrier[figures.which].gather(1, joint), len(self.parents)).float()
         weights = torch.where(of_prop[..., None], one_joint, self.weights[who, column])
         waves = rest @ figures.bumps[..., :3].mT + figures.bumps[..., None, :, 3]
         return rest + (waves.sin() @ figures.bumps[..., 4:]) * normal, normal, weights
