@@ -138,7 +138,7 @@ def read_pool(folder: str | Path, split: str) -> Pool:
     if not index.is_file():
         raise InputError(
             f"{folder}: expected a folder of rigged characters (.npz) with an index.json, found no index.json; "
-            "give the folder with --data"
+            "give the folder that has one"
         )
     try:
         rows = json.loads(index.read_text(encoding="utf-8"))

@@ -107,6 +107,12 @@ class TrainingCharacters:
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
 
+    def described(self) -> str:
+        """Say in words whose the characters are and how many cannot be used."""
+        used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
+        left_out = "; ".join(f"{count} left out: {reason}" for reason, count in self.refused.items())
+        return f"{used}; {len(self.poses)} poses of their clips{'; ' if left_out else ''}{left_out}"
+
     @classmethod
     def read(cls, folder: str | Path, body: RiggedBody, split: str = "train") -> TrainingCharacters:
         """Read the characters of a split of a pool.

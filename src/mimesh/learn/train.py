@@ -27,6 +27,8 @@ from .tasks.base import BatchSource, Task, TrainConfig
 from .tasks.find import NETWORKS, find_task
 from .validation import Validation
 
+CHARACTER_SHARE = 0.5
+"""Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 LOG_SECONDS = 20.0
 """Wall-clock time between lines of the log."""
 SAVE_SECONDS = 60.0
@@ -68,6 +70,8 @@ def train_command(
         config_before = checkpoint.load(last).config
         return train(config_before, resume, max_minutes, read_characters(config_before, characters))
     settings = load_config(config, model, changes)
+    if characters is not None and not settings.data.characters:
+        settings = load_config(config, model, [*changes, f"data.characters={CHARACTER_SHARE}"])
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
     if (folder / "last.safetensors").exists():
         raise InputError(
@@ -138,6 +142,8 @@ def train(
         with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
             log = TrainingLog(lines, board, run)
             log.note("precision", run.reason, precision=run.task.precision)
+            if pool:
+                log.note("characters", pool.described())
             first = run.step
             while not stop() or (run.step == first and stop.signal is None and run.share() < 1.0):
                 if run.validation_due():

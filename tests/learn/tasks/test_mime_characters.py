@@ -1,6 +1,7 @@
 """Characters in mime's training pairs: exact transfers, random proportions, and props."""
 
 import dataclasses
+import json
 
 import pytest
 
@@ -9,6 +10,7 @@ torch = pytest.importorskip("torch")
 from pools import BLOCKS, blocks, write_character  # noqa: E402
 
 from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.bodies import posed_joints, skinned  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.character_surfaces import TrainingCharacters  # noqa: E402
@@ -129,8 +131,9 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
     changes += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
     out = tmp_path / "run"
     train_command("mime", "small", out, None, 0.001, changes, None, pool)
-    from mimesh.learn import checkpoint
-
+    lines = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    told = next(line["text"] for line in lines if line["kind"] == "characters")
+    assert told.startswith("1 of we: people (CC0-1.0), 1 of we: toys (CC0-1.0); 6 poses of their clips")
     saved = checkpoint.load(out / "last.safetensors")
     assert saved.characters["makers"] == {"we: people (CC0-1.0)": 1, "we: toys (CC0-1.0)": 1}
     with pytest.raises(InputError, match=r"--characters: expected a folder with data.characters 0.5, found none"):
@@ -147,5 +150,12 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
 def test_characters_are_for_mime_and_wide_data_only(pool):
     with pytest.raises(InputError, match=r"data.characters from 0 to 1 with data.kind wide"):
         load_config("table", "mime", ["data.characters=0.5"])
-    with pytest.raises(InputError, match=r"--characters: expected none"):
+    with pytest.raises(InputError, match=r"expected data.characters 0 with npt"):
         train_command("npt", "small", None, None, None, [], None, pool)
+
+
+def test_a_folder_alone_gives_characters_half_of_every_batch(pool, tmp_path):
+    changes = ["pairs=16", "batch=8", "validate_every=1000", "validation_pairs=1", "compile=false"]
+    changes += ["data.vertices=32", "model.width=32", "precision=fp32"]
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, changes, None, pool)
+    assert checkpoint.load(out / "last.safetensors").config.data.characters == 0.5
