@@ -18,9 +18,10 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--weights-only", action="store_true", help="without average and optimizer state")
+    parser.add_argument("--no-average", action="store_true", help="without the average of the weights")
     args = parser.parse_args()
     args.output.parent.mkdir(parents=True, exist_ok=True)
-    checkpoint.save_compact(args.checkpoint, args.output, args.weights_only)
+    checkpoint.save_compact(args.checkpoint, args.output, args.weights_only, not args.no_average)
     before, after = (path.stat().st_size / 2**20 for path in (args.checkpoint, args.output))
     print(f"{args.output}: {after:.1f} MiB, {before:.1f} before")
 

@@ -106,6 +106,18 @@ def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
         assert torch.equal(average, again.ema[name])
 
 
+def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):
+    run = TrainingRun.start(TINY, tmp_path / "none")
+    losses(run, 3)
+    run.save(tmp_path / "whole.safetensors")
+    checkpoint.save_compact(tmp_path / "whole.safetensors", tmp_path / "last.safetensors", average=False)
+    again = TrainingRun.start(TINY, tmp_path)
+    for name, value in again.model.state_dict().items():
+        torch.testing.assert_close(again.ema[name], value, rtol=0, atol=0)
+        torch.testing.assert_close(value, run.model.state_dict()[name], rtol=1e-3, atol=1e-6)
+    assert losses(again, 2) == pytest.approx(losses(run, 2), rel=0.05)
+
+
 @torch.no_grad()
 def test_the_tracked_checkpoint_of_mime_is_the_network_that_is_shipped():
     """Weights of both are the same float16 numbers; what differs is the order of sums."""

@@ -94,10 +94,11 @@ def load(path: Path) -> Checkpoint:
     return Checkpoint(config, tensors=tensors, **position)
 
 
-def save_compact(path: Path, out: Path, weights_only: bool = False) -> None:
+def save_compact(path: Path, out: Path, weights_only: bool = False, average: bool = True) -> None:
     """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
 
-    With `weights_only`, average and optimizer state are left out: a start for another training (`--weights`).
+    Without the `average` a third less; a training that continues begins a new one. With `weights_only`, average and
+    optimizer state are left out: a start for another training (`--weights`).
 
     `load` reads it as any other and a training continues from it, from rounded numbers. Adam's squares of small
     gradients would be zero in float16.
@@ -105,7 +106,8 @@ def save_compact(path: Path, out: Path, weights_only: bool = False) -> None:
     load(path)  # raises InputError
     with safe_open(path, "pt") as file:
         metadata = file.metadata()
-        kept = (key for key in file.keys() if key.startswith("model.") or not weights_only)  # noqa: SIM118 (not a dict)
+        left_out = ("ema.", "optimizer.") if weights_only else () if average else ("ema.",)
+        kept = (key for key in file.keys() if not key.startswith(left_out))  # noqa: SIM118 (not a dict)
         tensors = {key: file.get_tensor(key) for key in kept}
     for key, value in tensors.items():
         if value.dtype == torch.float32 and value.ndim:
@@ -138,7 +140,7 @@ def unpack(
     with torch.no_grad():
         model.load_state_dict({k[6:]: v for k, v in checkpoint.tensors.items() if k.startswith("model.")})
         for name, value in ema.items():
-            value.copy_(checkpoint.tensors[f"ema.{name}"])
+            value.copy_(checkpoint.tensors.get(f"ema.{name}", checkpoint.tensors[f"model.{name}"]))
     for which, optimizer in enumerate(optimizers):
         fields: dict[int, dict[str, Tensor]] = {}
         prefix = f"optimizer.{which}."
