@@ -173,14 +173,12 @@ def draw_figures(folder: Path, count: int, seed: int) -> tuple[np.ndarray, np.nd
     import torch
 
     from mimesh.learn.character_surfaces import TrainingCharacters
-    from mimesh.learn.primitives import primitive_person
-    from mimesh.learn.tasks.mime import PRIMITIVE_PEOPLE
+    from mimesh.learn.primitives import primitive_people
     from mimesh.learn.tasks.mime_characters import CharacterBank, FigureSampler
 
     body = load_body()
     characters = TrainingCharacters.read(folder, body)
-    people = [primitive_person(body, np.random.default_rng(k)) for k in range(PRIMITIVE_PEOPLE)]
-    surfaces = [*characters.surfaces, *people]
+    surfaces = [*characters.surfaces, *primitive_people(body)]
     bank, sampler = CharacterBank(surfaces, body), FigureSampler(surfaces, body, torch.device("cpu"))
     frames = standing_poses(body, characters.poses)[0]
     features, packs = [], []

@@ -40,7 +40,6 @@ CLIP_STEP = 2
 class CharacterSurface:
     """A character at rest, as large as the shipped body (root mean square distance of its points from their mean)."""
 
-    name: str
     pack: str
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
@@ -83,7 +82,6 @@ class CharacterSurface:
                 joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
         named = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
         return cls(
-            name=character.meta.file,
             pack=character.meta.pack,
             points=size * points,
             normals=geometry.face_normals(mesh.vertices, mesh.faces)[face],

@@ -21,6 +21,8 @@ from .character_surfaces import POINTS, CharacterSurface, carriers
 
 Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]
 SHAPES: tuple[Shape, ...] = ("box", "ellipsoid", "cylinder", "cone", "disc")
+PEOPLE = 96
+"""Number of people of primitives beside the characters of a folder."""
 PACK = "primitives"
 """Name under which people of primitives are sampled beside the packs of a pool."""
 LIMBS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand", "Hand"), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot", "Foot")}
@@ -66,6 +68,11 @@ def sample_primitive(shape: Shape, half: Float[np.ndarray, " 3"], count: int, rn
     return points * half, unit_vectors(normals / half)
 
 
+def primitive_people(body: RiggedBody) -> list[CharacterSurface]:
+    """Make the people of primitives that count as one more pack beside the characters of a folder."""
+    return [primitive_person(body, np.random.default_rng(k)) for k in range(PEOPLE)]
+
+
 def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:
     """Make a person of primitives, each moved by one joint, with the body's joints at rest and random girths.
 
@@ -86,7 +93,6 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     for k, part in enumerate(parts):
         points[which == k], normals[which == k] = part.sample(int((which == k).sum()), rng)
     return CharacterSurface(
-        name="",
         pack=PACK,
         points=points,
         normals=normals,

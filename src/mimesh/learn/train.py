@@ -17,13 +17,12 @@ import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
-from ..bodies import load_body
 from ..core.errors import InputError
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .config import load_config
 from .optimizers import make_optimizers
-from .tasks.base import BatchSource, Task, TrainConfig
+from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
 from .tasks.find import NETWORKS, find_task
 from .validation import Validation
 
@@ -95,7 +94,7 @@ def read_characters(config: TrainConfig, folder: Path | None) -> TrainingCharact
             f"--characters: expected {needed} with data.characters {config.data.characters:g}, found {given}; "
             "it is the share of the training that characters of a folder have"
         )
-    return TrainingCharacters.read(folder, load_body()) if folder is not None else None
+    return TrainingCharacters.read(folder, shipped_body()) if folder is not None else None
 
 
 def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingCharacters | None = None) -> None:
@@ -105,16 +104,12 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingC
         InputError: the checkpoint holds another network.
     """
     model, trained = checkpoint.load_model(weights)
-    run = TrainingRun.start(config, folder, pool)
-    fresh, given = run.model.state_dict(), model.state_dict()
-    # New parts of a network may be added to a trained one if they begin without effect.
-    fits = all(name in fresh and fresh[name].shape == value.shape for name, value in given.items())
-    if not fits or any(value.any() for name, value in fresh.items() if name not in given):
+    if trained.config.model != config.model:
         raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
     folder.mkdir(parents=True, exist_ok=True)
-    run.model.load_state_dict(fresh | given)
-    current = run.model.state_dict()
-    run.ema = {name: value.detach().clone() for name, value in current.items()} if config.ema else {}
+    run = TrainingRun.start(config, folder, pool)
+    run.model.load_state_dict(model.state_dict())
+    run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
     run.before = (*trained.before, trained.spent())
     run.save(folder / "last.safetensors")
 

@@ -61,11 +61,6 @@ class TrainConfig:
     """Pairs of each kind in a validation, at most 72."""
     seed: int = 0
 
-    @property
-    def needs_characters(self) -> bool:
-        """Whether the training needs a folder of characters."""
-        return self.data.characters > 0
-
     def check(self, where: str) -> None:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":

@@ -25,15 +25,13 @@ from ..bodies import world_rotations
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
-from ..primitives import primitive_person
+from ..primitives import primitive_people
 from .base import OnnxInterface, Task, TrainConfig
 from .mime_characters import OWN_REST, CharacterBank, FigureSampler
 from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
 
 DEFAULT_POINTS = 320
 """Points of each mesh, unless the configuration says more."""
-PRIMITIVE_PEOPLE = 96
-"""People of primitives beside the characters of a folder; they count as one more pack."""
 MISSING = (0.08, 0.25)
 """Share of identities and of driving meshes that lack the points within a ball."""
 WITHOUT_NORMALS = (0.1, 0.2)
@@ -115,8 +113,7 @@ class SurfaceSource(BodySampler):
         self.count = config.vertices or DEFAULT_POINTS
         if config.characters:
             assert characters is not None
-            people = [primitive_person(body, np.random.default_rng(k)) for k in range(PRIMITIVE_PEOPLE)]
-            surfaces = [*characters.surfaces, *people]
+            surfaces = [*characters.surfaces, *primitive_people(body)]
             self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
             self.motion_frames = torch.cat([self.motion_frames, self._tensor(characters.poses)])
 
