@@ -15,7 +15,6 @@ from mimesh.core.rig import leg_length
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.methods.base import Method
 from mimesh.methods.find import find_method
-from mimesh.methods.mime import drive as module
 from mimesh.methods.mime.denoise import Denoiser
 from mimesh.pipeline import animate, transfer
 
@@ -108,7 +107,7 @@ def test_noisy_mesh_is_predicted_denoised_and_tracked_as_it_is(method):
 
 def test_weights_do_not_depend_on_the_chunk_size(method, monkeypatch):
     whole = moved(method, [DRIVING.vertices])[0]
-    monkeypatch.setattr(module, "CHUNK", 100)
+    monkeypatch.setattr("mimesh.methods.mime.joint_network.CHUNK", 100)
     assert np.allclose(moved(method, [DRIVING.vertices])[0], whole, atol=1e-6)
 
 

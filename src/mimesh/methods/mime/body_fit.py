@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 
 from ...bodies import load_body
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
+from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
 from ..confidence import LIMBS
 
@@ -36,6 +37,10 @@ ROTATION_SIGMA, JOINT_SIGMA = 0.2, 0.1
 """Standard deviation of the predicted rotations (radians) and joint positions (metres of the body)."""
 SHAPE_SIGMA, BONE_SIGMA = 3.0, 0.1
 """Standard deviation of the shape coefficients, and of the logarithms of bone lengths and girths; their mean is 0."""
+RELIABLE_RESIDUAL, RESIDUAL_EXPONENT = 0.006, 6
+"""Residual (median distance of matches along their normals, metres of the body) at which fit and prediction count
+alike, and how fast that changes. People of the shipped body have 0.7 mm, dressed or noisy ones 4, realistic characters
+of others 4.5, stylised ones 6, figures of blocks 7 (docs/LOG.md)."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
 
@@ -59,7 +64,7 @@ class SurfaceSample:
 
 @dataclass(frozen=True, eq=False)
 class BodyFit:
-    """Joints of the body that was fitted to a surface, and how well it covers the surface."""
+    """Joints of a surface from the body that was fitted to it, and how well the body covers the surface."""
 
     rotation: Float[np.ndarray, "J 3 3"]
     """World rotation of each joint from the body at rest."""
@@ -81,20 +86,25 @@ def fit_body(surface: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joint
     """Fit the body to a surface, from predicted rotations and positions of its joints.
 
     The unknowns are size, root position, shape coefficients, bone lengths and girths, and the joint rotations (see
-    `SampledBody`). The surface may have any unit, position and heading. Joints are the shipped body's, in its order.
+    `SampledBody`). Joints are those of the fitted body where it covers the surface closely, the predicted ones where it
+    does not, and between the two a blend. The surface may have any unit, position and heading. Joints are the shipped
+    body's, in its order.
     """
     from scipy.spatial import KDTree
 
     body, tree = sampled_body(), KDTree(surface.points)
     state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
     surface = surface.outward(PosedBody(body, state))
-    state = _optimise(body, state, Prior(body, state.size, rotation, joints), surface, tree)
+    state, residual = _optimise(body, state, Prior(body, state.size, rotation, joints), surface, tree)
     posed = PosedBody(body, state)
+    # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
+    share = 1 / (1 + (residual / state.size / RELIABLE_RESIDUAL) ** RESIDUAL_EXPONENT)
+    blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
     unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
     distance = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
     unmatched_surface = float((distance > UNMATCHED_SURFACE * state.size).mean())
-    return BodyFit(state.rotation, posed.joints, unmatched_body, unmatched_surface)
+    return BodyFit(blended, share * posed.joints + (1 - share) * joints, unmatched_body, unmatched_surface)
 
 
 @cache
@@ -113,28 +123,32 @@ def _initial_size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
     return float(np.exp(np.median(np.log(np.maximum(predicted[long], 1e-9) / rest[long]))))
 
 
-def _optimise(body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample, tree: KDTree) -> BodyState:
+def _optimise(
+    body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample, tree: KDTree
+) -> tuple[BodyState, float]:
     """Alternate between matching nearest points and one Gauss-Newton step, from coarse to fine.
+
+    Returns the state, and the median distance of the last matches along their normals, in the unit of the surface.
 
     The energy is the sum of w r^2 over the matches, r being the distance of a match along its normal, plus the prior.
     To first order r(x + step) = r(x) + J step, J being the derivative of r by the unknowns. The energy is then
     quadratic in the step, and least where (J^T W J + P) step = -(J^T W r + g): the normal equations, with P and g from
     the prior. The next round matches and linearises again at the new state.
     """
-    coarse, spread = body.first(COARSE_POINTS), 0.0
+    coarse, distance = body.first(COARSE_POINTS), 0.0
     for k in range(ROUNDS):
         # Matches are expected to come nearer in every round, but not nearer than those of the last round were.
         fraction = (LAST_DISTANCE / FIRST_DISTANCE) ** (k / (ROUNDS - 1))
-        expected = max(state.size * FIRST_DISTANCE * fraction, spread)
+        # 1.48 medians are the standard deviation of a normal distribution, and outliers move them little.
+        expected = max(state.size * FIRST_DISTANCE * fraction, 1.48 * distance)
         posed = PosedBody(coarse if k < COARSE_ROUNDS else body, state)
         jacobian, residual, weight = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
-        # Standard deviation of the normal distribution with this median, which outliers move little.
-        spread = 1.48 * float(np.median(np.abs(residual)))
+        distance = float(np.median(np.abs(residual)))
         weight *= MATCH_WEIGHT / expected**2
         hessian, gradient = (jacobian * weight[:, None]).T @ jacobian, jacobian.T @ (weight * residual)
         prior_hessian, prior_gradient = prior.normal_equations(posed)
         state = body.stepped(state, -np.linalg.solve(hessian + prior_hessian, gradient + prior_gradient))
-    return state
+    return state, distance
 
 
 def _matches(

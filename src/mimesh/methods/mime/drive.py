@@ -1,9 +1,7 @@
 """mime as an ONNX file: predict the joints of both meshes, fit the shipped body to them, then track each frame.
 
-A prediction is one run of the network on points sampled from a surface. Its inputs are "points", "normals" (1, N, 3) of
-the samples and "vertices", "vertex_normals" (1, V, 3), points of the same mesh at which weights are predicted; its
-outputs are "rotation" (1, J, 3, 3) and "joints" (1, J, 3), in the world, and "scores" (1, V, J), whose softmax over the
-joints gives the skinning weights. Any unit and position will do; normals that are not known are zero.
+A prediction is one run of the network on points sampled from a surface (`joint_network.py`); every second one is of the
+mirror image.
 
 Preparing (once): several predictions for the identity and for keyframes of the driving, a consensus of each, and a fit
 of the body to both surfaces. Each frame: the joints' rotations by least squares over tracked points
@@ -16,6 +14,7 @@ import dataclasses
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -30,17 +29,16 @@ from ...core.skinning import SkinnedMesh
 from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive
 from ..confidence import Confidence, mean_angle
-from ..npt import batch_of_one, generator
+from ..npt import generator
 from .body_fit import SurfaceSample, fit_body, sampled_body
 from .denoise import Denoiser, face_outward
+from .joint_network import JointNetwork, NetworkPoints
 from .part_tracking import PartTracker, mean_rotation
 from .weight_cleanup import clean_weights
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-CHUNK = 16_384
-"""Vertices whose weights are predicted in one run of the network; bounds the memory."""
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
 """Predictions for a mesh, each from other samples, whose consensus is taken; and how many of them predict weights too
 (of 6,890 vertices they cost four times as much as the joints)."""
@@ -49,8 +47,6 @@ TRACKED = 2
 RETRIES, DISAGREEMENT = 4, 15.0
 """How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
 reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
-Queries = tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "V 3"]]
-"""Points and normals at which skinning weights are predicted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +83,11 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+
+    @cached_property
+    def network(self) -> JointNetwork:
+        """The network."""
+        return JointNetwork(self.session, self.joints)
 
     @property
     def fits_body(self) -> bool:
@@ -127,8 +128,8 @@ class MimeMethod:
         mesh = face_outward(mesh)
         mesh = dataclasses.replace(mesh, vertices=Denoiser.of(mesh)(mesh.vertices))
         samples = SurfacePoints.of(mesh, self.points, generator(self.seed, 0))
-        queries = (samples.points(mesh.vertices), samples.normals(mesh.vertices))
-        rig = self._predict(samples, mesh.vertices, queries)
+        sampled = NetworkPoints.of(samples, mesh.vertices)
+        rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
 
     def _foot_joints(self) -> tuple[int, ...]:
@@ -147,11 +148,11 @@ class MimeMethod:
             dataclasses.replace(mesh, vertices=denoised), ENSEMBLE * self.points, generator(self.seed, 0)
         )
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
-        even = samples.part(0, ENSEMBLE)
-        queries = np.concatenate([vertices, even.points(denoised)]), np.concatenate([normals, even.normals(denoised)])
+        parts = [NetworkPoints.of(samples.part(k, ENSEMBLE), denoised) for k in range(ENSEMBLE)]
+        queries = NetworkPoints(vertices, normals).joined(parts[0])
         rigs = [
-            self._predict(samples.part(k, ENSEMBLE), denoised, queries if k < WEIGHT_ENSEMBLE else None)
-            for k in range(ENSEMBLE)
+            self.network.predict(part, queries if k < WEIGHT_ENSEMBLE else None, mirrored=k % 2 == 1)
+            for k, part in enumerate(parts)
         ]
         consensus = _consensus(rigs)
         weights, even_weights = np.split(consensus.weights, [len(vertices)])
@@ -239,30 +240,10 @@ class MimeMethod:
         self, samples: SurfacePoints, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
     ) -> Rig:
         """Make prediction k for a frame turned back by a rotation; the first few predict weights of tracked points."""
-        turned, tracked = vertices @ turn, samples.part(0, TRACKED)
-        queries = (tracked.points(turned), tracked.normals(turned)) if k < WEIGHT_ENSEMBLE else None
-        return self._predict(samples.part(k, ENSEMBLE), turned, queries)
-
-    def _predict(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: Queries | None) -> Rig:
-        """Run the network: joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time."""
-        inputs = {"points": batch_of_one(samples.points(vertices)), "normals": batch_of_one(samples.normals(vertices))}
-        points, normals = queries or np.zeros((2, 1, 3))  # the network takes no empty input
-        outputs = []
-        for start in range(0, len(points), CHUNK):
-            chunk = slice(start, start + CHUNK)
-            inputs |= {"vertices": batch_of_one(points[chunk]), "vertex_normals": batch_of_one(normals[chunk])}
-            found = self.session.run(["rotation", "joints", "scores"], inputs)
-            outputs.append([np.asarray(array)[0].astype(np.float64) for array in found])
-        rotation, joints, _ = outputs[-1]  # the same for all chunks: they do not depend on the queries
-        weights = [_softmax(scores) for _, _, scores in outputs] if queries else [np.zeros((0, len(joints)))]
-        return Rig(rotation, joints, np.concatenate(weights))
-
-
-def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
-    """Skinning weights from scores; subtracting the largest score first keeps the exponentials finite."""
-    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
-    weights /= weights.sum(axis=1, keepdims=True)
-    return weights
+        turned = vertices @ turn
+        queries = NetworkPoints.of(samples.part(0, TRACKED), turned) if k < WEIGHT_ENSEMBLE else None
+        sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), turned)
+        return self.network.predict(sampled, queries, mirrored=k % 2 == 1)
 
 
 def _consensus(rigs: list[Rig]) -> Rig:

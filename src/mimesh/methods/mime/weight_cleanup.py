@@ -1,9 +1,12 @@
-"""Repair skinning weights where limbs touch.
+"""Repair skinning weights: where limbs touch, and of pieces that move rigidly.
 
 A network predicts the weights of a vertex from its position, so a hand that rests on a knee is weighted to the leg. On
 the surface, however, the hand is connected to the forearm, and no forearm borders on a knee. Edges between vertices of
 joints that far apart in the skeleton are cut; the connected components that this separates from the largest one of
 their surface are wrong, and are inpainted from the vertices around them.
+
+Swords, hats, shin guards and the blocks of block figures are pieces of their own, not connected to the rest, which one
+joint moves. Predicted weights of such a piece vary over it, which would bend it: it gets the joint of most of it.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ from jaxtyping import Bool, Float, Int
 
 from ...core.geometry import edges, face_areas, factor, links
 
+RIGID_SHARE, SMALL_SHARE, SMALL_AREA = 0.7, 0.5, 0.01
+"""A piece moves rigidly if one joint has more than the first share of its weight, or the second of a piece with less
+than SMALL_AREA of the surface. Chosen on `val` characters (docs/LOG.md)."""
 MAX_BONES = 5
 """Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
 
@@ -36,7 +42,33 @@ def clean_weights(
     # Far influences are removed first: they would spread from the border into the components that are inpainted.
     near = np.where(distance[strongest] < MAX_BONES, weights, 0.0)
     near /= near.sum(axis=1, keepdims=True)
-    return _inpainted(near, wrong, pairs) if wrong.any() else near
+    whole = _inpainted(near, wrong, pairs) if wrong.any() else near
+    return _rigid_pieces(whole, vertices, faces, pairs)
+
+
+def _rigid_pieces(
+    weights: Float[np.ndarray, "V J"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    pairs: Int[np.ndarray, "E 2"],
+) -> Float[np.ndarray, "V J"]:
+    """Give pieces of the surface that one joint moves to this joint alone."""
+    from scipy.sparse.csgraph import connected_components
+
+    count, piece = connected_components(links(pairs, len(vertices)), directed=False)
+    vertex_area = _vertex_areas(vertices, faces)
+    area = np.bincount(piece, vertex_area, minlength=count)
+    summed = np.zeros((count, weights.shape[1]))
+    np.add.at(summed, piece, weights * vertex_area[:, None])
+    joint, share = summed.argmax(axis=1), summed.max(axis=1) / np.maximum(area, 1e-30)
+    small = area < SMALL_AREA * area.sum()
+    rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
+    return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
+
+
+def _vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
+    """Compute the area around each vertex: a third of its triangles'."""
+    return np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
 
 
 def bone_distances(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
@@ -63,8 +95,7 @@ def _disconnected(
     surface, component = (
         connected_components(links(uncut, len(vertices)), directed=False)[1] for uncut in (pairs, pairs[~cut])
     )
-    vertex_area = np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
-    component_area = np.bincount(component, vertex_area)
+    component_area = np.bincount(component, _vertex_areas(vertices, faces))
     largest_area = np.zeros(surface.max() + 1)
     np.maximum.at(largest_area, surface, component_area[component])
     return component_area[component] < largest_area[surface]
