@@ -31,17 +31,20 @@ from ..base import Pose, SkinnedDrive
 from ..confidence import Confidence, mean_angle
 from ..npt import generator
 from .body_fit import SurfaceSample, fit_body, sampled_body
+from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
 from .joint_network import JointNetwork, NetworkPoints
-from .part_tracking import PartTracker, mean_rotation
+from .part_tracking import PartTracker
 from .weight_cleanup import clean_weights
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
-"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of them predict weights too
-(of 6,890 vertices they cost four times as much as the joints)."""
+"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of those that agree predict
+weights too (of 6,890 vertices they cost four times as much as the joints)."""
+REFERENCE_ENSEMBLE = 4
+"""Predictions for the reference among the keyframes of a clip; each other keyframe gets one."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
 RETRIES, DISAGREEMENT = 4, 15.0
@@ -148,18 +151,28 @@ class MimeMethod:
             dataclasses.replace(mesh, vertices=denoised), ENSEMBLE * self.points, generator(self.seed, 0)
         )
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
-        parts = [NetworkPoints.of(samples.part(k, ENSEMBLE), denoised) for k in range(ENSEMBLE)]
-        queries = NetworkPoints(vertices, normals).joined(parts[0])
-        rigs = [
-            self.network.predict(part, queries if k < WEIGHT_ENSEMBLE else None, mirrored=k % 2 == 1)
-            for k, part in enumerate(parts)
-        ]
-        consensus = _consensus(rigs)
-        weights, even_weights = np.split(consensus.weights, [len(vertices)])
-        rig = dataclasses.replace(consensus, weights=clean_weights(weights, vertices, faces, self.parents))
+        queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
+        rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        weights, even_weights = np.split(self._weights(rigs, samples, denoised, queries), [len(vertices)])
+        mean = consensus(rigs)
+        rig = dataclasses.replace(mean, weights=clean_weights(weights, vertices, faces, self.parents))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        return self._with_fit(rig, self._confidence(rigs, consensus, even_weights), sample)
+        return self._with_fit(rig, self._confidence(rigs, mean, even_weights), sample)
+
+    def _predict(
+        self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints | None = None
+    ) -> Rig:
+        """Make prediction k of ENSEMBLE for a mesh, from samples of its own; odd ones are of the mirror image."""
+        sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), vertices)
+        return self.network.predict(sampled, queries, mirrored=k % 2 == 1)
+
+    def _weights(
+        self, rigs: list[Rig], samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: NetworkPoints
+    ) -> Float[np.ndarray, "V J"]:
+        """Predict the weights of the queries: the mean of WEIGHT_ENSEMBLE of the predictions that agree."""
+        kept = agreeing(rigs)[:WEIGHT_ENSEMBLE]
+        return np.mean([self._predict(samples, vertices, k, queries).weights for k in kept], axis=0)
 
     def _with_fit(self, rig: Rig, confidence: Confidence, sample: SurfaceSample) -> tuple[Rig, Confidence]:
         """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
@@ -171,9 +184,9 @@ class MimeMethod:
             confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface
         )
 
-    def _confidence(self, rigs: list[Rig], consensus: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
+    def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
-        spread = float(np.median([mean_angle(rig, consensus) for rig in rigs]))
+        spread = float(np.median([mean_angle(rig, mean) for rig in rigs]))
         return Confidence.of(spread, weights, self.joints, self.parents)
 
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
@@ -197,15 +210,15 @@ class MimeMethod:
                 other = self._predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
-        consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        rig, confidence = self._with_fit(best.consensus, best.confidence, sample)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
-        leg = leg_length(consensus.joints, self.legs) if self.fits_body else best.leg
-        best = dataclasses.replace(best, consensus=consensus, leg=leg, confidence=confidence)
-        tracker = PartTracker.of(best.points, consensus.weights, consensus.joints, self.parents)
+        leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
+        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence)
+        tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
 
         def follow(vertices: Float[np.ndarray, "U 3"]) -> Pose:
             rotation, joints = tracker.follow(tracked.points(vertices))
-            return rotation @ consensus.rotation, joints
+            return rotation @ rig.rotation, joints
 
         return follow, best
 
@@ -217,40 +230,23 @@ class MimeMethod:
         Points are tracked in `frames`; the network's input is taken from the same frames `denoised`.
         """
         # Other keyframes add one prediction each; a single pose gets the whole ensemble.
-        tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else 2
-        rigs = [self._predict_turned(samples, k, denoised[t], np.eye(3)) for k in range(count)]
-        consensus = _consensus(rigs)
-        tracker = PartTracker.of(tracked.points(frames[t]), consensus.weights, consensus.joints, self.parents)
+        tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else REFERENCE_ENSEMBLE
+        rigs = [self._predict(samples, denoised[t], k) for k in range(count)]
+        weights = self._weights(rigs, samples, denoised[t], NetworkPoints.of(tracked, denoised[t]))
+        joints = consensus(rigs).joints  # positions are those of the reference; only rotations are carried back
+        tracker = PartTracker.of(tracked.points(frames[t]), weights, joints, self.parents)
         for k, vertices in enumerate(frames):
             if k != t:
                 motion = tracker.follow(tracked.points(vertices))[0]  # rotations from the reference to this keyframe
                 # The network was trained on people who face +z: the frame is turned back by the motion of the root.
-                rig = self._predict_turned(samples, k, denoised[k], motion[0])
+                rig = self._predict(samples, denoised[k] @ motion[0], k % ENSEMBLE)
                 # Undo that turn, then the motion of each joint: the rotations as they would be in the reference.
                 in_reference = motion.swapaxes(-1, -2) @ motion[0] @ rig.rotation
                 rigs.append(dataclasses.replace(rig, rotation=in_reference))
-        joints = consensus.joints  # positions are those of the reference; only rotations are carried back
-        consensus = _consensus(rigs)
+        mean = consensus(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        confidence = self._confidence(rigs, consensus, consensus.weights)
-        rig = dataclasses.replace(consensus, joints=joints)
-        return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence)
-
-    def _predict_turned(
-        self, samples: SurfacePoints, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
-    ) -> Rig:
-        """Make prediction k for a frame turned back by a rotation; the first few predict weights of tracked points."""
-        turned = vertices @ turn
-        queries = NetworkPoints.of(samples.part(0, TRACKED), turned) if k < WEIGHT_ENSEMBLE else None
-        sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), turned)
-        return self.network.predict(sampled, queries, mirrored=k % 2 == 1)
-
-
-def _consensus(rigs: list[Rig]) -> Rig:
-    """Average predictions: robust mean of rotations, mean of joint positions, and of weights where predicted."""
-    joints = np.mean([rig.joints for rig in rigs], axis=0)
-    weights = np.mean([rig.weights for rig in rigs if len(rig.weights)], axis=0)
-    return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
+        confidence = self._confidence(rigs, mean, weights)
+        return KeyframePrediction(t, tracked.points(frames[t]), Rig(mean.rotation, joints, weights), leg, confidence)
 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
