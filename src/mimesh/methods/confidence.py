@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ..core.rig import Rig, descendants
+from ..core.rig import descendants
 
 LIMBS = {
     "head": "Neck",
@@ -57,6 +57,12 @@ class Confidence:
     """Share of each limb of the fitted body that is far from the surface; empty without a fit."""
     unmatched_surface: float = 0.0
     """Share of the surface that is far from the fitted body."""
+    contradictions: float = 0.0
+    """Share of the predictions that contradict the others."""
+    fit_distance: float = 0.0
+    """Median distance of the fitted body from the surface along its normals (metres of the body)."""
+    fit_angle: float = 0.0
+    """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
 
     @classmethod
     def of(
@@ -129,9 +135,9 @@ class Confidence:
         return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
 
 
-def mean_angle(first: Rig, second: Rig) -> float:
-    """Return the mean angle (degrees) between the joint rotations of two predictions."""
-    cosine = (np.einsum("jab,jab->j", first.rotation, second.rotation) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
+def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3 3"]) -> float:
+    """Return the mean angle (degrees) between corresponding rotations."""
+    cosine = (np.einsum("jab,jab->j", first, second) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
     return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
 
 

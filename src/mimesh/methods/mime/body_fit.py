@@ -17,7 +17,7 @@ from ...bodies import load_body
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
-from ..confidence import LIMBS
+from ..confidence import LIMBS, mean_angle
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -63,6 +63,16 @@ class SurfaceSample:
 
 
 @dataclass(frozen=True, eq=False)
+class NearestBody:
+    """For each point of a surface the nearest point of the body that was fitted to it."""
+
+    distance: Float[np.ndarray, " V"]
+    """Distance to it (metres of the body)."""
+    weights: Float[np.ndarray, "V J"]
+    """Its skinning weights."""
+
+
+@dataclass(frozen=True, eq=False)
 class BodyFit:
     """Joints of a surface from the body that was fitted to it, and how well the body covers the surface."""
 
@@ -74,6 +84,19 @@ class BodyFit:
     """Share of each limb of the body that is farther than UNMATCHED_BODY from the surface."""
     unmatched_surface: float
     """Share of the surface that is farther than UNMATCHED_SURFACE from the body."""
+    distance: float
+    """Median distance of the last matches along their normals (metres of the body)."""
+    angle: float
+    """Mean angle (degrees) between the rotations of the fitted body and the predicted ones."""
+    posed: PosedBody
+    """The fitted body."""
+
+    def nearest(self, points: Float[np.ndarray, "V 3"]) -> NearestBody:
+        """Find the nearest point of the fitted body to each of some points of the surface."""
+        from scipy.spatial import KDTree
+
+        distance, index = KDTree(self.posed.points).query(points)
+        return NearestBody(distance / self.posed.state.size, self.posed.body.weights[index])
 
 
 @cache
@@ -98,13 +121,22 @@ def fit_body(surface: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joint
     state, residual = _optimise(body, state, Prior(body, state.size, rotation, joints), surface, tree)
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
-    share = 1 / (1 + (residual / state.size / RELIABLE_RESIDUAL) ** RESIDUAL_EXPONENT)
+    distance = residual / state.size
+    share = 1 / (1 + (distance / RELIABLE_RESIDUAL) ** RESIDUAL_EXPONENT)
     blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
     unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
-    distance = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
-    unmatched_surface = float((distance > UNMATCHED_SURFACE * state.size).mean())
-    return BodyFit(blended, share * posed.joints + (1 - share) * joints, unmatched_body, unmatched_surface)
+    to_body = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
+    unmatched_surface = float((to_body > UNMATCHED_SURFACE * state.size).mean())
+    return BodyFit(
+        rotation=blended,
+        joints=share * posed.joints + (1 - share) * joints,
+        unmatched_body=unmatched_body,
+        unmatched_surface=unmatched_surface,
+        distance=distance,
+        angle=mean_angle(state.rotation, rotation),
+        posed=posed,
+    )
 
 
 @cache

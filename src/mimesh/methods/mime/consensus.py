@@ -20,7 +20,7 @@ def agreeing(rigs: list[Rig]) -> list[int]:
     none of them. Predictions of a person who faces away count for less, because the facing of the mesh has been decided
     before (docs/LOG.md, "Agreement").
     """
-    angles = np.array([[mean_angle(one, other) for one in rigs] for other in rigs])
+    angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
     votes = np.array([1.0 if rig.rotation[0, 2, 2] > 0 else FACES_AWAY for rig in rigs])
     centre = angles[((angles < CONTRADICTION) @ votes).argmax()]
     return [int(k) for k in np.argsort(centre, kind="stable") if centre[k] < CONTRADICTION]

@@ -30,7 +30,7 @@ from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive
 from ..confidence import Confidence, mean_angle
 from ..npt import generator
-from .body_fit import SurfaceSample, fit_body, sampled_body
+from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
 from .joint_network import JointNetwork, NetworkPoints
@@ -155,10 +155,13 @@ class MimeMethod:
         rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
         weights, even_weights = np.split(self._weights(rigs, samples, denoised, queries), [len(vertices)])
         mean = consensus(rigs)
-        rig = dataclasses.replace(mean, weights=clean_weights(weights, vertices, faces, self.parents))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        return self._with_fit(rig, self._confidence(rigs, mean, even_weights), sample)
+        rig, confidence, fit = self._with_fit(mean, self._confidence(rigs, mean, even_weights), sample)
+        nearest = fit and fit.nearest(vertices)
+        return dataclasses.replace(
+            rig, weights=clean_weights(weights, vertices, faces, self.parents, nearest)
+        ), confidence
 
     def _predict(
         self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints | None = None
@@ -174,20 +177,29 @@ class MimeMethod:
         kept = agreeing(rigs)[:WEIGHT_ENSEMBLE]
         return np.mean([self._predict(samples, vertices, k, queries).weights for k in kept], axis=0)
 
-    def _with_fit(self, rig: Rig, confidence: Confidence, sample: SurfaceSample) -> tuple[Rig, Confidence]:
+    def _with_fit(
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample
+    ) -> tuple[Rig, Confidence, BodyFit | None]:
         """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
         if not self.fits_body:
-            return rig, confidence
+            return rig, confidence, None
         fit = fit_body(sample, rig.rotation, rig.joints)
         rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
-        return rig, dataclasses.replace(
-            confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface
+        confidence = dataclasses.replace(
+            confidence,
+            unmatched_body=fit.unmatched_body,
+            unmatched_surface=fit.unmatched_surface,
+            fit_distance=fit.distance,
+            fit_angle=fit.angle,
         )
+        return rig, confidence, fit
 
     def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
-        spread = float(np.median([mean_angle(rig, mean) for rig in rigs]))
-        return Confidence.of(spread, weights, self.joints, self.parents)
+        spread = float(np.median([mean_angle(rig.rotation, mean.rotation) for rig in rigs]))
+        contradictions = 1 - len(agreeing(rigs)) / len(rigs)
+        confidence = Confidence.of(spread, weights, self.joints, self.parents)
+        return dataclasses.replace(confidence, contradictions=contradictions)
 
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
         """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
@@ -210,7 +222,7 @@ class MimeMethod:
                 other = self._predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
-        rig, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence)
