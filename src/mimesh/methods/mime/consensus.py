@@ -22,7 +22,8 @@ def agreeing(rigs: list[Rig]) -> list[int]:
     """
     angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
     votes = np.array([1.0 if rig.rotation[0, 2, 2] > 0 else FACES_AWAY for rig in rigs])
-    centre = angles[((angles < CONTRADICTION) @ votes).argmax()]
+    # Of those with the same votes, the one nearest to the others: the second term is below the smallest vote.
+    centre = angles[((angles < CONTRADICTION) @ votes - FACES_AWAY * angles.mean(axis=1) / 180).argmax()]
     return [int(k) for k in np.argsort(centre, kind="stable") if centre[k] < CONTRADICTION]
 
 

@@ -158,10 +158,9 @@ class MimeMethod:
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         rig, confidence, fit = self._with_fit(mean, self._confidence(rigs, mean, even_weights), sample)
-        nearest = fit and fit.nearest(vertices)
-        return dataclasses.replace(
-            rig, weights=clean_weights(weights, vertices, faces, self.parents, nearest)
-        ), confidence
+        nearest = fit.nearest(vertices) if fit else None
+        weights = clean_weights(weights, vertices, faces, self.parents, nearest)
+        return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(
         self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints | None = None
