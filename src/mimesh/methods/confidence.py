@@ -79,6 +79,20 @@ class Confidence:
         limbs = {limb: float(share[descendants([top], parents)].sum()) for limb, top in tops.items()}
         return cls(prediction_spread, float(entropy), limbs)
 
+    def features(self) -> dict[str, float]:
+        """Compute the figures that the expected error depends on, most of them as logarithms."""
+        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
+        return {
+            "spread": float(np.log1p(self.prediction_spread)),
+            "entropy": self.weight_entropy,
+            "contradictions": self.contradictions,
+            "fit_distance": float(np.log1p(1e3 * self.fit_distance)),
+            "fit_angle": float(np.log1p(self.fit_angle)),
+            "unmatched_limb": float(np.log1p(100 * unmatched_limb)),
+            "unmatched_surface": float(np.log1p(100 * self.unmatched_surface)),
+            "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
+        }
+
     @property
     def recognised(self) -> bool:
         """Whether the predictions are those of a person."""
