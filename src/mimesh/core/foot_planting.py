@@ -1,0 +1,224 @@
+"""Plant the feet of a moved identity where the driving's soles stand: correct the root path, then the legs by IK.
+
+What a sole is moved by is a sum: the correction of the root, which moves the whole body, and that of its leg. All are
+found together by linear least squares over the frames of a clip. Where the driving's sole stands, the identity's should
+not slide more than that one does, scaled, and should be as high; the root's correction should be a smooth path, the
+legs' small and smooth. So the root takes what is common and slow, such as a stride of another length, the legs take
+what is left, and corrections grow and fade between contacts by themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .foot_contacts import FootContacts, falling, find_contacts
+from .geometry import factor
+from .joint_tracks import JointTrack
+from .leg_ik import move_ankle
+from .skinning import SkinnedMesh
+from .soles import Feet
+
+MISREAD_SPEED, MISREAD_HEIGHT = (1.5, 3.0), (0.2, 0.4)
+"""Leg lengths a second and leg lengths: soles of the identity that slide or float by less are corrected, those that do
+by more are not: the legs of one of the two meshes have not been recognised."""
+LARGEST_STEP = 0.15
+"""Leg lengths: largest correction of one leg."""
+CYCLE_ERROR = 0.03
+"""Leg lengths: in the first and last frame of a cyclic clip the joints are at the same places, relative to the root."""
+IN_PLACE = 0.1
+"""Leg lengths: a cycle that gets less far than this is one in place."""
+EVEN = 0.005
+"""Leg lengths: heights of soles that differ less from the driving's, scaled, are left as they are."""
+CLOSED, TINY = 1e6, 1e-9
+"""Weight of the equations that close a cycle, and of those without influence; those of a standing sole have 1."""
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """How far corrections are small and smooth, against the equations of standing soles (docs/LOG.md, "Feet")."""
+
+    leg_size: float
+    """Seconds: slides that last longer than this are left to the root (of heights: seconds / 30)."""
+    leg_bend: float
+    """Seconds over which the correction of a leg begins and ends."""
+    root_speed: float
+    """Share of a slide that is rather left than corrected by the root."""
+    root_bend: float
+    """Seconds over which the root changes its speed."""
+
+
+SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
+HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
+
+
+@dataclass(frozen=True, eq=False)
+class PosedJoints:
+    """Pose of an identity in T frames."""
+
+    rotation: Float[np.ndarray, "T J 3 3"]
+    """World rotation of every joint."""
+    root: Float[np.ndarray, "T 3"]
+    """Position of the root joint."""
+
+
+def plant_feet(
+    posed: PosedJoints,
+    track: JointTrack,
+    skinned: SkinnedMesh,
+    feet: Feet,
+    scale: tuple[float, float],
+    free_root: bool = True,
+    slides: bool = True,
+) -> PosedJoints:
+    """Correct a motion so that soles stand where the driving's do; nothing changes if those never stand.
+
+    Args:
+        posed: the motion of the identity.
+        track: the motion of the driving.
+        skinned: the identity.
+        feet: contact points of both.
+        scale: the identity's displacements over the driving's, over the ground and vertically.
+        free_root: whether the path of the root over the ground may change; where the driving walks in place it never
+            does.
+        slides: whether to correct slides, or heights only.
+    """
+    contacts = find_contacts(track, feet)
+    if contacts is None:
+        return posed
+    leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
+    soles = feet.identity_soles(posed.rotation, posed.root)
+    root, steps = np.zeros_like(posed.root), np.zeros((len(feet.legs), *posed.root.shape))
+    axes = _ground_axes(track.positions[-1, 0] - track.positions[0, 0])
+    if slides:
+        free_root = free_root and not contacts.ground_step.any()
+        weight, error = _slides(soles, track, contacts, scale[0], leg)
+        far = np.linalg.norm((track.positions[-1, 0] - track.positions[0, 0])[[0, 2]]) > IN_PLACE * feet.driving_leg
+        for k, axis in enumerate(axes):
+            # The length of a cycle's step may change, but it does not drift to the side.
+            closed = (cyclic, cyclic and not (far and k == 0))
+            found = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
+            root, steps = root + found[0][:, None] * axis, steps + found[1:, :, None] * axis
+    weight, error = _heights(soles, track, contacts, scale[1], leg)
+    found = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
+    root[:, 1], steps[..., 1] = found[0], found[1:]
+    size = np.linalg.norm(steps, axis=-1, keepdims=True)
+    steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(size, 1e-9))
+    positions = np.stack([skinned.joint_positions(*pose) for pose in zip(posed.rotation, posed.root, strict=True)])
+    rotation = posed.rotation
+    for joints, step in zip(feet.legs, steps, strict=True):
+        rotation = move_ankle(rotation, positions, joints, step, skinned.parents)
+    return PosedJoints(rotation, posed.root + root)
+
+
+def foot_skate(
+    posed: PosedJoints, track: JointTrack, feet: Feet | None, scale: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Measure the mean speed (per second) over the ground of the identity's soles while the driving's stand.
+
+    The second figure is that of the driving's soles, times the scale. None if they never stand.
+    """
+    contacts = None if feet is None else find_contacts(track, feet)
+    if feet is None or contacts is None or not contacts.planted.any():
+        return None
+    soles = feet.identity_soles(posed.rotation, posed.root)
+    mine, driving = _steps(soles, contacts, scale[0]), scale[0] * _steps(track.soles, contacts, 1.0)
+    speeds = [float(np.linalg.norm(s, axis=-1)[contacts.planted].mean() * track.fps) for s in (mine, driving)]
+    return speeds[0], speeds[1]
+
+
+def is_cyclic(track: JointTrack, leg: float) -> bool:
+    """Whether a clip ends as it begins, but for where on the ground: its last frame is its first one again."""
+    around = track.positions - track.positions[:, :1]
+    height = abs(track.positions[-1, 0, 1] - track.positions[0, 0, 1])
+    apart = np.linalg.norm(around[-1] - around[0], axis=-1).max()
+    return len(around) > 2 and max(height, apart) < CYCLE_ERROR * leg
+
+
+def _ground_axes(displacement: Float[np.ndarray, " 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
+    """Return two horizontal axes: along a displacement, and across."""
+    x, z = displacement[[0, 2]] / max(np.linalg.norm(displacement[[0, 2]]), 1e-9)
+    along = np.array([x, 0, z]) if x or z else np.array([1.0, 0, 0])
+    return along, np.array([along[2], 0, -along[0]])
+
+
+def _steps(
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float
+) -> Float[np.ndarray, "S F C 3"]:
+    """Return the displacement of soles over the ground in each interval; the ground itself may move."""
+    return (np.diff(soles, axis=0) - scale * contacts.ground_step) * [1, 0, 1]
+
+
+def _slides(
+    soles: Float[np.ndarray, "T F C 3"], track: JointTrack, contacts: FootContacts, scale: float, leg: float
+) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F 3"]]:
+    """Compute the weight of each foot in each interval, and the displacement that removes what it slides too far.
+
+    A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
+    """
+    mine = _steps(soles, contacts, scale)
+    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(track.soles, contacts, 1.0)))
+    weight = contacts.standing * falling(size * track.fps / leg, MISREAD_SPEED)
+    excess = 1 - np.minimum(1, allowed / np.maximum(size, 1e-9))
+    error = -((weight * excess)[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
+    return weight.max(axis=2), error
+
+
+def _heights(
+    soles: Float[np.ndarray, "T F C 3"], track: JointTrack, contacts: FootContacts, scale: float, leg: float
+) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
+    """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
+    error = scale * track.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
+    # Where the ground is does not matter: it is the same for all frames.
+    error = error - np.median(error[contacts.near > 0.5]) if (contacts.near > 0.5).any() else error
+    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT)
+    return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
+
+
+def _solve(
+    weight: Float[np.ndarray, "S F"],
+    error: Float[np.ndarray, "S F"],
+    frames: int,
+    fps: float,
+    stiffness: Stiffness,
+    closed: tuple[bool, bool],
+    free_root: bool = True,
+) -> Float[np.ndarray, "G T"]:
+    """Solve for the corrections of the root and of the F legs (G = 1 + F) along one axis.
+
+    Minimises the sum over feet f of weight_f (K (root + leg_f) - error_f)^2, where K is the difference between frames
+    (slides) or the identity (heights), plus quadratic penalties of size, speed and bending of each correction.
+
+    Args:
+        weight: of each foot in each interval (S = T - 1: slides) or frame (S = T: heights).
+        error: what the corrections of root and leg together should change in it, or be.
+        frames: T.
+        fps: frames a second.
+        stiffness: weights of the penalties.
+        closed: whether the legs' corrections, and the root's, end as they begin.
+        free_root: whether the root is corrected.
+    """
+    from scipy import sparse
+
+    unit = sparse.eye_array(frames, format="csr")
+    step = unit[1:] - unit[:-1]
+    cyclic = any(closed)
+    bend = step[1:] - step[:-1]
+    if cyclic:  # the last step is followed by the first one
+        bend = sparse.vstack([bend, step[:1] - step[-1:]], format="csr")
+    gap = CLOSED * (unit[-1:] - unit[:1]).T @ (unit[-1:] - unit[:1])
+    smooth = bend.T @ bend
+    leg = unit / (stiffness.leg_size * fps) ** 2 + (stiffness.leg_bend * fps) ** 2 * smooth + closed[0] * gap
+    root = stiffness.root_speed * step.T @ step + (stiffness.root_bend * fps) ** 2 * smooth + closed[1] * gap
+    # A root whose correction costs too much stays; else a tiny cost fixes what has no influence: where all of it is.
+    root = root + (TINY if free_root else 1 / TINY) * unit
+    measure = unit if len(weight) == frames else step
+    equations = [measure.T @ sparse.diags_array(w) @ measure for w in weight.T]
+    blocks: list[list] = [[root + sum(equations), *equations]]
+    for f, equation in enumerate(equations):
+        blocks.append([equation, *([None] * f), equation + leg, *([None] * (len(equations) - f - 1))])
+    sides = [measure.T @ (w * e) for w, e in zip(weight.T, error.T, strict=True)]
+    side = np.concatenate([np.sum(sides, axis=0), *sides])
+    return factor(sparse.block_array(blocks, format="csr")).solve(side).reshape(-1, frames)
