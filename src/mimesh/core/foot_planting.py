@@ -17,7 +17,7 @@ from jaxtyping import Float
 from .foot_contacts import FootContacts, falling, find_contacts
 from .geometry import factor
 from .joint_tracks import JointTrack
-from .leg_ik import move_ankle
+from .leg_ik import longest_reach, move_ankle
 from .skinning import SkinnedMesh
 from .soles import Feet
 
@@ -30,6 +30,11 @@ CYCLE_ERROR = 0.03
 """Leg lengths: in the first and last frame of a cyclic clip the joints are at the same places, relative to the root."""
 IN_PLACE = 0.1
 """Leg lengths: a cycle that gets less far than this is one in place."""
+LOWERING = 0.1
+"""Seconds before and after which the hips begin to go down, and are up again, where a leg is too short for its step."""
+FLOATING = 0.01
+"""Leg lengths that a standing leg may be too short by before the hips go down: legs that are almost straight bend a lot
+when the hips go down a little."""
 EVEN = 0.005
 """Leg lengths: heights of soles that differ less from the driving's, scaled, are left as they are."""
 CLOSED, TINY = 1e6, 1e-9
@@ -41,7 +46,7 @@ class Stiffness:
     """How far corrections are small and smooth, against the equations of standing soles (docs/LOG.md, "Feet")."""
 
     leg_size: float
-    """Seconds: slides that last longer than this are left to the root (of heights: seconds / 30)."""
+    """Seconds: slides that last longer than this are left to the root."""
     leg_bend: float
     """Seconds over which the correction of a leg begins and ends."""
     root_speed: float
@@ -50,6 +55,8 @@ class Stiffness:
     """Seconds over which the root changes its speed."""
 
 
+HEIGHT_SECONDS = 1 / 30
+"""A height counts as much as a slide over the same distance in this time."""
 SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
 HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
 
@@ -107,10 +114,37 @@ def plant_feet(
     size = np.linalg.norm(steps, axis=-1, keepdims=True)
     steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(size, 1e-9))
     positions = np.stack([skinned.joint_positions(*pose) for pose in zip(posed.rotation, posed.root, strict=True)])
+    lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
     rotation = posed.rotation
     for joints, step in zip(feet.legs, steps, strict=True):
-        rotation = move_ankle(rotation, positions, joints, step, skinned.parents)
-    return PosedJoints(rotation, posed.root + root)
+        rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents)
+    return PosedJoints(rotation, posed.root + root - lowered)
+
+
+def _lowered_hips(
+    positions: Float[np.ndarray, "T J 3"],
+    feet: Feet,
+    steps: Float[np.ndarray, "F T 3"],
+    tolerance: float,
+    fps: float,
+    cyclic: bool,
+) -> Float[np.ndarray, " T"]:
+    """Compute by how much the hips have to be lower for all legs to reach their steps, up to a tolerance; smooth."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    missing = np.zeros(len(positions))
+    for joints, step in zip(feet.legs, steps, strict=True):
+        line = positions[:, joints[2]] - positions[:, joints[0]] + step
+        distance = np.linalg.norm(line, axis=1)
+        # Lowering the hips shortens a leg that is not vertical by less.
+        steep = np.maximum(-line[:, 1] / distance, 0.5)
+        short = distance - longest_reach(positions, joints)[:, 0] - tolerance
+        missing = np.maximum(missing, short / steep)
+    mode, around = "wrap" if cyclic else "nearest", LOWERING * fps
+    period = slice(None, -1) if cyclic else slice(None)  # the last frame of a cycle is the first one
+    envelope = maximum_filter1d(missing[period], 2 * round(around) + 1, mode=mode)
+    lowered = gaussian_filter1d(envelope, around / 2, mode=mode)
+    return np.append(lowered, lowered[0]) if cyclic else lowered
 
 
 def foot_skate(
@@ -134,7 +168,7 @@ def is_cyclic(track: JointTrack, leg: float) -> bool:
     around = track.positions - track.positions[:, :1]
     height = abs(track.positions[-1, 0, 1] - track.positions[0, 0, 1])
     apart = np.linalg.norm(around[-1] - around[0], axis=-1).max()
-    return len(around) > 2 and max(height, apart) < CYCLE_ERROR * leg
+    return len(around) > 2 and bool(max(height, apart) < CYCLE_ERROR * leg)
 
 
 def _ground_axes(displacement: Float[np.ndarray, " 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
@@ -173,7 +207,8 @@ def _heights(
     error = scale * track.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
     # Where the ground is does not matter: it is the same for all frames.
     error = error - np.median(error[contacts.near > 0.5]) if (contacts.near > 0.5).any() else error
-    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT)
+    # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
+    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * track.fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
 
 

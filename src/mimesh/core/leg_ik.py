@@ -40,8 +40,8 @@ def move_ankle(
     thigh, shin = positions[:, knee] - positions[:, hip], positions[:, ankle] - positions[:, knee]
     upper, lower = _length(thigh), _length(shin)
     before, after = thigh + shin, thigh + shin + offset
-    longest = np.maximum(LONGEST * (upper + lower), _length(before))
-    distance = np.clip(_length(after), np.abs(upper - lower) * 1.001 + 1e-6 * upper, longest)
+    shortest = np.abs(upper - lower) + 1e-3 * upper
+    distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
     swing = _smallest_rotation(before, after)
     line, sideways = _unit(before), _knee_direction(thigh, before, rotation[:, hip, :, 2])
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
@@ -57,6 +57,12 @@ def move_ankle(
     turned[:, below_knee] = shin_turn[:, None] @ rotation[:, below_knee]
     turned[:, foot] = rotation[:, foot]
     return turned
+
+
+def longest_reach(positions: Float[np.ndarray, "T J 3"], leg: tuple[int, ...]) -> Float[np.ndarray, "T 1"]:
+    """Return the largest distance of hip and ankle that is allowed: almost straight, or as straight as the leg is."""
+    hip, knee, ankle = (positions[:, j] for j in leg)
+    return np.maximum(LONGEST * (_length(knee - hip) + _length(ankle - knee)), _length(ankle - hip))
 
 
 def _knee_direction(
