@@ -41,7 +41,9 @@ def walk(cycles=2.0, fps=30.0, stride=STRIDE):
     phase = np.arange(round(cycles * PERIOD * fps / 30) + 1) / PERIOD * 30 / fps
     rotmat = np.tile(np.eye(3), (len(phase), len(BODY.joint_names), 1, 1))
     for side, shift in (("Left", 0.0), ("Right", 0.5)):
-        for name, angle in zip(("UpLeg", "Leg", "Foot", "ToeBase"), gait(phase + shift, stride, 60.0).values(), strict=True):
+        for name, angle in zip(
+            ("UpLeg", "Leg", "Foot", "ToeBase"), gait(phase + shift, stride, 60.0).values(), strict=True
+        ):
             turns = Rotation.from_rotvec(np.radians(np.broadcast_to(angle, phase.shape))[:, None] * [1.0, 0, 0])
             rotmat[:, BODY.joint(side + name)] = turns.as_matrix()
     return Motion("walk", BODY.joint_names, rotmat, planted(BODY, rotmat), fps)
@@ -69,7 +71,9 @@ class Case:
         return self.feet.identity_soles(posed.rotation, posed.root)
 
     def joints(self, posed):
-        return np.stack([self.skinned.joint_positions(*frame) for frame in zip(posed.rotation, posed.root, strict=True)])
+        return np.stack(
+            [self.skinned.joint_positions(*frame) for frame in zip(posed.rotation, posed.root, strict=True)]
+        )
 
 
 def case(motion=None, shape=3, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0):
@@ -156,7 +160,9 @@ def test_soles_do_not_sink_or_float():
 def test_bones_keep_their_lengths_and_feet_their_directions():
     found = case()
     raw, corrected = found.posed(), found.planted()
-    bones = [np.linalg.norm(np.diff(found.joints(posed)[:, list(LEGS[0])], axis=1), axis=-1) for posed in (raw, corrected)]
+    bones = [
+        np.linalg.norm(np.diff(found.joints(posed)[:, list(LEGS[0])], axis=1), axis=-1) for posed in (raw, corrected)
+    ]
     assert np.abs(bones[0] - bones[1]).max() < 1e-12
     assert np.allclose(np.linalg.det(corrected.rotation), 1)
     ankles = [BODY.joint(f"{side}{name}") for side in ("Left", "Right") for name in ("Foot", "ToeBase")]
@@ -170,7 +176,8 @@ def test_corrections_have_no_jumps():
     """No point of the feet is accelerated by more than 1.15 times the largest acceleration of before."""
     found = case()
     largest = [
-        np.linalg.norm(np.diff(found.soles(posed), 2, axis=0), axis=-1).max() for posed in (found.posed(), found.planted())
+        np.linalg.norm(np.diff(found.soles(posed), 2, axis=0), axis=-1).max()
+        for posed in (found.posed(), found.planted())
     ]
     assert largest[1] < 1.15 * largest[0]
     rotations = [np.abs(np.diff(posed.rotation, 2, axis=0)).max() for posed in (found.posed(), found.planted())]
@@ -213,7 +220,10 @@ def test_nothing_changes_without_contacts():
     swim = dataclasses.replace(motion, rotmat=motion.rotmat.copy())
     swim.rotmat[:, 0] = lying @ swim.rotmat[:, 0]
     flight = np.arange(len(motion.root))[:, None] * [0.0, 0.1, 0.2]
-    for found in (case(swim), case(dataclasses.replace(motion, rotmat=motion.rotmat[:1].repeat(len(motion.root), 0), root=flight))):
+    for found in (
+        case(swim),
+        case(dataclasses.replace(motion, rotmat=motion.rotmat[:1].repeat(len(motion.root), 0), root=flight)),
+    ):
         raw, corrected = found.posed(), found.planted()
         assert np.array_equal(raw.rotation, corrected.rotation)
         assert np.array_equal(raw.root, corrected.root)

@@ -14,7 +14,7 @@ STANDING_SPEED = (0.4, 1.2)
 """Leg lengths a second: a contact point slower than the first stands, one faster than the second does not. Captured
 runs slide by up to 0.7 where the foot stands; the foot in the air moves at 4 to 12."""
 STANDING_HEIGHT = (0.08, 0.18)
-"""Leg lengths over the ground, of a point that stands and of one that does not. Grounds of captures are uneven by 0.05."""
+"""Leg lengths over the ground, of a point that stands and of one that does not. Captures are uneven by 0.05."""
 NEAR_GROUND = (0.1, 0.35)
 """Leg lengths over the ground: the height of a foot is corrected fully below the first, and not above the second."""
 HIPS_HEIGHT = (0.2, 0.35)
@@ -29,6 +29,8 @@ TREADMILL_SPEED = 0.4
 class FootContacts:
     """Which contact points of F feet stand on the ground in T frames, from 0 (no) to 1 (yes)."""
 
+    soles: Float[np.ndarray, "T F C 3"]
+    """The contact points."""
     standing: Float[np.ndarray, "S F C"]
     """Between each frame and the next one (S = T - 1): low and slow."""
     near: Float[np.ndarray, "T F"]
@@ -58,7 +60,7 @@ def find_contacts(track: JointTrack, feet: Feet) -> FootContacts | None:
     if not (standing > 0.5).any():
         return None
     near = falling(soles[..., 1].min(axis=2) - ground, NEAR_GROUND) * upright[:, None]
-    return FootContacts(standing, near, moving * feet.driving_leg / track.fps)
+    return FootContacts(track.soles, standing, near, moving * feet.driving_leg / track.fps)
 
 
 def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
@@ -89,7 +91,9 @@ def _ground_velocity(
 
     def agreement(velocity_of_ground: Float[np.ndarray, " 3"]) -> float:
         """Share of the low points that move with this velocity."""
-        return float((low * falling(np.linalg.norm(velocity - velocity_of_ground, axis=-1), STANDING_SPEED)).sum() / low.sum())
+        return float(
+            (low * falling(np.linalg.norm(velocity - velocity_of_ground, axis=-1), STANDING_SPEED)).sum() / low.sum()
+        )
 
     common = np.median(velocity[low > 0.5], axis=0) if (low > 0.5).any() else still
     common[1] = 0

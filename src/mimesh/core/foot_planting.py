@@ -35,7 +35,7 @@ LOWERING = 0.1
 FLOATING = 0.01
 """Leg lengths that a standing leg may be too short by before the hips go down: legs that are almost straight bend a lot
 when the hips go down a little."""
-EVEN = 0.005
+EVEN = 0.0075
 """Leg lengths: heights of soles that differ less from the driving's, scaled, are left as they are."""
 CLOSED, TINY = 1e6, 1e-9
 """Weight of the equations that close a cycle, and of those without influence; those of a standing sole have 1."""
@@ -58,7 +58,7 @@ class Stiffness:
 HEIGHT_SECONDS = 1 / 30
 """A height counts as much as a slide over the same distance in this time."""
 SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
-HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
+HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,22 +97,19 @@ def plant_feet(
         return posed
     leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
     soles = feet.identity_soles(posed.rotation, posed.root)
-    root, steps = np.zeros_like(posed.root), np.zeros((len(feet.legs), *posed.root.shape))
-    axes = _ground_axes(track.positions[-1, 0] - track.positions[0, 0])
+    found = np.zeros((1 + len(feet.legs), *posed.root.shape))
     if slides:
+        # Where the driving walks in place, a corrected root would drift.
         free_root = free_root and not contacts.ground_step.any()
-        weight, error = _slides(soles, track, contacts, scale[0], leg)
-        far = np.linalg.norm((track.positions[-1, 0] - track.positions[0, 0])[[0, 2]]) > IN_PLACE * feet.driving_leg
-        for k, axis in enumerate(axes):
-            # The length of a cycle's step may change, but it does not drift to the side.
-            closed = (cyclic, cyclic and not (far and k == 0))
-            found = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
-            root, steps = root + found[0][:, None] * axis, steps + found[1:, :, None] * axis
-    weight, error = _heights(soles, track, contacts, scale[1], leg)
-    found = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
-    root[:, 1], steps[..., 1] = found[0], found[1:]
-    size = np.linalg.norm(steps, axis=-1, keepdims=True)
-    steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(size, 1e-9))
+        weight, error = _slides(soles, contacts, scale[0], track.fps, leg)
+        for axis, closed_root in _ground_axes(track.positions[-1, 0] - track.positions[0, 0], feet.driving_leg):
+            closed = (cyclic, cyclic and closed_root)
+            along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
+            found += along[..., None] * axis
+    weight, error = _heights(soles, contacts, scale[1], track.fps, leg)
+    found[..., 1] = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
+    root, steps = found[0], found[1:]
+    steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
     positions = np.stack([skinned.joint_positions(*pose) for pose in zip(posed.rotation, posed.root, strict=True)])
     lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
     rotation = posed.rotation
@@ -158,7 +155,7 @@ def foot_skate(
     if feet is None or contacts is None or not contacts.planted.any():
         return None
     soles = feet.identity_soles(posed.rotation, posed.root)
-    mine, driving = _steps(soles, contacts, scale[0]), scale[0] * _steps(track.soles, contacts, 1.0)
+    mine, driving = _steps(soles, contacts, scale[0]), scale[0] * _steps(contacts.soles, contacts, 1.0)
     speeds = [float(np.linalg.norm(s, axis=-1)[contacts.planted].mean() * track.fps) for s in (mine, driving)]
     return speeds[0], speeds[1]
 
@@ -171,44 +168,45 @@ def is_cyclic(track: JointTrack, leg: float) -> bool:
     return len(around) > 2 and bool(max(height, apart) < CYCLE_ERROR * leg)
 
 
-def _ground_axes(displacement: Float[np.ndarray, " 3"]) -> tuple[Float[np.ndarray, " 3"], Float[np.ndarray, " 3"]]:
-    """Return two horizontal axes: along a displacement, and across."""
-    x, z = displacement[[0, 2]] / max(np.linalg.norm(displacement[[0, 2]]), 1e-9)
-    along = np.array([x, 0, z]) if x or z else np.array([1.0, 0, 0])
-    return along, np.array([along[2], 0, -along[0]])
+def _ground_axes(displacement: Float[np.ndarray, " 3"], leg: float) -> list[tuple[Float[np.ndarray, " 3"], bool]]:
+    """Return two horizontal axes, along a clip's displacement and across it, and whether the root ends as it begins.
+
+    That is of cycles: the length of a step may change, but nobody drifts to the side, nor at all in place.
+    """
+    far = float(np.linalg.norm(displacement[[0, 2]]))
+    x, z = displacement[[0, 2]] / far if far > IN_PLACE * leg else (1.0, 0.0)
+    return [(np.array([x, 0, z]), far <= IN_PLACE * leg), (np.array([z, 0, -x]), True)]
 
 
-def _steps(
-    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float
-) -> Float[np.ndarray, "S F C 3"]:
+def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float) -> Float[np.ndarray, "S F C 3"]:
     """Return the displacement of soles over the ground in each interval; the ground itself may move."""
     return (np.diff(soles, axis=0) - scale * contacts.ground_step) * [1, 0, 1]
 
 
 def _slides(
-    soles: Float[np.ndarray, "T F C 3"], track: JointTrack, contacts: FootContacts, scale: float, leg: float
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
 ) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F 3"]]:
     """Compute the weight of each foot in each interval, and the displacement that removes what it slides too far.
 
     A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
     """
     mine = _steps(soles, contacts, scale)
-    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(track.soles, contacts, 1.0)))
-    weight = contacts.standing * falling(size * track.fps / leg, MISREAD_SPEED)
+    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(contacts.soles, contacts, 1.0)))
+    weight = contacts.standing * falling(size * fps / leg, MISREAD_SPEED)
     excess = 1 - np.minimum(1, allowed / np.maximum(size, 1e-9))
     error = -((weight * excess)[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
     return weight.max(axis=2), error
 
 
 def _heights(
-    soles: Float[np.ndarray, "T F C 3"], track: JointTrack, contacts: FootContacts, scale: float, leg: float
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
 ) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
     """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
-    error = scale * track.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
+    error = scale * contacts.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
     # Where the ground is does not matter: it is the same for all frames.
     error = error - np.median(error[contacts.near > 0.5]) if (contacts.near > 0.5).any() else error
     # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
-    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * track.fps) ** 2
+    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
     return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
 
 
@@ -237,12 +235,12 @@ def _solve(
     """
     from scipy import sparse
 
-    unit = sparse.eye_array(frames, format="csr")
+    unit = sparse.csr_array(sparse.eye_array(frames))
     step = unit[1:] - unit[:-1]
     cyclic = any(closed)
     bend = step[1:] - step[:-1]
     if cyclic:  # the last step is followed by the first one
-        bend = sparse.vstack([bend, step[:1] - step[-1:]], format="csr")
+        bend = sparse.csr_array(sparse.vstack([bend, step[:1] - step[-1:]]))
     gap = CLOSED * (unit[-1:] - unit[:1]).T @ (unit[-1:] - unit[:1])
     smooth = bend.T @ bend
     leg = unit / (stiffness.leg_size * fps) ** 2 + (stiffness.leg_bend * fps) ** 2 * smooth + closed[0] * gap
@@ -256,4 +254,4 @@ def _solve(
         blocks.append([equation, *([None] * f), equation + leg, *([None] * (len(equations) - f - 1))])
     sides = [measure.T @ (w * e) for w, e in zip(weight.T, error.T, strict=True)]
     side = np.concatenate([np.sum(sides, axis=0), *sides])
-    return factor(sparse.block_array(blocks, format="csr")).solve(side).reshape(-1, frames)
+    return factor(sparse.csr_array(sparse.block_array(blocks))).solve(side).reshape(-1, frames)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 
 from .geometry import nearest_rotation
 
+
 @dataclass(frozen=True, eq=False)
 class JointTrack:
     """World rotations and positions of J joints in T frames, and contact points of F feet."""

@@ -109,7 +109,7 @@ def sole_points(
     on_foot = np.flatnonzero(rig.weights[:, below].sum(axis=1) > 0.5)
     if len(on_foot) < FEWEST:
         return None
-    joint = np.array(below)[rig.weights[np.ix_(on_foot, below)].argmax(axis=1)]
+    joint = np.array(below)[rig.weights[on_foot][:, below].argmax(axis=1)]
     # In the frame of its own joint, at the place that joint has at rest, where all frames have the same axes.
     rest = {ankle: np.zeros(3)}
     for j in below[1:]:

@@ -15,8 +15,8 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
-from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
 from ..core.foot_planting import PosedJoints, foot_skate
+from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis

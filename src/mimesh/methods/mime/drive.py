@@ -114,7 +114,14 @@ class MimeMethod:
             follow=follow,
             # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
-            feet=Feet.of(self.legs, keyframes.leg, find_soles(vertices, rig, self.legs, self.parents), skinned, keyframes.soles, keyframes.samples),
+            feet=Feet.of(
+                self.legs,
+                keyframes.leg,
+                find_soles(vertices, rig, self.legs, self.parents),
+                skinned,
+                keyframes.soles,
+                keyframes.samples,
+            ),
             group=ranked.group,
             name=driving.mesh.name,
             confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
@@ -192,7 +199,9 @@ class MimeMethod:
         consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(consensus.joints, self.legs) if self.fits_body else best.leg
-        soles = find_soles(sample.points, _nearest_weights(sample.points, best.points, consensus), self.legs, self.parents)
+        soles = find_soles(
+            sample.points, _nearest_weights(sample.points, best.points, consensus), self.legs, self.parents
+        )
         best = dataclasses.replace(best, consensus=consensus, leg=leg, confidence=confidence, soles=soles)
         tracker = PartTracker.of(best.points, consensus.weights, consensus.joints, self.parents)
 
