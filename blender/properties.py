@@ -55,8 +55,8 @@ class MimeshSettings(PropertyGroup):
     )
     ground: BoolProperty(
         name="Keep feet on the ground",
-        default=False,
-        description="Feet do not slide while they touch the ground (mime only)",
+        default=True,
+        description="Soles slide no more than those of the driving while they stand on the ground (mime only)",
     )
     smooth: FloatProperty(
         name="Smooth",

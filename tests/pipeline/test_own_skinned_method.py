@@ -8,7 +8,6 @@ import pytest
 from people import person, walk
 
 from mimesh.core.canonical_order import canonical_order
-from mimesh.core.joint_tracks import FootJoints
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.rig import Rig
 from mimesh.core.skinning import SkinnedMesh
@@ -34,9 +33,8 @@ class TwoJoints:
         points = ranked.merge(identity.vertices)
         above = (points[:, 1] > 0).astype(float)
         merged = Rig(rig.rotation, joints, np.stack([1 - above, above], axis=1))
-        feet = FootJoints((0,), 0.5, np.zeros(1), np.zeros(1))
         return SkinnedDrive(
-            ("root", "top"), rig, SkinnedMesh.of(points, merged, PARENTS), lean, 1.0, feet, ranked.group, "walk"
+            ("root", "top"), rig, SkinnedMesh.of(points, merged, PARENTS), lean, 1.0, None, ranked.group, "walk"
         )
 
 

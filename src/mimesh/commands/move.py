@@ -47,7 +47,10 @@ Root = Annotated[
         help="How far the result goes: scale (as its legs make it); keep (as DRIVING), drop (in place; both mime)."
     ),
 ]
-Ground = Annotated[bool, typer.Option("--ground", help="Keep feet where they stand on the floor (mime).")]
+Ground = Annotated[
+    bool,
+    typer.Option("--ground/--no-ground", help="Plant soles where DRIVING's stand, by root path and legs (mime)."),
+]
 Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
@@ -120,7 +123,7 @@ def animate(
     reference: Reference = None,
     markers: Markers = None,
     root: Root = "scale",
-    ground: Ground = False,
+    ground: Ground = True,
     smooth: Smooth = 0.0,
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")

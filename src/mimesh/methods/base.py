@@ -13,10 +13,12 @@ from typing import ClassVar, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.joint_tracks import FootJoints, JointTrack, grounded_path, root_path
+from ..core.foot_planting import PosedJoints, plant_feet
+from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
+from ..core.soles import Feet
 from .confidence import Confidence
 from .root_motion import check_size
 
@@ -84,7 +86,8 @@ class SkinnedDrive:
     """Maps the vertices of a driving frame to the pose of the driving's joints."""
     stride: float
     """The identity's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
-    feet: FootJoints
+    feet: Feet | None
+    """Contact points of the soles; None if there are none, and then nothing is planted."""
     group: Int[np.ndarray, " V"]
     """Index of each vertex among the distinct positions."""
     name: str
@@ -97,25 +100,31 @@ class SkinnedDrive:
         return (self.posed(rotation, self.stride * positions[0]) for rotation, positions in self._poses(frames))
 
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
-        """Return the motion of the driving's joints over all frames."""
-        rotation, positions = (np.stack(arrays) for arrays in zip(*self._poses(frames), strict=True))
-        return JointTrack(rotation, positions, fps)
+        """Return the motion of the driving's joints and soles over all frames."""
+        poses, soles = [], []
+        for vertices in check_size(frames, self.name):
+            poses.append(self.follow(vertices))
+            if self.feet is not None:
+                soles.append(self.feet.driving_soles(vertices))
+        rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
+        return JointTrack(rotation, positions, fps, np.stack(soles) if soles else None)
 
-    def path(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> Float[np.ndarray, "T 3"]:
-        """Return the positions of the identity's root joint in all frames.
+    def motion(self, track: JointTrack, across: float | None, in_place: bool, ground: bool) -> PosedJoints:
+        """Return the motion of the identity's joints.
 
         Args:
             track: motion of the driving's joints.
-            across: scale from the driving's displacement over the ground (x and z) to the identity's; None is `stride`.
+            across: scale from the driving's displacement over the ground (x and z) to the identity's, which is kept
+                then; None is `stride`.
             in_place: no displacement over the ground.
-            ground: correct the path so that planted feet stand still on the ground.
+            ground: correct root path and legs so that soles stand where the driving's do.
         """
-        path = root_path(track, self.stride if across is None else across, self.stride, in_place)
-        if not ground:
-            return path
-        # With `in_place` only the height is corrected.
-        corrected = grounded_path(track, path, self.skinned, self.feet, self.stride)
-        return np.where([in_place, False, in_place], path, corrected)
+        scale = (self.stride if across is None else across, self.stride)
+        posed = PosedJoints(track.rotation, root_path(track, *scale, in_place))
+        if not ground or self.feet is None:
+            return posed
+        # In place, feet slide as they should: only heights are corrected.
+        return plant_feet(posed, track, self.skinned, self.feet, scale, across is None, not in_place)
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Return the identity's vertices for world rotations of the joints and a position of the root joint."""

@@ -86,7 +86,7 @@ def animate(
     stop: int | None = None,
     step: int = 1,
     root: str = "scale",
-    ground: bool = False,
+    ground: bool = True,
     smooth: float = 0.0,
     skinned: bool = False,
     progress: Progress | None = None,
@@ -105,7 +105,9 @@ def animate(
         step: take every `step`-th frame; the result then has the rate fps / step, so that its speed is the driving's.
         root: displacement over the ground (other values than "scale" for mime only): "scale", the driving's scaled by
             leg length; "keep", the driving's; "drop", none.
-        ground: keep feet in place while they stand on the ground (mime only). Feet that slide in the driving still do.
+        ground: plant soles where the driving's stand, by the root path and the legs (mime only; others ignore it). They
+            slide as far as the driving's do, in units of the identity's size. With `root` "keep" only the legs are
+            corrected, with "drop" only heights.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
         skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
         progress: is called with the frames done and the frames in all.

@@ -15,8 +15,9 @@ from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
+from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
-from ..core.joint_tracks import JointTrack, foot_skate
+from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
 from ..core.rig import Rig
@@ -42,7 +43,8 @@ class MotionOptions:
     """Options of models with joints; see `pipeline.animate`."""
 
     root: str = "scale"
-    ground: bool = False
+    ground: bool = True
+    """Has no effect on a single pose, nor with a method without joints."""
     smooth: float = 0.0
     skinned: bool = False
 
@@ -54,7 +56,7 @@ class MotionOptions:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
-                if getattr(self, field.name) != field.default:
+                if field.name != "ground" and getattr(self, field.name) != field.default:
                     raise InputError(
                         f"--{field.name}: expected a model with joints (mime), found {method.name}; choose it with -m"
                     )
@@ -77,12 +79,13 @@ class _JointMotion:
 
     drive: SkinnedDrive
     track: JointTrack
-    path: Float[np.ndarray, "T 3"]
-    """Positions of the identity's root joint."""
+    posed: PosedJoints
+    scale: tuple[float, float]
+    """The identity's displacements over the driving's: over the ground and vertically."""
 
     def frames(self) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the identity's vertices in every frame."""
-        return (self.drive.posed(*pose) for pose in zip(self.track.rotation, self.path, strict=True))
+        return (self.drive.posed(*pose) for pose in zip(self.posed.rotation, self.posed.root, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +248,7 @@ def play(
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":
-            report["foot_skate"] = None  # in place, feet slide as they should
+            report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
     return MovedIdentity(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))
 
 
@@ -269,18 +272,20 @@ def _joint_motion(
     """Track the joints and apply the options; `scale` is the driving's radius over the identity's, in their units."""
     track = drive.track(frames, fps).smoothed(options.smooth)
     across = scale if options.root == "keep" else None
-    return _JointMotion(drive, track, drive.path(track, across, options.root == "drop", options.ground))
+    posed = drive.motion(track, across, options.root == "drop", options.ground)
+    return _JointMotion(drive, track, posed, (drive.stride if across is None else across, drive.stride))
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
-    """Add confidences and foot skate (identity heights a second) to the report; return notes on low confidence."""
+    """Add confidences and foot skates (identity heights a second) to the report; return notes on low confidence."""
     notes = ()
     if motion.drive.confidence is not None:
         for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
             report[which] |= confidence.facts()
             notes += confidence.notes(name)
-    speed = foot_skate(motion.track, motion.path, motion.drive.skinned, motion.drive.feet)
-    report["foot_skate"] = None if speed is None else speed / height
+    speeds = foot_skate(motion.posed, motion.track, motion.drive.feet, motion.scale)
+    for key, speed in zip(("foot_skate", "foot_skate_driving"), speeds or (None, None), strict=True):
+        report[key] = None if speed is None else speed / height
     return notes
 
 
@@ -327,7 +332,7 @@ def _animated_rig(
     """Return the rig and its motion in the identity's axes, unit and position."""
     undo, drive = norm.rotation.T, motion.drive
     rig = Rig(undo @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
-    rotation, root = undo @ motion.track.rotation, norm.undo(motion.path + shift)
+    rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
     return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root)
 
 

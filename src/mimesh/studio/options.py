@@ -18,7 +18,7 @@ class Options:
 
     model: str = "mime"
     root: str = "scale"
-    ground: bool = False
+    ground: bool = True
     smooth: float = 0.0
     refine: bool | None = None
 

@@ -22,10 +22,10 @@ from jaxtyping import Float
 
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
-from ...core.joint_tracks import FootJoints, sole_depths
 from ...core.mesh import Clip, Mesh
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
+from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive
 from ..confidence import Confidence, mean_angle
@@ -65,6 +65,10 @@ class KeyframePrediction:
     leg: float
     """Length of a leg, in the normalised frame of the driving."""
     confidence: Confidence
+    samples: SurfacePoints
+    """All samples of the surface, more than are tracked."""
+    soles: Soles = ()
+    """Contact points of the soles, as indices of samples."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,20 +110,21 @@ class MimeMethod:
             follow, keyframes = self._follow(dataclasses.replace(driving, mesh=face_outward(driving.mesh)))
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
-        feet = self._foot_joints()
+        skinned = SkinnedMesh.of(vertices, rig, self.parents)
         return SkinnedDrive(
             joints=self.joints,
             rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
-            skinned=SkinnedMesh.of(vertices, rig, self.parents),
+            skinned=skinned,
             follow=follow,
             # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
-            # Heights of the feet's joints over the ground, by which standing feet are recognised and grounded.
-            feet=FootJoints(
-                feet,
+            feet=Feet.of(
+                self.legs,
                 keyframes.leg,
-                sole_depths(rig, vertices, feet),
-                sole_depths(keyframes.consensus, keyframes.points, feet),
+                find_soles(vertices, rig, self.legs, self.parents),
+                skinned,
+                keyframes.soles,
+                keyframes.samples,
             ),
             group=ranked.group,
             name=driving.mesh.name,
@@ -134,11 +139,6 @@ class MimeMethod:
         sampled = NetworkPoints.of(samples, mesh.vertices)
         rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
-
-    def _foot_joints(self) -> tuple[int, ...]:
-        """Return the joints of the feet: ankles and their children."""
-        ankles = [leg[-1] for leg in self.legs]
-        return tuple(j for j, parent in enumerate(self.parents) if j in ankles or parent in ankles)
 
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
         """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
@@ -224,7 +224,8 @@ class MimeMethod:
         rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
-        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence)
+        soles = find_soles(sample.points, _nearest_weights(sample.points, best.points, rig), self.legs, self.parents)
+        best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
 
         def follow(vertices: Float[np.ndarray, "U 3"]) -> Pose:
@@ -257,7 +258,15 @@ class MimeMethod:
         mean = consensus(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
         confidence = self._confidence(rigs, mean, weights)
-        return KeyframePrediction(t, tracked.points(frames[t]), Rig(mean.rotation, joints, weights), leg, confidence)
+        rig = Rig(mean.rotation, joints, weights)
+        return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
+
+
+def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
+    """Return a rig with the weights of `points`: those of the nearest of the points whose weights are known."""
+    from scipy.spatial import KDTree
+
+    return dataclasses.replace(rig, weights=rig.weights[np.asarray(KDTree(known).query(points)[1])])
 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:

@@ -1,0 +1,257 @@
+"""Plant the feet of a moved identity where the driving's soles stand: correct the root path, then the legs by IK.
+
+What a sole is moved by is a sum: the correction of the root, which moves the whole body, and that of its leg. All are
+found together by linear least squares over the frames of a clip. Where the driving's sole stands, the identity's should
+not slide more than that one does, scaled, and should be as high; the root's correction should be a smooth path, the
+legs' small and smooth. So the root takes what is common and slow, such as a stride of another length, the legs take
+what is left, and corrections grow and fade between contacts by themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from .foot_contacts import FootContacts, falling, find_contacts
+from .geometry import factor
+from .joint_tracks import JointTrack
+from .leg_ik import longest_reach, move_ankle
+from .skinning import SkinnedMesh
+from .soles import Feet
+
+MISREAD_SPEED, MISREAD_HEIGHT = (1.5, 3.0), (0.2, 0.4)
+"""Leg lengths a second and leg lengths: soles of the identity that slide or float by less are corrected, those that do
+by more are not: the legs of one of the two meshes have not been recognised."""
+LARGEST_STEP = 0.15
+"""Leg lengths: largest correction of one leg."""
+CYCLE_ERROR = 0.03
+"""Leg lengths: in the first and last frame of a cyclic clip the joints are at the same places, relative to the root."""
+IN_PLACE = 0.1
+"""Leg lengths: a cycle that gets less far than this is one in place."""
+LOWERING = 0.1
+"""Seconds before and after which the hips begin to go down, and are up again, where a leg is too short for its step."""
+FLOATING = 0.01
+"""Leg lengths that a standing leg may be too short by before the hips go down: legs that are almost straight bend a lot
+when the hips go down a little."""
+EVEN = 0.0075
+"""Leg lengths: heights of soles that differ less from the driving's, scaled, are left as they are."""
+CLOSED, TINY = 1e6, 1e-9
+"""Weight of the equations that close a cycle, and of those without influence; those of a standing sole have 1."""
+
+
+@dataclass(frozen=True)
+class Stiffness:
+    """How far corrections are small and smooth, against the equations of standing soles (docs/LOG.md, "Feet")."""
+
+    leg_size: float
+    """Seconds: slides that last longer than this are left to the root."""
+    leg_bend: float
+    """Seconds over which the correction of a leg begins and ends."""
+    root_speed: float
+    """Share of a slide that is rather left than corrected by the root."""
+    root_bend: float
+    """Seconds over which the root changes its speed."""
+
+
+HEIGHT_SECONDS = 1 / 30
+"""A height counts as much as a slide over the same distance in this time."""
+SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
+HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1)
+
+
+@dataclass(frozen=True, eq=False)
+class PosedJoints:
+    """Pose of an identity in T frames."""
+
+    rotation: Float[np.ndarray, "T J 3 3"]
+    """World rotation of every joint."""
+    root: Float[np.ndarray, "T 3"]
+    """Position of the root joint."""
+
+
+def plant_feet(
+    posed: PosedJoints,
+    track: JointTrack,
+    skinned: SkinnedMesh,
+    feet: Feet,
+    scale: tuple[float, float],
+    free_root: bool = True,
+    slides: bool = True,
+) -> PosedJoints:
+    """Correct a motion so that soles stand where the driving's do; nothing changes if those never stand.
+
+    Args:
+        posed: the motion of the identity.
+        track: the motion of the driving.
+        skinned: the identity.
+        feet: contact points of both.
+        scale: the identity's displacements over the driving's, over the ground and vertically.
+        free_root: whether the path of the root over the ground may change; where the driving walks in place it never
+            does.
+        slides: whether to correct slides, or heights only.
+    """
+    contacts = find_contacts(track, feet)
+    if contacts is None:
+        return posed
+    leg, cyclic = feet.driving_leg * scale[1], is_cyclic(track, feet.driving_leg)
+    soles = feet.identity_soles(posed.rotation, posed.root)
+    found = np.zeros((1 + len(feet.legs), *posed.root.shape))
+    if slides:
+        # Where the driving walks in place, a corrected root would drift.
+        free_root = free_root and not contacts.ground_step.any()
+        weight, error = _slides(soles, contacts, scale[0], track.fps, leg)
+        for axis, closed_root in _ground_axes(track.positions[-1, 0] - track.positions[0, 0], feet.driving_leg):
+            closed = (cyclic, cyclic and closed_root)
+            along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, free_root)
+            found += along[..., None] * axis
+    weight, error = _heights(soles, contacts, scale[1], track.fps, leg)
+    found[..., 1] = _solve(weight, error, len(soles), track.fps, HEIGHTS, (cyclic, cyclic))
+    root, steps = found[0], found[1:]
+    steps *= np.minimum(1, LARGEST_STEP * leg / np.maximum(np.linalg.norm(steps, axis=-1, keepdims=True), 1e-9))
+    positions = np.stack([skinned.joint_positions(*pose) for pose in zip(posed.rotation, posed.root, strict=True)])
+    lowered = _lowered_hips(positions, feet, steps, FLOATING * leg, track.fps, cyclic)[:, None] * [0.0, 1.0, 0.0]
+    rotation = posed.rotation
+    for joints, step in zip(feet.legs, steps, strict=True):
+        rotation = move_ankle(rotation, positions, joints, step + lowered, skinned.parents)
+    return PosedJoints(rotation, posed.root + root - lowered)
+
+
+def _lowered_hips(
+    positions: Float[np.ndarray, "T J 3"],
+    feet: Feet,
+    steps: Float[np.ndarray, "F T 3"],
+    tolerance: float,
+    fps: float,
+    cyclic: bool,
+) -> Float[np.ndarray, " T"]:
+    """Compute by how much the hips have to be lower for all legs to reach their steps, up to a tolerance; smooth."""
+    from scipy.ndimage import gaussian_filter1d, maximum_filter1d
+
+    missing = np.zeros(len(positions))
+    for joints, step in zip(feet.legs, steps, strict=True):
+        line = positions[:, joints[2]] - positions[:, joints[0]] + step
+        distance = np.linalg.norm(line, axis=1)
+        # Lowering the hips shortens a leg that is not vertical by less.
+        steep = np.maximum(-line[:, 1] / distance, 0.5)
+        short = distance - longest_reach(positions, joints)[:, 0] - tolerance
+        missing = np.maximum(missing, short / steep)
+    mode, around = "wrap" if cyclic else "nearest", LOWERING * fps
+    period = slice(None, -1) if cyclic else slice(None)  # the last frame of a cycle is the first one
+    envelope = maximum_filter1d(missing[period], 2 * round(around) + 1, mode=mode)
+    lowered = gaussian_filter1d(envelope, around / 2, mode=mode)
+    return np.append(lowered, lowered[0]) if cyclic else lowered
+
+
+def foot_skate(
+    posed: PosedJoints, track: JointTrack, feet: Feet | None, scale: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Measure the mean speed (per second) over the ground of the identity's soles while the driving's stand.
+
+    The second figure is that of the driving's soles, times the scale. None if they never stand.
+    """
+    contacts = None if feet is None else find_contacts(track, feet)
+    if feet is None or contacts is None or not contacts.planted.any():
+        return None
+    soles = feet.identity_soles(posed.rotation, posed.root)
+    mine, driving = _steps(soles, contacts, scale[0]), scale[0] * _steps(contacts.soles, contacts, 1.0)
+    speeds = [float(np.linalg.norm(s, axis=-1)[contacts.planted].mean() * track.fps) for s in (mine, driving)]
+    return speeds[0], speeds[1]
+
+
+def is_cyclic(track: JointTrack, leg: float) -> bool:
+    """Whether a clip ends as it begins, but for where on the ground: its last frame is its first one again."""
+    around = track.positions - track.positions[:, :1]
+    height = abs(track.positions[-1, 0, 1] - track.positions[0, 0, 1])
+    apart = np.linalg.norm(around[-1] - around[0], axis=-1).max()
+    return len(around) > 2 and bool(max(height, apart) < CYCLE_ERROR * leg)
+
+
+def _ground_axes(displacement: Float[np.ndarray, " 3"], leg: float) -> list[tuple[Float[np.ndarray, " 3"], bool]]:
+    """Return two horizontal axes, along a clip's displacement and across it, and whether the root ends as it begins.
+
+    That is of cycles: the length of a step may change, but nobody drifts to the side, nor at all in place.
+    """
+    far = float(np.linalg.norm(displacement[[0, 2]]))
+    x, z = displacement[[0, 2]] / far if far > IN_PLACE * leg else (1.0, 0.0)
+    return [(np.array([x, 0, z]), far <= IN_PLACE * leg), (np.array([z, 0, -x]), True)]
+
+
+def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float) -> Float[np.ndarray, "S F C 3"]:
+    """Return the displacement of soles over the ground in each interval; the ground itself may move."""
+    return (np.diff(soles, axis=0) - scale * contacts.ground_step) * [1, 0, 1]
+
+
+def _slides(
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
+) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F 3"]]:
+    """Compute the weight of each foot in each interval, and the displacement that removes what it slides too far.
+
+    A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
+    """
+    mine = _steps(soles, contacts, scale)
+    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(contacts.soles, contacts, 1.0)))
+    weight = contacts.standing * falling(size * fps / leg, MISREAD_SPEED)
+    excess = 1 - np.minimum(1, allowed / np.maximum(size, 1e-9))
+    error = -((weight * excess)[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
+    return weight.max(axis=2), error
+
+
+def _heights(
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
+) -> tuple[Float[np.ndarray, "T F"], Float[np.ndarray, "T F"]]:
+    """Compute the weight of each foot in each frame, and how far it has to be lifted to be as high as the driving's."""
+    error = scale * contacts.soles[..., 1].min(axis=2) - soles[..., 1].min(axis=2)
+    # Where the ground is does not matter: it is the same for all frames.
+    error = error - np.median(error[contacts.near > 0.5]) if (contacts.near > 0.5).any() else error
+    # Divided by the frame rate, as slides are, so that the rate has no influence on the balance with the penalties.
+    weight = contacts.near * falling(np.abs(error) / leg, MISREAD_HEIGHT) / (HEIGHT_SECONDS * fps) ** 2
+    return weight, np.sign(error) * np.maximum(np.abs(error) - EVEN * leg, 0)
+
+
+def _solve(
+    weight: Float[np.ndarray, "S F"],
+    error: Float[np.ndarray, "S F"],
+    frames: int,
+    fps: float,
+    stiffness: Stiffness,
+    closed: tuple[bool, bool],
+    free_root: bool = True,
+) -> Float[np.ndarray, "G T"]:
+    """Solve for the corrections of the root and of the F legs (G = 1 + F) along one axis.
+
+    Minimises the sum over feet f of weight_f (K (root + leg_f) - error_f)^2, where K is the difference between frames
+    (slides) or the identity (heights), plus quadratic penalties of size, speed and bending of each correction.
+
+    Args:
+        weight: of each foot in each interval (S = T - 1: slides) or frame (S = T: heights).
+        error: what the corrections of root and leg together should change in it, or be.
+        frames: T.
+        fps: frames a second.
+        stiffness: weights of the penalties.
+        closed: whether the legs' corrections, and the root's, end as they begin.
+        free_root: whether the root is corrected.
+    """
+    from scipy import sparse
+
+    unit = sparse.csr_array(sparse.eye_array(frames))
+    step = unit[1:] - unit[:-1]
+    cyclic = any(closed)
+    bend = step[1:] - step[:-1]
+    if cyclic:  # the last step is followed by the first one
+        bend = sparse.csr_array(sparse.vstack([bend, step[:1] - step[-1:]]))
+    gap = CLOSED * (unit[-1:] - unit[:1]).T @ (unit[-1:] - unit[:1])
+    smooth = bend.T @ bend
+    leg = unit / (stiffness.leg_size * fps) ** 2 + (stiffness.leg_bend * fps) ** 2 * smooth + closed[0] * gap
+    root = stiffness.root_speed * step.T @ step + (stiffness.root_bend * fps) ** 2 * smooth + closed[1] * gap
+    # A root whose correction costs too much stays; else a tiny cost fixes what has no influence: where all of it is.
+    root = root + (TINY if free_root else 1 / TINY) * unit
+    measure = unit if len(weight) == frames else step
+    equations = [measure.T @ sparse.diags_array(w) @ measure for w in weight.T]
+    blocks: list[list] = [[root + sum(equations), *equations]]
+    for f, equation in enumerate(equations):
+        blocks.append([equation, *([None] * f), equation + leg, *([None] * (len(equations) - f - 1))])
+    sides = [measure.T @ (w * e) for w, e in zip(weight.T, error.T, strict=True)]
+    side = np.concatenate([np.sum(sides, axis=0), *sides])
+    return factor(sparse.csr_array(sparse.block_array(blocks))).solve(side).reshape(-1, frames)

@@ -1,0 +1,129 @@
+"""Contact points on the soles of feet: which points of a surface they are, and where they are in a pose or frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from .rig import Rig, descendants
+from .skinning import SkinnedMesh
+from .surface_points import SurfacePoints
+
+CONTACTS = 4
+"""Contact points of a foot, in equal parts of its length from heel to toes: a foot rolls from one to the next."""
+MEAN_OF = 6
+"""Largest number of surface points whose mean is a contact point; a mean, because surfaces may be noisy."""
+DEPTH = 0.1
+"""Points are averaged up to this height over the lowest one (foot lengths), not with points of the instep."""
+OUTSIDE = 3.0
+"""Points outside a part of the foot count as higher by this multiple of their distance from it, so that parts without
+points take the nearest ones."""
+FEWEST = 4
+"""A foot with fewer points than this is not found."""
+
+
+Soles = tuple[Int[np.ndarray, "C M"] | None, ...]
+"""For each leg, the C contact points of its foot, each as the indices of M points whose mean it is; None: no foot."""
+
+
+@dataclass(frozen=True, eq=False)
+class Feet:
+    """The F feet that driving and identity both have, with C contact points each."""
+
+    legs: tuple[tuple[int, ...], ...]
+    """Hip, knee and ankle joint of each foot."""
+    driving_leg: float
+    """Leg length of the driving."""
+    driving: SurfacePoints
+    """The F * C * M points of the driving's surface whose means are its contact points."""
+    identity: SkinnedMesh
+    """The identity's F * C contact points."""
+
+    @classmethod
+    def of(
+        cls,
+        legs: tuple[tuple[int, ...], ...],
+        driving_leg: float,
+        identity: Soles,
+        skinned: SkinnedMesh,
+        driving: Soles,
+        surface: SurfacePoints,
+    ) -> Feet | None:
+        """Select the feet that both meshes have; None if there is none, or if legs are not hip, knee and ankle.
+
+        Args:
+            legs: joints of each leg, from hip to ankle.
+            driving_leg: leg length of the driving.
+            identity: contact points as indices of the vertices of `skinned`.
+            skinned: the identity.
+            driving: contact points as indices of the points of `surface`.
+            surface: points of the driving.
+        """
+        both = [
+            (leg, mine, other)
+            for leg, mine, other in zip(legs, identity, driving, strict=True)
+            if mine is not None and other is not None and len(leg) == 3
+        ]
+        if not both:
+            return None
+        points = np.concatenate([other.ravel() for _, _, other in both])
+        # Skinning is linear in `packed`: the mean of its rows is the mean of the points in every pose.
+        packed = np.concatenate([skinned.packed[mine].mean(axis=1) for _, mine, _ in both])
+        return cls(
+            tuple(leg for leg, _, _ in both),
+            driving_leg,
+            SurfacePoints(surface.corners[points], surface.barycentric[points]),
+            SkinnedMesh(skinned.parents, skinned.bones, packed),
+        )
+
+    def driving_soles(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
+        """Return the driving's contact points in a frame."""
+        return self.driving.points(vertices).reshape(len(self.legs), -1, MEAN_OF, 3).mean(axis=2)
+
+    def identity_soles(
+        self, rotation: Float[np.ndarray, "T J 3 3"], root: Float[np.ndarray, "T 3"]
+    ) -> Float[np.ndarray, "T F C 3"]:
+        """Return the identity's contact points in all frames."""
+        at_origin = np.stack([self.identity.posed(frame, np.zeros(3)) for frame in rotation])
+        return at_origin.reshape(len(rotation), len(self.legs), -1, 3) + root[:, None, None]
+
+
+def find_soles(
+    points: Float[np.ndarray, "N 3"], rig: Rig, legs: tuple[tuple[int, ...], ...], parents: tuple[int, ...]
+) -> Soles:
+    """Find the contact points of the foot of each leg; see `sole_points`."""
+    return tuple(sole_points(points, rig, leg[-1], parents) for leg in legs)
+
+
+def sole_points(
+    points: Float[np.ndarray, "N 3"], rig: Rig, ankle: int, parents: tuple[int, ...]
+) -> Int[np.ndarray, "C M"] | None:
+    """Find the contact points of a foot: indices of the M points whose mean each of them is (some repeated).
+
+    In each of CONTACTS parts of the foot's length, they are the lowest points in the frame of the ankle, with the toes
+    straightened. None if the surface has no such foot.
+    """
+    below = descendants([ankle], parents)
+    on_foot = np.flatnonzero(rig.weights[:, below].sum(axis=1) > 0.5)
+    if len(on_foot) < FEWEST:
+        return None
+    joint = np.array(below)[rig.weights[on_foot][:, below].argmax(axis=1)]
+    # In the frame of its own joint, at the place that joint has at rest, where all frames have the same axes.
+    rest = {ankle: np.zeros(3)}
+    for j in below[1:]:
+        rest[j] = rest[parents[j]] + rig.rotation[parents[j]].T @ (rig.joints[j] - rig.joints[parents[j]])
+    straight = np.einsum("nkl,nk->nl", rig.rotation[joint], points[on_foot] - rig.joints[joint])
+    straight += np.stack([rest[j] for j in joint])
+    heel, toe = np.percentile(straight[:, 2], (1, 99))
+    length = max(toe - heel, 1e-9)
+    part = length / CONTACTS
+    chosen = []
+    for k in range(CONTACTS):
+        outside = np.maximum(np.abs(straight[:, 2] - heel - (k + 0.5) * part) - part / 2, 0)
+        height = straight[:, 1] + OUTSIDE * outside
+        lowest = np.argsort(height, kind="stable")[:MEAN_OF]
+        lowest = lowest[height[lowest] <= height[lowest[0]] + DEPTH * length]
+        chosen.append(np.resize(on_foot[lowest], MEAN_OF))
+    return np.stack(chosen)

@@ -1,0 +1,267 @@
+"""Soles are planted: contacts are detected on surfaces, legs reach by IK, cycles close, and nothing else changes."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import sample_shape
+from mimesh.core.foot_contacts import find_contacts
+from mimesh.core.foot_planting import PosedJoints, foot_skate, is_cyclic, plant_feet
+from mimesh.core.joint_tracks import JointTrack, root_path
+from mimesh.core.leg_ik import LONGEST, move_ankle
+from mimesh.core.rig import Rig, leg_length
+from mimesh.core.skinning import SkinnedMesh
+from mimesh.core.soles import Feet, find_soles
+from mimesh.core.surface_points import SurfacePoints
+from mimesh.motions.motion import motion_clip
+from mimesh.motions.procedural import Motion, gait, planted
+
+BODY = load_body()
+LEGS = tuple(tuple(BODY.joint(f"{side}{name}") for name in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
+PERIOD = 30
+"""Frames of a cycle of the walk."""
+STRIDE = 24.0
+"""Degrees of the hip."""
+
+
+def rig_of(shape, size=1.0, shin=1.0):
+    """Vertices and rig of a person; with `shin` the shins are longer and the thighs shorter."""
+    vertices, joints = (size * array for array in BODY.shaped(shape))
+    hip, knee, _ = joints[list(LEGS[0]), 1]
+    for array in (vertices, joints):
+        array[:, 1] = np.interp(array[:, 1], [-size, 0, knee, hip, 3 * size], [-size, 0, shin * knee, hip, 3 * size])
+    return vertices, Rig(np.tile(np.eye(3), (len(joints), 1, 1)), joints, BODY.weights)
+
+
+def walk(cycles=2.0, fps=30.0, stride=STRIDE):
+    """A periodic walk straight ahead."""
+    phase = np.arange(round(cycles * PERIOD * fps / 30) + 1) / PERIOD * 30 / fps
+    rotmat = np.tile(np.eye(3), (len(phase), len(BODY.joint_names), 1, 1))
+    for side, shift in (("Left", 0.0), ("Right", 0.5)):
+        for name, angle in zip(
+            ("UpLeg", "Leg", "Foot", "ToeBase"), gait(phase + shift, stride, 60.0).values(), strict=True
+        ):
+            turns = Rotation.from_rotvec(np.radians(np.broadcast_to(angle, phase.shape))[:, None] * [1.0, 0, 0])
+            rotmat[:, BODY.joint(side + name)] = turns.as_matrix()
+    return Motion("walk", BODY.joint_names, rotmat, planted(BODY, rotmat), fps)
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """The body walks and drives a person of another shape and size."""
+
+    track: JointTrack
+    skinned: SkinnedMesh
+    feet: Feet
+    stride: float
+
+    def posed(self, scale=None):
+        return PosedJoints(self.track.rotation, root_path(self.track, scale or self.stride, self.stride, False))
+
+    def planted(self, **options):
+        return plant_feet(self.posed(), self.track, self.skinned, self.feet, (self.stride,) * 2, **options)
+
+    def skate(self, posed):
+        return foot_skate(posed, self.track, self.feet, (self.stride,) * 2)
+
+    def soles(self, posed):
+        return self.feet.identity_soles(posed.rotation, posed.root)
+
+    def joints(self, posed):
+        return np.stack(
+            [self.skinned.joint_positions(*frame) for frame in zip(posed.rotation, posed.root, strict=True)]
+        )
+
+
+def case(motion=None, shape=3, size=0.8, path=None, noise=0.0, driving_size=1.0, shin=1.0):
+    motion = walk() if motion is None else motion
+    if path is not None:
+        motion = dataclasses.replace(motion, root=motion.root + path)
+    frames = driving_size * motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
+    frames += noise * np.random.default_rng(0).normal(size=frames.shape)
+    rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
+    positions = driving_size * ((rotation @ BODY.joints[..., None])[..., 0] + translation)
+    rest, rig = rig_of(np.zeros(0), driving_size)
+    vertices, identity_rig = rig_of(sample_shape(BODY, 7, shape), size, shin)
+    skinned = SkinnedMesh.of(vertices, identity_rig, BODY.parents)
+    everyone = SurfacePoints(np.repeat(np.arange(len(rest))[:, None], 3, axis=1), np.tile([1.0, 0, 0], (len(rest), 1)))
+    leg = leg_length(rig.joints, LEGS)
+    feet = Feet.of(
+        LEGS,
+        leg,
+        find_soles(vertices, identity_rig, LEGS, BODY.parents),
+        skinned,
+        find_soles(rest, rig, LEGS, BODY.parents),
+        everyone,
+    )
+    assert feet is not None
+    soles = np.stack([feet.driving_soles(frame) for frame in frames])
+    track = JointTrack(rotation, positions, motion.fps, soles)
+    return Case(track, skinned, feet, leg_length(identity_rig.joints, LEGS) / leg)
+
+
+def test_contact_points_are_on_the_sole_from_heel_to_toes():
+    vertices, rig = rig_of(np.zeros(0))
+    for soles, leg in zip(find_soles(vertices, rig, LEGS, BODY.parents), LEGS, strict=True):
+        points = vertices[soles].mean(axis=1)
+        assert (points[:, 1] < vertices[:, 1].min() + 0.02).all()
+        assert (np.diff(points[:, 2]) > 0.03).all()
+        assert (np.sign(points[:, 0]) == np.sign(rig.joints[leg[2], 0])).all()
+
+
+def test_a_surface_without_feet_has_no_soles():
+    vertices, rig = rig_of(np.zeros(0))
+    above = rig.weights[:, [BODY.joint("LeftFoot"), BODY.joint("LeftToeBase")]].sum(axis=1) < 0.01
+    kept = dataclasses.replace(rig, weights=rig.weights[above])
+    left, right = find_soles(vertices[above], kept, LEGS, BODY.parents)
+    assert left is None
+    assert right is not None
+
+
+def test_contacts_of_a_walk_are_those_of_its_gait():
+    """A foot stands for 0.6 of each cycle: from the heel's strike to the toes' leaving."""
+    found = case()
+    contacts = find_contacts(found.track, found.feet)
+    share = contacts.planted.any(axis=2).mean(axis=0)
+    assert ((share > 0.5) & (share < 0.8)).all()
+    # The heel stands first and leaves first.
+    heel, toes = contacts.standing[:, 0, 0], contacts.standing[:, 0, -1]
+    at = np.arange(len(heel))
+    middle = slice(PERIOD // 2, PERIOD // 2 + PERIOD)  # one contact of the left foot, which strikes at 0 and PERIOD
+    assert np.average(at[middle], weights=heel[middle]) != np.average(at[middle], weights=toes[middle])
+    assert not contacts.ground_step.any()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_planted_soles_of_other_proportions_do_not_slide_more_than_the_driving_ones(noise):
+    found = case(noise=noise, shin=1.25)
+    raw, planted_motion = found.posed(), found.planted()
+    (before, driving), (after, _) = found.skate(raw), found.skate(planted_motion)
+    assert after < 1.2 * driving
+    assert noise or before > 1.5 * driving
+
+
+def test_soles_do_not_sink_or_float():
+    found = case()
+    contacts = find_contacts(found.track, found.feet)
+    driving = found.stride * found.track.soles[..., 1].min(axis=2)
+
+    def spread(posed):
+        error = found.soles(posed)[..., 1].min(axis=2) - driving
+        return np.ptp(error[contacts.near > 0.99])
+
+    leg = found.stride * found.feet.driving_leg
+    assert spread(found.planted()) < min(0.03 * leg, spread(found.posed()))
+
+
+def test_bones_keep_their_lengths_and_feet_their_directions():
+    found = case(shin=1.25)
+    raw, corrected = found.posed(), found.planted()
+    bones = [
+        np.linalg.norm(np.diff(found.joints(posed)[:, list(LEGS[0])], axis=1), axis=-1) for posed in (raw, corrected)
+    ]
+    assert np.abs(bones[0] - bones[1]).max() < 1e-12
+    assert np.allclose(np.linalg.det(corrected.rotation), 1)
+    ankles = [BODY.joint(f"{side}{name}") for side in ("Left", "Right") for name in ("Foot", "ToeBase")]
+    assert np.array_equal(raw.rotation[:, ankles], corrected.rotation[:, ankles])
+    others = [j for j in range(len(BODY.parents)) if j not in ankles and j not in sum(LEGS, ())]
+    assert np.array_equal(raw.rotation[:, others], corrected.rotation[:, others])
+    assert np.abs(raw.rotation - corrected.rotation).max() > 0.01
+
+
+def test_corrections_have_no_jumps():
+    """No point of the feet is accelerated by more than 1.15 times the largest acceleration of before."""
+    found = case()
+    largest = [
+        np.linalg.norm(np.diff(found.soles(posed), 2, axis=0), axis=-1).max()
+        for posed in (found.posed(), found.planted())
+    ]
+    assert largest[1] < 1.15 * largest[0]
+    rotations = [np.abs(np.diff(posed.rotation, 2, axis=0)).max() for posed in (found.posed(), found.planted())]
+    assert rotations[1] < 1.5 * rotations[0]
+
+
+def test_a_cycle_closes():
+    found = case(walk(1.0))
+    assert is_cyclic(found.track, found.feet.driving_leg)
+    corrected = found.planted()
+    assert np.abs(corrected.rotation[-1] - corrected.rotation[0]).max() < 1e-5
+    moved = corrected.root[-1] - corrected.root[0]
+    straight = found.track.positions[-1, 0] - found.track.positions[0, 0]
+    assert abs(moved[1]) < 1e-5
+    # Ahead the step may have another length; to the side there is no drift.
+    side = np.cross(straight / np.linalg.norm(straight), [0, 1, 0])
+    assert abs((moved - found.stride * straight) @ side) < 1e-5
+    seam = np.diff(np.concatenate([corrected.root, corrected.root[1:3] + moved]), 2, axis=0)
+    assert np.linalg.norm(seam, axis=-1)[-2:].max() <= 1.05 * np.linalg.norm(seam, axis=-1)[:-2].max()
+
+
+def test_a_cycle_in_place_does_not_drift():
+    motion = walk(1.0)
+    ramp = -np.linspace(0, 1, len(motion.root))[:, None] * (motion.root[-1] - motion.root[0])
+    found = case(motion, path=ramp)
+    contacts = find_contacts(found.track, found.feet)
+    assert np.linalg.norm(contacts.ground_step) * motion.fps == pytest.approx(
+        np.linalg.norm(motion.root[-1] - motion.root[0]) / (len(motion.root) - 1) * motion.fps, rel=0.1
+    )
+    corrected = found.planted()
+    assert np.abs(corrected.root[-1] - corrected.root[0]).max() < 1e-5
+    (before, driving), (after, _) = found.skate(found.posed()), found.skate(corrected)
+    assert after < max(1.3 * driving, 0.7 * before)
+
+
+def test_nothing_changes_without_contacts():
+    """Swimming: the hips are as low as the feet; flying: the feet move with the body."""
+    motion = walk()
+    lying = Rotation.from_euler("x", 90, degrees=True).as_matrix()
+    swim = dataclasses.replace(motion, rotmat=motion.rotmat.copy())
+    swim.rotmat[:, 0] = lying @ swim.rotmat[:, 0]
+    flight = np.arange(len(motion.root))[:, None] * [0.0, 0.1, 0.2]
+    for found in (
+        case(swim),
+        case(dataclasses.replace(motion, rotmat=motion.rotmat[:1].repeat(len(motion.root), 0), root=flight)),
+    ):
+        raw, corrected = found.posed(), found.planted()
+        assert np.array_equal(raw.rotation, corrected.rotation)
+        assert np.array_equal(raw.root, corrected.root)
+
+
+def test_size_and_frame_rate_have_no_influence():
+    small, large = case(size=0.8).planted(), case(size=8.0, driving_size=10.0).planted()
+    assert np.abs(large.rotation - small.rotation).max() < 1e-3
+    assert np.abs(large.root / 10 - small.root).max() < 1e-3
+    corrections = []
+    for found in (case(walk(fps=30.0), shin=1.25), case(walk(fps=120.0), shin=1.25)):
+        corrections.append((found.planted().root - found.posed().root)[:: round(found.track.fps / 30)])
+    slow, fast = (correction - correction[0] for correction in corrections)
+    assert np.abs(slow).max() > 0.02
+    assert np.abs(fast - slow).max() < 0.3 * np.abs(slow).max()
+
+
+def test_a_path_that_is_kept_is_kept():
+    found = case()
+    corrected = found.planted(free_root=False)
+    assert np.abs(corrected.root - found.posed().root)[:, [0, 2]].max() < 1e-6
+    heights_only = found.planted(slides=False)
+    assert np.array_equal(heights_only.root[:, [0, 2]], found.posed().root[:, [0, 2]])
+
+
+def test_the_ankle_goes_to_its_target_as_far_as_the_leg_reaches():
+    found = case()
+    raw = found.posed()
+    positions, leg = found.joints(raw), LEGS[0]
+    for offset in ([0.02, 0.01, 0.03], [0.0, -0.5, 0.0], [0.0, 0.0, 0.0]):
+        rotation = move_ankle(raw.rotation, positions, leg, np.tile(offset, (len(positions), 1)), BODY.parents)
+        after = found.joints(PosedJoints(rotation, raw.root))
+        length = np.linalg.norm(np.diff(positions[:, list(leg)], axis=1), axis=-1).sum(axis=1)
+        reach = np.linalg.norm(after[:, leg[2]] - after[:, leg[0]], axis=1)
+        before = np.linalg.norm(positions[:, leg[2]] - positions[:, leg[0]], axis=1)
+        assert (reach < np.maximum(LONGEST * length, before) + 1e-9).all()
+        wanted = positions[:, leg[2]] + offset
+        near = np.linalg.norm(wanted - after[:, leg[0]], axis=1) < LONGEST * length
+        assert np.abs((after[:, leg[2]] - wanted)[near]).max(initial=0) < 1e-9
+        # The knee bends to the front.
+        assert ((after[:, leg[1]] - (after[:, leg[0]] + after[:, leg[2]]) / 2)[:, 2] > -0.03).all()
