@@ -12,6 +12,7 @@ import hashlib
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import PoolCharacter, read_pool
 from ..core import geometry, surface_points
 from ..core.errors import InputError
-from ..core.mesh import Mesh
-from ..evaluate.character_poses import body_pose, place_body_joints, rest_alignments
+from ..evaluate.character_poses import body_poses, place_body_joints, rest_alignments
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -66,7 +66,7 @@ class CharacterSurface:
         face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
         points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
         vertex_weights = body_weights(character, body)
-        size = spread(Mesh(body.vertices, body.faces)) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
+        size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found = place_body_joints(character)
         carrier, alignment = (
             carriers(set(character.joints) | {"Hips"}, body),
@@ -161,17 +161,17 @@ def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[n
 
     first = {character.meta.clips_from: character for character in characters if character.clips}
     poses = [
-        body_pose(character, character.clip_transforms(name, frame))
+        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)))
         for character in first.values()
         for name, clip in character.clips.items()
-        for frame in range(0, len(clip), CLIP_STEP)
     ]
-    rotmat = np.array(poses).reshape(-1, 3, 3)
+    rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
     return Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
 
 
-def spread(mesh: Mesh) -> float:
-    """Measure the root mean square distance of a surface from its centroid."""
-    face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
-    points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+@cache
+def body_spread(body: RiggedBody) -> float:
+    """Measure the root mean square distance of a body's surface from its centroid (metres), once for all characters."""
+    face, share = surface_points.sample_surface(body.vertices, body.faces, POINTS, np.random.default_rng(0))
+    points = surface_points.at_barycentric(body.vertices, body.faces, face, share)
     return float(np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean()))

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import functools
-import json
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -22,22 +17,17 @@ from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .config import load_config
 from .optimizers import make_optimizers
+from .precision import DTYPES, choose_precision
+from .stop_request import StopRequest
 from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
 from .tasks.find import NETWORKS, find_task
+from .training_log import TrainingLog
 from .validation import Validation
 
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
-LOG_SECONDS = 20.0
-"""Wall-clock time between lines of the log."""
 SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
-DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
-SIDE = {"cpu": 256, "cuda": 4096}
-"""Rows and columns of the matrices whose products are timed: one takes at most 0.1 s on a slow device of each kind."""
-MIN_GAIN = {"": 1.25, "fp32": 1.6, "bf16": 0.9}
-"""Speed of bf16 products over that of fp32 from which bf16 is taken, by what a resumed training used before: near the
-limit, two measurements on one machine must not give two answers."""
 
 
 def train_command(
@@ -287,119 +277,6 @@ class TrainingRun:
         facts = self.task.characters.facts if self.task.characters else {}
         checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision, facts))
         self.saved = time.monotonic()
-
-
-class TrainingLog:
-    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
-
-    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
-        self.lines, self.board, self.run = lines, board, run
-        self.losses: list[Tensor] = []
-        self.time, self.mark = time.monotonic(), run.seconds
-        # Forward plus backward: three times the forward arithmetic.
-        self.flops = 3 * run.task.flops_per_pair(run.model)
-
-    def add(self, loss: Tensor) -> None:
-        """Collect a loss; write a line now and then."""
-        self.losses.append(loss)
-        if time.monotonic() - self.time > LOG_SECONDS:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
-        if not self.losses:
-            return
-        loss = torch.stack(self.losses).mean().item()
-        rate = len(self.losses) * self.run.config.batch / (self.run.seconds - self.mark)
-        figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
-        figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
-        self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
-        self.write("training", figures)
-
-    def write(self, kind: str, figures: dict[str, float]) -> None:
-        """Write one line of figures."""
-        for name, value in figures.items():
-            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
-        self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
-
-    def note(self, kind: str, text: str, **facts: str) -> None:
-        """Write one line of words."""
-        self._line(kind, text, {"text": text, **facts})
-
-    def _line(self, kind: str, text: str, facts: Mapping[str, float | str]) -> None:
-        pairs = self.run.step * self.run.config.batch
-        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
-        self.lines.write(json.dumps(record) + "\n")
-        self.lines.flush()
-        print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)
-
-
-class StopRequest:
-    """Tells when a training has to end before its schedule does: after a time limit, or on SIGTERM or SIGINT.
-
-    A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
-    KeyboardInterrupt. A second one acts at once. Outside the main thread, which alone may handle signals, only the
-    time limit counts.
-    """
-
-    def __init__(self, max_minutes: float | None) -> None:
-        self.deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
-        self.signal: signal.Signals | None = None
-        self.handlers: dict[signal.Signals, Any] = {}
-
-    def __call__(self) -> bool:
-        return self.signal is not None or time.monotonic() >= self.deadline
-
-    def reason(self) -> str:
-        """Say what ended the training."""
-        return "the time given is over" if self.signal is None else f"ended by {self.signal.name}"
-
-    def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            self.handlers = {s: signal.signal(s, self._record) for s in (signal.SIGTERM, signal.SIGINT)}
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._restore()
-        if kind is None and self.signal is not None:
-            raise KeyboardInterrupt
-
-    def _record(self, number: int, _: object) -> None:
-        self.signal = signal.Signals(number)
-        self._restore()
-
-    def _restore(self) -> None:
-        while self.handlers:
-            signal.signal(*self.handlers.popitem())
-
-
-def choose_precision(asked: str, device: torch.device, before: str = "") -> tuple[str, str]:
-    """Give the precision of matrix products, `fp32` or `bf16`, and the reason in words; measure where `auto` is asked.
-
-    Processors without units for bf16 take a hundred times as long for such a product as for one in fp32.
-
-    Args:
-        before: precision that a resumed training used before, or empty.
-    """
-    if asked != "auto":
-        return asked, f"matrix products in {asked}, as configured"
-    rates = {name: product_rate(dtype, device) for name, dtype in DTYPES.items()}
-    chosen = "bf16" if rates["bf16"] > MIN_GAIN[before] * rates["fp32"] else "fp32"
-    measured = " and ".join(f"{rate / 1e9:.3g} in {name}" for name, rate in rates.items())
-    return chosen, f"matrix products in {chosen}: GFLOP/s measured are {measured}"
-
-
-@functools.cache
-def product_rate(dtype: torch.dtype, device: torch.device, seconds: float = 0.05) -> float:
-    """Measure floating-point operations a second of products of square matrices: the best within a moment."""
-    side = SIDE[device.type]
-    a, b = torch.randn(2, side, side, generator=torch.Generator().manual_seed(0)).to(device, dtype)
-    best, end = float("inf"), time.perf_counter() + seconds
-    while best == float("inf") or time.perf_counter() < end:
-        started = time.perf_counter()
-        float((a @ b)[0, 0])  # waits for the device
-        best = min(best, time.perf_counter() - started)
-    return 2.0 * side**3 / best
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
+from ..bodies.joint_names import other_side
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip
@@ -63,18 +64,11 @@ def window(motion: Motion, start: float, stop: float, name: str | None = None) -
 def mirror(motion: Motion) -> Motion:
     """Reflect a motion at the plane x = 0, which exchanges left and right."""
     flip = np.array([-1.0, 1.0, 1.0])
-    swap = [motion.joint_names.index(other_side(n, motion.joint_names)) for n in motion.joint_names]
+    index = {name: j for j, name in enumerate(motion.joint_names)}
+    swap = [index.get(other_side(name), j) for name, j in index.items()]
     # F R F for the reflection F = diag(flip).
     rotmat = motion.rotmat[:, swap] * flip[:, None] * flip
     return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * flip)
-
-
-def other_side(name: str, names: tuple[str, ...]) -> str:
-    """Find the joint on the other side of the body (Left/Right or L/R); a joint without one is its own counterpart."""
-    for side, other in (("Left", "Right"), ("Right", "Left"), ("L", "R"), ("R", "L")):
-        if name.startswith(side) and other + name[len(side) :] in names:
-            return other + name[len(side) :]
-    return name
 
 
 def resample(motion: Motion, fps: float) -> Motion:
