@@ -182,15 +182,20 @@ def read_character(path: str | Path) -> PoolCharacter:
     arrays = read_arrays(path)
     meta = _meta(arrays.get("meta"), path)
     check_arrays(arrays, path)
-    angle = FACING[meta.facing]
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).round()
+    turn = facing_rotation(meta.facing)
     rig = _rig(arrays, meta, turn, path)
     file_parents = rig.parents
     clips = _clips(path.parent / _plain_name(meta.clips_from, path), arrays) if meta.clips_from else {}
     joints = name_limb_joints(rig, path)
-    poses = _sampled_poses(clips, rig, turn)
+    poses = sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
     return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def facing_rotation(facing: str) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation about y that turns a character of a facing (a key of FACING) to +z."""
+    angle = FACING[facing]
+    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).round()
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -351,7 +356,7 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
     return {name: clip for name, clip in clips.items() if len(clip)}
 
 
-def _sampled_poses(
+def sampled_poses(
     clips: dict[str, CharacterClip], rig: SkinnedCharacter, turn: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "N J 4 4"]:
     """Compute the joints' transforms from rest in some frames of all clips, in the file's order of joints."""

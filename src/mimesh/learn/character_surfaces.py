@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,10 +21,14 @@ from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.character_limbs import SIDES
-from ..bodies.character_pool import PoolCharacter, read_pool
+from ..bodies.character_pool import PoolCharacter
 from ..core import geometry, surface_points
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress, counted
 from ..evaluate.character_poses import body_poses, place_body_joints, rest_alignments
+from ..io.gltf.character import NOT_STATED
+from .character_folder import read_character_folder
+from .low_poly import LEVELS, flattened
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -32,6 +36,8 @@ PLACED = ("ForeArm", "Hand", "Leg", "Foot")
 """Joints whose position is known from the ends of limbs where a character has no such joint."""
 TRUNK = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1")
 """Joints that are matched by their number along the trunk: their positions differ from maker to maker."""
+REASONS = 6
+"""Reasons for refusals that are listed at most; files with others are counted together."""
 CLIP_STEP = 2
 """Every CLIP_STEP-th frame of a clip is taken; neighbouring frames are nearly the same pose."""
 
@@ -53,6 +59,8 @@ class CharacterSurface:
     """The joint whose rotation each joint has: itself, or its nearest ancestor that the character has."""
     placed: Bool[np.ndarray, " J"]
     """Whether the position of each joint is known."""
+    coarse: Float[np.ndarray, "L 2 N 3"] | None = None
+    """Points and normals on the low-poly versions (`low_poly.LEVELS`); None where there are none."""
 
     @property
     def turning(self) -> Bool[np.ndarray, " J"]:
@@ -60,11 +68,12 @@ class CharacterSurface:
         return self.carrier == np.arange(len(self.carrier))
 
     @classmethod
-    def of(cls, character: PoolCharacter, body: RiggedBody) -> CharacterSurface:
-        """Sample the surface of a character at rest."""
+    def of(cls, character: PoolCharacter, body: RiggedBody, low_poly: bool = False) -> CharacterSurface:
+        """Sample the surface of a character at rest, and of its low-poly versions if asked."""
         mesh = character.rig.mesh
         face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
         points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
         vertex_weights = body_weights(character, body)
         size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found = place_body_joints(character)
@@ -80,16 +89,21 @@ class CharacterSurface:
                 joints[j] = found[name][1]
             else:  # as far from the parent as in the body
                 joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
+        coarse = None
+        if low_poly:
+            coarse = np.array([flattened(points, normals, mesh.vertices, mesh.faces, count) for count in LEVELS])
+            coarse[:, 0] *= size
         named = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
         return cls(
             pack=character.meta.pack,
             points=size * points,
-            normals=geometry.face_normals(mesh.vertices, mesh.faces)[face],
+            normals=normals,
             weights=surface_points.at_barycentric(vertex_weights, mesh.faces, face, share),
             joints=size * joints,
             alignment=alignment,
             carrier=carrier,
             placed=np.array([name in named for name in body.joint_names]),
+            coarse=coarse,
         )
 
 
@@ -101,36 +115,68 @@ class TrainingCharacters:
     poses: Float[np.ndarray, "P J 3"]
     """Poses of all their clips: rotation vectors of the shipped body's joints."""
     facts: dict[str, Any]
-    """For cards: `makers`, the number of characters of each "maker: pack (licence)", and `sha256` of all arrays."""
+    """For cards: `makers`, the number of characters of each "maker: pack (licence)", `sha256` of all arrays, and where
+    packs were left out, `left_out`, their numbers of characters."""
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
 
     def described(self) -> str:
         """Say in words whose the characters are and how many cannot be used."""
         used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
-        left_out = "; ".join(f"{count} left out: {reason}" for reason, count in self.refused.items())
-        return f"{used}; {len(self.poses)} poses of their clips{'; ' if left_out else ''}{left_out}"
+        packs = ", ".join(
+            f"{count} of the pack {pack} left out" for pack, count in self.facts.get("left_out", {}).items()
+        )
+        reasons = Counter(self.refused).most_common()
+        refused = [f"{count} refused: {reason}" for reason, count in reasons[:REASONS]]
+        if len(reasons) > REASONS:
+            refused.append(f"{sum(count for _, count in reasons[REASONS:])} refused for other reasons")
+        return "; ".join(filter(None, [used, f"{len(self.poses)} poses of their clips", packs, *refused]))
 
     @classmethod
-    def read(cls, folder: str | Path, body: RiggedBody, split: str = "train") -> TrainingCharacters:
-        """Read the characters of a split of a pool.
+    def read(
+        cls,
+        folder: str | Path,
+        body: RiggedBody,
+        split: str = "train",
+        leave_out: Collection[str] = (),
+        low_poly: bool = False,
+        progress: Progress | None = None,
+    ) -> TrainingCharacters:
+        """Read the characters of a folder: of a split of its pool, and of rigged files in it.
+
+        Args:
+            leave_out: packs that are not used.
+            low_poly: make low-poly versions of the surfaces too.
 
         Raises:
-            InputError: not a pool, or none of its characters can be used.
+            InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
         """
-        pool = read_pool(folder, split)
-        if not pool.characters:
+        pool = read_character_folder(folder, split, progress)
+        counts = Counter(character.meta.pack for character in pool.characters)
+        if unknown := [pack for pack in leave_out if pack not in counts]:
             raise InputError(
-                f"{folder}: expected humanoids of the split {split}, found none that can be used; add some"
+                f"--leave-out {unknown[0]}: expected a pack of {folder} ({', '.join(counts) or 'none'}), "
+                "found another; check its name"
             )
-        metas = [character.meta for character in pool.characters]
-        makers = Counter(f"{meta.maker}: {meta.pack} ({meta.licence})" for meta in metas)
-        surfaces = tuple(CharacterSurface.of(character, body) for character in pool.characters)
-        poses = clip_poses(pool.characters, body)
+        characters = [character for character in pool.characters if character.meta.pack not in leave_out]
+        if not characters:
+            raise InputError(
+                f"{folder}: expected humanoids of the split {split}, found none that can be used"
+                f"{''.join(f'; {reason}' for reason in list(pool.refusals())[:1])}; add some"
+            )
+        metas = [character.meta for character in characters]
+        makers = Counter(f"{meta.maker or NOT_STATED}: {meta.pack} ({meta.licence})" for meta in metas)
+        surfaces = tuple(
+            CharacterSurface.of(character, body, low_poly)
+            for character in counted(characters, len(characters), progress)
+        )
+        poses = clip_poses(characters, body)
         digest = hashlib.sha256(poses.round(4).tobytes())
         for surface in surfaces:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
-        facts = {"makers": dict(makers), "sha256": digest.hexdigest()}
+        facts: dict[str, Any] = {"makers": dict(makers), "sha256": digest.hexdigest()}
+        if leave_out:  # facts of trainings without this option stay as they were
+            facts["left_out"] = {pack: counts[pack] for pack in leave_out}
         return cls(surfaces, poses, facts, pool.refusals())
 
 
