@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody
 from ..bodies.joint_names import other_side
+from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip
@@ -107,6 +108,17 @@ def rotmat_to_rotvec(rotmat: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotmat.reshape(-1, 3, 3)).as_rotvec().reshape(rotmat.shape[:-1])
+
+
+def turned_to_front(rotmat: Float[np.ndarray, "N J 3 3"]) -> Float[np.ndarray, "N J 3 3"]:
+    """Turn poses about the vertical so that the front of the hips, projected to the ground, is +z; tilts are kept."""
+    # The third column of the root's rotation is where its front (+z at rest) points.
+    front = rotmat[:, 0, :, 2]
+    turn = np.zeros((len(rotmat), 3))
+    turn[:, 1] = -np.arctan2(front[:, 0], front[:, 2])
+    turned = rotmat.copy()
+    turned[:, 0] = rotvec_to_rotmat(turn) @ rotmat[:, 0]
+    return turned
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], joint_names: tuple[str, ...]) -> float:

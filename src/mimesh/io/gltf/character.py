@@ -30,10 +30,10 @@ from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh, check_mesh
-from .animation import animation_names, read_channels
+from .animation import animated_nodes, animation_names, read_channels
 from .bake import frame_times, sample_nodes
 from .document import Document, open_document
-from .motion import is_motion, rest_matrices
+from .motion import PLAYED_PATHS, is_motion, rest_matrices
 from .origin import read_origin, vrm_bones, vrm_version
 from .read import RestScene, read_rest
 from .scene import scene_nodes
@@ -141,9 +141,9 @@ def read_clips(
 
 def _moving_nodes(document: Document) -> set[int]:
     """List the nodes that show a mesh or that an animation moves: the joints of a figure of rigid parts."""
-    animations = range(len(document.gltf.get("animations", [])))
-    moved = {channel.node for number in animations for channel in read_channels(document, number)}
-    return moved | {node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]}
+    return animated_nodes(document, PLAYED_PATHS) | {
+        node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]
+    }
 
 
 def _standing(
