@@ -8,6 +8,7 @@ body's limb at rest to the character's (`evaluate.character_poses.rest_alignment
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections import Counter
 from collections.abc import Collection, Iterable
@@ -29,6 +30,7 @@ from ..evaluate.character_poses import body_poses, place_body_joints, rest_align
 from ..io.gltf.character import NOT_STATED
 from .character_folder import read_character_folder
 from .low_poly import LEVELS, flattened
+from .training_clips import TrainingClips
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -109,19 +111,44 @@ class CharacterSurface:
 
 @dataclass(frozen=True, eq=False)
 class TrainingCharacters:
-    """The characters of a folder that a training uses."""
+    """The characters of a folder that a training uses, and poses of the clips of another folder."""
 
     surfaces: tuple[CharacterSurface, ...]
     poses: Float[np.ndarray, "P J 3"]
     """Poses of all their clips: rotation vectors of the shipped body's joints."""
     facts: dict[str, Any]
     """For cards: `makers`, the number of characters of each "maker: pack (licence)", `sha256` of all arrays, and where
-    packs were left out, `left_out`, their numbers of characters."""
+    packs were left out, `left_out`, their numbers of characters. `clips` are the facts of the other clips."""
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
+    clips: TrainingClips | None = None
+    """Clips of another folder."""
+
+    @classmethod
+    def none(cls, body: RiggedBody) -> TrainingCharacters:
+        """Make an empty set, for trainings on clips alone."""
+        return cls((), np.zeros((0, len(body.parents), 3)), {}, {})
+
+    @property
+    def all_poses(self) -> Float[np.ndarray, "P J 3"]:
+        """Poses of the characters' clips and of the other clips."""
+        return np.concatenate([self.poses, self.clips.poses]) if self.clips else self.poses
+
+    def with_clips(self, clips: TrainingClips) -> TrainingCharacters:
+        """Add a folder of clips."""
+        return dataclasses.replace(self, clips=clips, facts={**self.facts, "clips": clips.facts})
+
+    def continues(self, facts: dict[str, Any]) -> bool:
+        """Tell whether a training with some facts may go on with these characters: clips may be added, none changed."""
+        added = {key: value for key, value in self.facts.items() if key != "clips" or "clips" in facts}
+        return not facts or facts == added
 
     def described(self) -> str:
-        """Say in words whose the characters are and how many cannot be used."""
+        """Say in words whose the characters and clips are and how many cannot be used."""
+        clips = self.clips.described() if self.clips else ""
+        return "; ".join(filter(None, [self._described_characters() if self.surfaces else "", clips]))
+
+    def _described_characters(self) -> str:
         used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
         packs = ", ".join(
             f"{count} of the pack {pack} left out" for pack, count in self.facts.get("left_out", {}).items()

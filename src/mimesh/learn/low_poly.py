@@ -37,12 +37,9 @@ def flattened(
     joined = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
     if len(joined) <= count:
         return points, normals
-    coarse, triangles = fast_simplification.simplify(
-        welded.astype(np.float32), joined.astype(np.int32), target_count=count
-    )
-    coarse = coarse.astype(np.float64)
-    areas = geometry.face_areas(coarse, triangles)
-    triangles = triangles[areas > 0]
+    found = fast_simplification.simplify(welded, joined.astype(np.int32), target_count=count)
+    coarse, triangles = found[0].astype(np.float64), found[1].astype(np.int64)
+    triangles = triangles[geometry.face_areas(coarse, triangles) > 0]
     if len(triangles) < SMALLEST:
         return points, normals
     face, share = surface_points.sample_surface(coarse, triangles, SAMPLES * len(points), np.random.default_rng(0))

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
+import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,21 +17,33 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
-from .config import load_config
+from .config import changed_config, load_config
 from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
 from .stop_request import StopRequest
 from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
 from .tasks.find import NETWORKS, find_task
+from .training_clips import TrainingClips
 from .training_log import TrainingLog
 from .validation import Validation
 
+ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
+"""Makes a progress bar with a title."""
+RESUMABLE = ("data.low_poly", "data.scans")
+"""Keys that may change where a training is resumed: augmentations, which neither network nor schedule depend on."""
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
+
+
+@contextlib.contextmanager
+def no_bar(title: str) -> Iterator[None]:
+    """Show no progress."""
+    yield None
 
 
 def train_command(
@@ -39,6 +55,9 @@ def train_command(
     changes: Sequence[str] = (),
     weights: Path | None = None,
     characters: Path | None = None,
+    clips: Path | None = None,
+    leave_out: Sequence[str] = (),
+    bar: ProgressBar = no_bar,
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
@@ -46,45 +65,82 @@ def train_command(
         changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
         weights: checkpoint whose network a new training begins with.
         characters: folder of characters to train on, where the configuration asks for them.
+        clips: folder of motions whose poses mime is trained on.
+        leave_out: packs of the folder of characters that are not used.
+        bar: makes a progress bar with a title.
     """
     if model not in NETWORKS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
     if resume is not None:
-        last = resume / "last.safetensors"
-        if not last.exists():
-            raise InputError(f"{resume}: expected last.safetensors of an earlier training in it, found none")
-        if changes or weights:
-            what = f"--set {changes[0]}" if changes else f"--weights {weights}"
-            raise InputError(f"{what}: expected no changes with --resume, found some; leave them out")
-        config_before = checkpoint.load(last).config
-        return train(config_before, resume, max_minutes, read_characters(config_before, characters))
+        fixed = [f"--set {change}" for change in changes if change.partition("=")[0] not in RESUMABLE]
+        fixed += [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
+        if fixed:
+            raise InputError(
+                f"{fixed[0]}: expected no changes with --resume but --set {', '.join(RESUMABLE)} and --clips, found "
+                "some; leave them out"
+            )
+        settings = resumed_config(resume, changes)
+        return train(settings, resume, max_minutes, read_characters(settings, characters, clips, bar))
     settings = load_config(config, model, changes)
-    if characters is not None and not settings.data.characters:
-        settings = load_config(config, model, [*changes, f"data.characters={CHARACTER_SHARE}"])
-    folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
+    share = [f"data.characters={CHARACTER_SHARE}"] if characters is not None and not settings.data.characters else []
+    packs = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
+    settings = load_config(config, model, [*changes, *share, *packs])
+    words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
+    folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
     if (folder / "last.safetensors").exists():
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
-    pool = read_characters(settings, characters)
+    pool = read_characters(settings, characters, clips, bar)
     if weights is not None:
         begin_with(settings, weights, folder, pool)
     return train(settings, folder, max_minutes, pool)
 
 
-def read_characters(config: TrainConfig, folder: Path | None) -> TrainingCharacters | None:
-    """Read the characters that a configuration asks for; None if it asks for none.
+def resumed_config(folder: Path, changes: Sequence[str]) -> TrainConfig:
+    """Read the configuration of the training in a folder, and change keys of RESUMABLE.
 
     Raises:
-        InputError: a folder is needed and not given, or given and not needed, or it has no characters to train on.
+        InputError: no training in the folder, or a value that does not belong.
     """
+    last = folder / "last.safetensors"
+    if not last.exists():
+        raise InputError(f"{folder}: expected last.safetensors of an earlier training in it, found none")
+    config = checkpoint.load(last).config
+    return changed_config(config, changes) if changes else config
+
+
+def read_characters(
+    config: TrainConfig, folder: Path | None, clips: Path | None = None, bar: ProgressBar = no_bar
+) -> TrainingCharacters | None:
+    """Read the characters that a configuration asks for, and the clips of a folder; None for neither.
+
+    Raises:
+        InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
+    """
+    if clips is not None and (config.network, config.data.kind) != ("mime", "wide"):
+        raise InputError(f"--clips: expected mime and data.kind wide, found {config.network}; leave it out")
+    if config.data.leave_out and folder is None:
+        raise InputError(f"--leave-out {config.data.leave_out[0]}: expected it with --characters, found it without")
     if bool(config.data.characters) != (folder is not None):
         needed, given = ("a folder", "none") if folder is None else ("none", str(folder))
         raise InputError(
             f"--characters: expected {needed} with data.characters {config.data.characters:g}, found {given}; "
             "it is the share of the training that characters of a folder have"
         )
-    return TrainingCharacters.read(folder, shipped_body()) if folder is not None else None
+    if folder is None and clips is None:
+        return None
+    body, found = shipped_body(), TrainingCharacters.none(shipped_body())
+    if folder is not None:
+        with bar("reading characters") as progress:
+            data = config.data
+            found = TrainingCharacters.read(
+                folder, body, leave_out=data.leave_out, low_poly=data.low_poly > 0, progress=progress
+            )
+    if clips is not None:
+        with bar("reading clips") as progress:
+            found = found.with_clips(TrainingClips.read(clips, body, progress))
+    return found
 
 
 def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingCharacters | None = None) -> None:
@@ -129,6 +185,8 @@ def train(
             log.note("precision", run.reason, precision=run.task.precision)
             if pool:
                 log.note("characters", pool.described())
+            if run.changes:
+                log.note("changes", json.dumps(run.changes[-1]))
             first = run.step
             while not stop() or (run.step == first and stop.signal is None and run.share() < 1.0):
                 if run.validation_due():
@@ -179,6 +237,8 @@ class TrainingRun:
     """Step of the last validation."""
     before: tuple[dict[str, int], ...] = ()
     """Trainings whose network this one began with."""
+    changes: tuple[dict[str, Any], ...] = ()
+    """What was changed where the training was resumed, as in `Checkpoint`."""
 
     @classmethod
     def start(cls, config: TrainConfig, folder: Path, pool: TrainingCharacters | None = None) -> TrainingRun:
@@ -194,11 +254,13 @@ class TrainingRun:
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = task.source(config.seed)
         step_model: Any = torch.compile(model) if config.compile else model
-        facts = pool.facts if pool else {}
-        if state and state.characters not in ({}, facts):
+        if state and not (pool or TrainingCharacters.none(shipped_body())).continues(state.characters):
+            parts = [state.characters, state.characters.get("clips", {})]
+            what = "characters and clips" if "clips" in state.characters else "characters"
             raise InputError(
-                f"{folder}: expected the characters of the training so far "
-                f"({', '.join(state.characters['makers'])}), found others; begin a new training with --weights {last}"
+                f"{folder}: expected the {what} of the training so far "
+                f"({', '.join(maker for part in parts for maker in part.get('makers', ()))}), found others; "
+                f"begin a new training with --weights {last}"
             )
         run = cls(config, task, model, step_model, ema, optimizers, source, device, reason, saved=time.monotonic())
         if state:
@@ -206,6 +268,7 @@ class TrainingRun:
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
+            run.changes = (*state.changes, *changes_at_resume(state, config, pool))
         return run
 
     def clock(self) -> float:
@@ -275,8 +338,20 @@ class TrainingRun:
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         facts = self.task.characters.facts if self.task.characters else {}
-        checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision, facts))
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, facts, self.changes)
+        checkpoint.save(path, state)
         self.saved = time.monotonic()
+
+
+def changes_at_resume(
+    state: checkpoint.Checkpoint, config: TrainConfig, pool: TrainingCharacters | None
+) -> list[dict[str, Any]]:
+    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
+    before, now = (dataclasses.asdict(data) for data in (state.config.data, config.data))
+    changed: dict[str, Any] = {f"data.{key}": now[key] for key in now if now[key] != before[key]}
+    if pool and pool.clips and "clips" not in state.characters:
+        changed["clips"] = pool.clips.facts["makers"]
+    return [{"pairs": state.step * config.batch, **changed}] if changed else []
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:

@@ -45,6 +45,7 @@ LARGEST_TURNS = {
 """Largest angle (degrees) of a joint to one above it. Poses beyond are left out: skeletons that fall apart, heads that
 come off. Other clips and captures reach 88, 73, 82 and 126."""
 HELD_OUT = "held out for evaluation"
+IMPOSSIBLE = "no pose that a person can take"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,9 +81,11 @@ class TrainingClips:
                 for name, motion in _motions(path, body):
                     if isinstance(motion, InputError):
                         refused[f"{path.relative_to(folder)}, {name}"] = _plain(motion, path, name)
-                    else:
-                        poses += [distinct_poses(motion), distinct_poses(mirror(motion))]
+                    elif len(taken := distinct_poses(motion)):
+                        poses += [taken, distinct_poses(mirror(motion))]
                         makers[maker] += 1
+                    else:
+                        refused[f"{path.relative_to(folder)}, {name}"] = IMPOSSIBLE
             except DAMAGED as error:
                 refused[str(path.relative_to(folder))] = _plain(error, path, "")
         if not poses:
@@ -97,7 +100,7 @@ class TrainingClips:
 
 
 def distinct_poses(motion: Motion) -> Float[np.ndarray, "P J 3 3"]:
-    """Select poses of a motion that a person can take and that differ from the one before by LEAST_TURN in some joint."""
+    """Select poses of a motion that a person can take and that differ from the one before by LEAST_TURN in a joint."""
     poses = resample(motion, FPS).rotmat if motion.fps > FPS else motion.rotmat
     poses = poses[possible(poses, motion.joint_names)]
     taken: Bool[np.ndarray, " T"] = np.zeros(len(poses), bool)

@@ -53,6 +53,8 @@ APART = 0.1
 """Largest share of the skinning weight on skeletons without any joint of the character: a second character, or LODs."""
 NOT_STATED = "not stated"
 """Licence of a character whose file and folder name none."""
+PAIRS = ("UpLeg", "Arm")
+"""Joints whose two sides say where left is."""
 AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
 """Horizontal direction (x, z) of each facing."""
 
@@ -182,7 +184,8 @@ def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str
         joints: joints by name, left and right as the maker named them.
         rule: facing by the rule of the file's format, such as +z.
     """
-    left = sum(rig.joints[joints[f"Left{part}"]] - rig.joints[joints[f"Right{part}"]] for part in ("UpLeg", "Arm"))
+    hips, shoulders = (rig.joints[joints[f"Left{part}"]] - rig.joints[joints[f"Right{part}"]] for part in PAIRS)
+    left = hips + shoulders
     front = np.array([-left[2], left[0]])  # x and z of left x up
     by_names = _nearest_axis(front)
     if by_names == rule:
