@@ -29,7 +29,7 @@ from ..core.frame_buffer import Progress, counted
 from ..evaluate.character_poses import body_poses, place_body_joints, rest_alignments
 from ..io.gltf.character import NOT_STATED
 from .character_folder import read_character_folder
-from .low_poly import LEVELS, flattened
+from .low_poly import flattened
 from .training_clips import TrainingClips
 
 POINTS = 3000
@@ -93,7 +93,7 @@ class CharacterSurface:
                 joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
         coarse = None
         if low_poly:
-            coarse = np.array([flattened(points, normals, mesh.vertices, mesh.faces, count) for count in LEVELS])
+            coarse = flattened(points, normals, mesh.vertices, mesh.faces)
             coarse[:, 0] *= size
         named = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
         return cls(

@@ -30,6 +30,8 @@ VRM_BONES = {
     },
 }
 """Joint of the shipped body of each humanoid bone of VRM; those of the trunk are in VRM_TRUNK."""
+VRM_OPTIONAL = {"Neck", *(f"{side}{part}" for side in ("Left", "Right") for part in ("Shoulder", "ToeBase"))}
+"""Joints that a VRM file need not name."""
 VRM_TRUNK = ("spine", "chest", "upperChest")
 """Bones of the trunk from the hips up. The last ones of a shorter trunk are the shipped body's last ones."""
 TRUNK = ("LowerBack", "Spine", "Spine1")
@@ -44,18 +46,19 @@ def vrm_version(document: Document) -> int | None:
 
 
 def vrm_bones(document: Document) -> dict[str, int]:
-    """Read the node of each joint of the shipped body that a VRM file names; empty for other files."""
+    """Read the node of each joint of the shipped body that a VRM file names; empty for other and damaged files."""
     extensions, count = _entry(document.gltf, "extensions"), len(document.gltf.get("nodes", []))
     bones = _entry(_entry(extensions, "VRMC_vrm"), "humanoid").get("humanBones")
-    found = {name: _entry(bones, name).get("node") for name in bones} if isinstance(bones, dict) else {}
+    listed = {name: _entry(bones, name).get("node") for name in bones} if isinstance(bones, dict) else {}
     rows = _entry(_entry(extensions, "VRM"), "humanoid").get("humanBones")
     for row in rows if isinstance(rows, list) else []:
         if isinstance(row, dict):
-            found.setdefault(str(row.get("bone")), row.get("node"))
-    nodes = {name: node for name, node in found.items() if isinstance(node, int) and 0 <= node < count}
+            listed.setdefault(str(row.get("bone")), row.get("node"))
+    nodes = {name: node for name, node in listed.items() if isinstance(node, int) and 0 <= node < count}
     trunk = [name for name in VRM_TRUNK if name in nodes]
     joints = {**VRM_BONES, **dict(zip(trunk, TRUNK[len(TRUNK) - len(trunk) :], strict=True))}
-    return {joints[name]: node for name, node in nodes.items() if name in joints}
+    found = {joints[name]: node for name, node in nodes.items() if name in joints}
+    return found if found.keys() >= set(VRM_BONES.values()) - VRM_OPTIONAL else {}
 
 
 def read_origin(document: Document) -> tuple[str, str]:

@@ -10,7 +10,6 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 import torch
@@ -129,12 +128,13 @@ class SurfaceBody(nn.Module):
         coarse = np.zeros((len(LEVELS) * low_poly, 2, 3, count))
         faces_of = np.searchsorted(starts, dressed.faces[:, 0], side="right")
         points, normals = arrays["rest"].T, arrays["normals"].T
-        for level, number in product(range(len(coarse)), range(len(starts))):
+        for number in range(len(starts) * low_poly):
             mine, its_faces = piece == number, dressed.faces[faces_of == number]
             # Garments have as many triangles for their points as the skin.
-            triangles = max(round(LEVELS[level] * mine.sum() / (piece == 0).sum()), SMALLEST)
-            flat = flattened(points[mine], normals[mine], dressed.vertices, its_faces, triangles)
-            coarse[level][..., mine] = (flat[0] - points[mine]).T, flat[1].T
+            counts = [max(round(level * mine.sum() / (piece == 0).sum()), SMALLEST) for level in LEVELS]
+            flat = flattened(points[mine], normals[mine], dressed.vertices, its_faces, counts)
+            flat[:, 0] -= points[mine]
+            coarse[..., mine] = flat.swapaxes(-1, -2)
         self.register_buffer("coarse", torch.from_numpy(coarse).float())
 
     def choose(self, people: People, count: int, rng: torch.Generator, missing: float = 0.0) -> Int[Tensor, "B N"]:
