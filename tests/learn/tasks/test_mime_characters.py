@@ -253,7 +253,8 @@ def test_a_scan_shows_what_is_in_front():
     normals = torch.cat([facing, facing], 1)
     seen = [scanned(points, normals, torch.Generator().manual_seed(k))[0] for k in range(40)]
     behind = torch.stack([(scan[0, :, 2] < -0.3).float().mean() for scan in seen])
-    assert (behind < 0.25).float().mean() > 0.2
+    assert behind.min() < 0.05  # from the front; from behind the whole surface is given
+    assert behind.max() < 0.6
     hidden = torch.zeros(1, 5, dtype=torch.bool)
     hidden[0, :3] = True
     assert repeat_visible(hidden)[0].tolist() == [3, 4, 3, 4, 3]
