@@ -11,11 +11,10 @@ from mimesh.bodies import load_body
 from mimesh.bodies.character_pool import read_character
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
 from mimesh.core.errors import InputError
-from mimesh.core.mesh import Mesh
 from mimesh.learn.character_surfaces import (
     CharacterSurface,
     TrainingCharacters,
-    spread,
+    body_spread,
 )
 
 BODY = load_body()
@@ -38,7 +37,7 @@ def test_joints_and_weights_are_those_of_the_body(tmp_path):
         assert found.placed[BODY.joint(name)]
     assert np.allclose(found.weights.sum(axis=1), 1)
     centred = found.points - found.points.mean(axis=0)
-    assert np.isclose(np.sqrt(np.square(centred).sum(-1).mean()), spread(Mesh(BODY.vertices, BODY.faces)), rtol=1e-6)
+    assert np.isclose(np.sqrt(np.square(centred).sum(-1).mean()), body_spread(BODY), rtol=1e-6)
 
 
 def test_joints_that_a_character_lacks_go_with_the_nearest_that_it_has(tmp_path):

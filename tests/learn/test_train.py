@@ -15,8 +15,10 @@ from trainings import TINY, losses
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.config import load_config
+from mimesh.learn.precision import choose_precision, product_rate
+from mimesh.learn.stop_request import StopRequest
 from mimesh.learn.tasks.npt import NPTTrainConfig
-from mimesh.learn.train import StopRequest, TrainingRun, choose_precision, product_rate, schedule, train, train_command
+from mimesh.learn.train import TrainingRun, schedule, train, train_command
 from mimesh.learn.validation import Validation
 
 
@@ -153,7 +155,7 @@ def test_precision_is_measured_where_it_is_not_given(monkeypatch):
         (0.9, "bf16", "fp32"),
     ):
         rates = {torch.float32: 72e9, torch.bfloat16: 1e9 * bf16}
-        monkeypatch.setattr("mimesh.learn.train.product_rate", lambda dtype, device, rates=rates: rates[dtype])
+        monkeypatch.setattr("mimesh.learn.precision.product_rate", lambda dtype, device, rates=rates: rates[dtype])
         precision, reason = choose_precision("auto", cpu, before)
         assert precision == expected
         assert reason == f"matrix products in {expected}: GFLOP/s measured are 72 in fp32 and {bf16:.3g} in bf16"

@@ -7,13 +7,14 @@ of blocks with one joint a limb. Character frame: y up, facing +z, the left side
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.errors import InputError
-from .joint_names import ancestors, named_joints
+from .joint_names import ancestors, named_joints, other_side
 from .skinned_character import SkinnedCharacter
 
 SIDES = ("Left", "Right")
@@ -42,32 +43,22 @@ class Limb:
     """The other end."""
 
 
-def name_limb_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
+def name_limb_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, int] | None = None) -> dict[str, int]:
     """Find the joint of each joint of the shipped body, as `named_joints` does, for figures with fewer joints too.
 
     A leg of one joint is the thigh; hips are the joint by this name or where the legs meet, or the lowest joint of the
     trunk that has weights; sides are those of the figure: some makers name
     them as seen by the viewer. Limb joints that move no vertex are left out.
 
+    Args:
+        known: joints that the file itself names, in place of those found by their names.
+
     Raises:
         InputError: an upper arm or a thigh is not found by name, or a limb is not a chain.
     """
-    found = named_joints(rig.joint_names, rig.parents)
-    for side in SIDES:
-        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
-            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
-    moving = moves_vertices(rig)
-    for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
-        if name in found and not moving[found[name]]:
-            del found[name]
-    missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
-    if missing:
-        raise InputError(
-            f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
-            f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
-        )
+    found = name_sided_joints(rig, path, known)
     if rig.joints[found["LeftUpLeg"], 0] < rig.joints[found["RightUpLeg"], 0]:
-        found = {_other_side(name): joint for name, joint in found.items()}
+        found = {other_side(name): joint for name, joint in found.items()}
     if "Hips" not in found:
         right = ancestors(rig.parents, found["RightUpLeg"])
         found["Hips"] = next((j for j in ancestors(rig.parents, found["LeftUpLeg"]) if j in right), 0)
@@ -89,6 +80,29 @@ def name_limb_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
             arm = found.get(f"{side}ForeArm", found[f"{side}Arm"])
             if arm not in ancestors(rig.parents, found[f"{side}Hand"])[1:]:
                 del found[f"{side}Hand"]
+    return found
+
+
+def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, int] | None = None) -> dict[str, int]:
+    """Find the joints by name alone, left and right as the maker named them; see `name_limb_joints`.
+
+    Raises:
+        InputError: an upper arm or a thigh is not found by name.
+    """
+    found = dict(known) if known else named_joints(rig.joint_names, rig.parents)
+    for side in SIDES:
+        if f"{side}UpLeg" not in found and f"{side}Leg" in found:
+            found[f"{side}UpLeg"] = found.pop(f"{side}Leg")
+    moving = moves_vertices(rig)
+    for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
+        if name in found and not moving[found[name]]:
+            del found[name]
+    missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
+    if missing:
+        raise InputError(
+            f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
+            f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
+        )
     return found
 
 
@@ -211,14 +225,6 @@ def _relative_movement(poses, point, joint, moved):
     homogeneous = np.append(point, 1.0)
     local = (np.linalg.inv(poses[:, joint]) @ poses[:, moved] @ homogeneous)[:, :3]
     return np.linalg.norm(local - np.median(local, axis=0), axis=1)
-
-
-def _other_side(name: str) -> str:
-    """Swap left and right in the name of a joint of the shipped body."""
-    for one, other in (("Left", "Right"), ("Right", "Left"), ("LHip", "RHip"), ("RHip", "LHip")):
-        if name.startswith(one):
-            return other + name[len(one) :]
-    return name
 
 
 def _reorder_joints(rig: SkinnedCharacter, parents: list[int], order: Int[np.ndarray, " J"]) -> SkinnedCharacter:

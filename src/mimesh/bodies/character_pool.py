@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
@@ -107,8 +108,13 @@ class PoolCharacter:
 
     def clip_transforms(self, clip: str, frame: int) -> Float[np.ndarray, "K 4 4"]:
         """Compute each joint's transform from rest to a frame of a clip, for `SkinnedCharacter.skinned`."""
-        frames = _world_frames(self.clips[clip], np.array([frame]), self.file_parents, self.turn)[0][self.order]
-        return np.concatenate([frames @ np.linalg.inv(self.rig.T_world_joint), np.eye(4)[None]])
+        return self.transforms_of_frames(clip, np.array([frame]))[0]
+
+    def transforms_of_frames(self, clip: str, frames: Int[np.ndarray, " T"]) -> Float[np.ndarray, "T K 4 4"]:
+        """Compute each joint's transform from rest to some frames of a clip; the last one is that of the world."""
+        world = _world_frames(self.clips[clip], frames, self.file_parents, self.turn)[:, self.order]
+        still = np.tile(np.eye(4), (len(frames), 1, 1, 1))
+        return np.concatenate([world @ np.linalg.inv(self.rig.T_world_joint), still], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,7 +131,7 @@ class Pool:
         return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
 
 
-def read_pool(folder: str | Path, split: str) -> Pool:
+def read_pool(folder: str | Path, split: str, progress: Progress | None = None) -> Pool:
     """Read the humanoids of a split, in the order of the folder's index.json.
 
     A file that the index names twice, or whose own `meta` has another split, is refused: it could be in two splits.
@@ -148,8 +154,8 @@ def read_pool(folder: str | Path, split: str) -> Pool:
         raise InputError(
             f"{index}: expected a list of characters with file, class and split, found {error!r:.80}; write it again"
         ) from error
-    characters, refused = [], {}
-    for name in dict.fromkeys(names):
+    characters, refused, names = [], {}, list(dict.fromkeys(names))
+    for name in counted(names, len(names), progress):
         path = folder / f"{_plain_name(name, index)}.npz"
         try:
             if times[name] > 1:
@@ -176,15 +182,20 @@ def read_character(path: str | Path) -> PoolCharacter:
     arrays = read_arrays(path)
     meta = _meta(arrays.get("meta"), path)
     check_arrays(arrays, path)
-    angle = FACING[meta.facing]
-    turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).round()
+    turn = facing_rotation(meta.facing)
     rig = _rig(arrays, meta, turn, path)
     file_parents = rig.parents
     clips = _clips(path.parent / _plain_name(meta.clips_from, path), arrays) if meta.clips_from else {}
     joints = name_limb_joints(rig, path)
-    poses = _sampled_poses(clips, rig, turn)
+    poses = sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
     return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def facing_rotation(facing: str) -> Float[np.ndarray, "3 3"]:
+    """Compute the rotation about y that turns a character of a facing (a key of FACING) to +z."""
+    angle = FACING[facing]
+    return np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]).round()
 
 
 def read_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -345,7 +356,7 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
     return {name: clip for name, clip in clips.items() if len(clip)}
 
 
-def _sampled_poses(
+def sampled_poses(
     clips: dict[str, CharacterClip], rig: SkinnedCharacter, turn: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "N J 4 4"]:
     """Compute the joints' transforms from rest in some frames of all clips, in the file's order of joints."""

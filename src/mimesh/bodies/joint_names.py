@@ -36,6 +36,9 @@ SIDES = {"left": "Left", "l": "Left", "right": "Right", "r": "Right"}
 """Words for a side."""
 _WORDS = "|".join(sorted({word for words in PARTS.values() for word in words.split()}))
 _LIMB = re.compile(f"(left|right|l|r)({_WORDS})(?:01)?|({_WORDS})(?:01)?(left|right|l|r)")
+OTHER_SIDE = {"Left": "Right", "Right": "Left", "L": "R", "R": "L"}
+"""Sides in the names of the shipped body's joints, and those that mirror them."""
+_SIDE = re.compile("Left|Right|[LR](?=[A-Z])")
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
 SHOWN = 12
 """Largest number of joint names that an error quotes."""
@@ -98,6 +101,12 @@ def ancestors(parents: tuple[int, ...], joint: int) -> list[int]:
         chain.append(joint)
         joint = parents[joint]
     return chain
+
+
+def other_side(name: str) -> str:
+    """Swap left and right in the name of a joint of the shipped body: LeftArm, LHipJoint; other names stay."""
+    side = _SIDE.match(name)
+    return name if side is None else OTHER_SIDE[side[0]] + name[side.end() :]
 
 
 def _common(words: list[list[str]], end: int) -> str | None:

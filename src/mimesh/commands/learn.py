@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from .terminal import Json, print_json, print_next, require
+from .terminal import Json, print_json, print_next, progress, require
 
 
 def train(
@@ -24,7 +24,14 @@ def train(
         Path | None, typer.Option(help="Checkpoint whose network a new training begins with.", metavar="CHECKPOINT")
     ] = None,
     characters: Annotated[
-        Path | None, typer.Option(help="Folder of rigged characters to train mime on.", metavar="DIR")
+        Path | None,
+        typer.Option(help="Folder of rigged .glb, .gltf, .vrm or of a pool to train mime on.", metavar="DIR"),
+    ] = None,
+    clips: Annotated[
+        Path | None, typer.Option(help="Folder of .glb, .bvh or AMASS motions to train mime on.", metavar="DIR")
+    ] = None,
+    leave_out: Annotated[
+        list[str] | None, typer.Option(help="Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -33,9 +40,22 @@ def train(
     Needs the [train] extra; uses CUDA where there is one. Ctrl-C and SIGTERM save first; --resume continues exactly.
     """
     require("train", "torch", "yaml", "safetensors", "tensorboard")
-    from ..learn.train import train_command
+    with progress("starting", json):  # PyTorch takes seconds to load
+        from ..learn.train import train_command
 
-    folder = train_command(model, config, output, resume, max_minutes, change or [], weights, characters)
+    folder = train_command(
+        model,
+        config,
+        output,
+        resume,
+        max_minutes,
+        change or [],
+        weights,
+        characters,
+        clips,
+        leave_out or [],
+        lambda title: progress(title, json),
+    )
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation
     if json:

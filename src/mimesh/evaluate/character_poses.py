@@ -48,19 +48,24 @@ def pose_character(character: PoolCharacter, rotmat: Float[np.ndarray, "B 3 3"])
 
 
 def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "B 3 3"]:
-    """Compute the local joint rotations that give the shipped body the pose of a character.
+    """Compute the local joint rotations that give the shipped body a pose of a character; see `body_poses`."""
+    return body_poses(character, transforms[None])[0]
+
+
+def body_poses(character: PoolCharacter, transforms: Float[np.ndarray, "T K 4 4"]) -> Float[np.ndarray, "T B 3 3"]:
+    """Compute the local joint rotations that give the shipped body poses of a character.
 
     Args:
-        transforms: of each joint of the character from rest to the pose.
+        transforms: of each joint of the character from rest to the poses.
     """
     body, aligned = human(), rest_alignments(character)
-    world = np.empty((len(body.parents), 3, 3))
+    world = np.empty((len(transforms), len(body.parents), 3, 3))
     for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         if name in character.joints:
-            world[j] = transforms[character.joints[name], :3, :3] @ aligned.get(name, np.eye(3))
+            world[:, j] = transforms[:, character.joints[name], :3, :3] @ aligned.get(name, np.eye(3))
         else:
-            world[j] = world[parent] if parent >= 0 else np.eye(3)
-    return to_local(world[None], body.parents)[0]
+            world[:, j] = world[:, parent] if parent >= 0 else np.eye(3)
+    return to_local(world, body.parents)
 
 
 def rest_alignments(character: PoolCharacter) -> dict[str, Float[np.ndarray, "3 3"]]:

@@ -22,6 +22,7 @@ from ..bodies.sampling import rotvec_to_rotmat
 from ..core.mesh import Clip, Mesh
 from ..motions import mirror
 from ..motions.clips import split_windows
+from ..motions.motion import turned_to_front
 from .characters import PosedCharacter
 from .clip_protocols import CLIPS_ANIFORMER, ClipsAniformer
 from .pairs import Pair, human
@@ -158,16 +159,16 @@ def training_poses() -> Float[np.ndarray, "N J 3 3"]:
     `clips-aniformer`. Random poses of joint limits and Table 6 are not among them.
     """
     takes = [motion.rotmat for take in split_windows("train") for motion in (take, mirror(take))]
-    return _facing_front(np.concatenate([*takes, *CLIPS_ANIFORMER.train_motions(human())]))
+    return turned_to_front(np.concatenate([*takes, *CLIPS_ANIFORMER.train_motions(human())]))
 
 
 def degrees_to_training(
     poses: Float[np.ndarray, "N J 3 3"], training: Float[np.ndarray, "M J 3 3"] | None = None
 ) -> Float[np.ndarray, " N"]:
     """Measure the angle from each pose to the nearest training pose: degrees, mean over the joints, any heading."""
-    bank = (_all_training_poses() if training is None else _facing_front(training)).astype(np.float32)
+    bank = (_all_training_poses() if training is None else turned_to_front(training)).astype(np.float32)
     nearest = []
-    for pose in _facing_front(poses).astype(np.float32):
+    for pose in turned_to_front(poses).astype(np.float32):
         # The trace of A^T B is 1 + 2 cos(angle) for rotations A and B.
         trace = np.einsum("mjab,jab->mj", bank, pose)
         nearest.append(np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1))).mean(axis=1).min())
@@ -177,16 +178,6 @@ def degrees_to_training(
 @cache
 def _all_training_poses() -> Float[np.ndarray, "N J 3 3"]:
     return training_poses()
-
-
-def _facing_front(rotmat: Float[np.ndarray, "N J 3 3"]) -> Float[np.ndarray, "N J 3 3"]:
-    """Turn poses about the vertical so that the front of the hips, projected to the ground, is +z."""
-    front = rotmat[:, 0, :, 2]
-    turn = np.zeros((len(rotmat), 3))
-    turn[:, 1] = -np.arctan2(front[:, 0], front[:, 2])
-    turned = rotmat.copy()
-    turned[:, 0] = rotvec_to_rotmat(turn) @ rotmat[:, 0]
-    return turned
 
 
 def _motion_poses(protocol: Protocol, split: str, kind: str) -> Float[np.ndarray, "N J 3 3"] | None:

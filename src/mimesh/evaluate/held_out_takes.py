@@ -40,6 +40,8 @@ FAMILIES = (
     *("PickUp", "Throw", "Waving"),
 )
 """Beginnings of the names of the 20 clips and of all their variants, parts and mirror images in the 110 clips."""
+SHIPPED_CAPTURES = ("01_01.", "01_03.")
+"""Beginnings of the names of the CMU captures of the shipped takes, whose later seconds are `val` and `test`."""
 PACKAGES = f"{BOXING_FILE} is in the Debian package assimp-testmodels, Med_*.glb are KayKit Character Animations (CC0)"
 TAKES = (
     *((file, clip) for file, clips in ANIMATED.items() for clip in clips),
@@ -53,6 +55,11 @@ ORDER = tuple(k for n in range(10) for k in (2 * n, 2 * n + 1, 20 + n))
 def is_held_out(clip: str) -> bool:
     """Tell whether training must leave out a KayKit clip: one of the 20 or a variant ("Rig_Medium|Jump_Land")."""
     return clip.rpartition("|")[2].startswith(FAMILIES)
+
+
+def is_held_out_file(name: str) -> bool:
+    """Tell whether training must leave out a motion file: the boxing capture, or a capture whose end is tested on."""
+    return name == BOXING_FILE or name.startswith(SHIPPED_CAPTURES)
 
 
 def find_takes(folder: Path | None) -> dict[str, Path]:

@@ -47,6 +47,12 @@ class DataConfig:
     """`wide`: share of people whose body parts touch each other."""
     characters: float = 0.0
     """`mime`, `wide`: share of every batch that are characters of a folder and people of primitives."""
+    leave_out: tuple[str, ...] = ()
+    """`mime`, `wide`: packs of the folder of characters that are not trained on."""
+    low_poly: float = 0.0
+    """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
+    scans: float = 0.0
+    """`mime`, `wide`: share of driving meshes that are scans from one camera: hidden points missing, holes, noise."""
     reflect: float = 0.0
     """`npt` and `aniformer`: share of every batch whose meshes are all mirrored, left to right."""
 

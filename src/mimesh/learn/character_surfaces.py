@@ -8,10 +8,12 @@ body's limb at rest to the character's (`evaluate.character_poses.rest_alignment
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +22,15 @@ from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.character_limbs import SIDES
-from ..bodies.character_pool import PoolCharacter, read_pool
+from ..bodies.character_pool import PoolCharacter
 from ..core import geometry, surface_points
 from ..core.errors import InputError
-from ..core.mesh import Mesh
-from ..evaluate.character_poses import body_pose, place_body_joints, rest_alignments
+from ..core.frame_buffer import Progress, counted
+from ..evaluate.character_poses import body_poses, place_body_joints, rest_alignments
+from ..io.gltf.character import NOT_STATED
+from .character_folder import read_character_folder
+from .low_poly import flattened
+from .training_clips import TrainingClips
 
 POINTS = 3000
 """Points that a character is represented by."""
@@ -32,6 +38,8 @@ PLACED = ("ForeArm", "Hand", "Leg", "Foot")
 """Joints whose position is known from the ends of limbs where a character has no such joint."""
 TRUNK = ("LowerBack", "Spine", "Spine1", "Neck", "Neck1")
 """Joints that are matched by their number along the trunk: their positions differ from maker to maker."""
+REASONS = 6
+"""Reasons for refusals that are listed at most; files with others are counted together."""
 CLIP_STEP = 2
 """Every CLIP_STEP-th frame of a clip is taken; neighbouring frames are nearly the same pose."""
 
@@ -53,6 +61,8 @@ class CharacterSurface:
     """The joint whose rotation each joint has: itself, or its nearest ancestor that the character has."""
     placed: Bool[np.ndarray, " J"]
     """Whether the position of each joint is known."""
+    coarse: Float[np.ndarray, "L 2 N 3"] | None = None
+    """Points and normals on the low-poly versions (`low_poly.LEVELS`); None where there are none."""
 
     @property
     def turning(self) -> Bool[np.ndarray, " J"]:
@@ -60,13 +70,14 @@ class CharacterSurface:
         return self.carrier == np.arange(len(self.carrier))
 
     @classmethod
-    def of(cls, character: PoolCharacter, body: RiggedBody) -> CharacterSurface:
-        """Sample the surface of a character at rest."""
+    def of(cls, character: PoolCharacter, body: RiggedBody, low_poly: bool = False) -> CharacterSurface:
+        """Sample the surface of a character at rest, and of its low-poly versions if asked."""
         mesh = character.rig.mesh
         face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
         points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+        normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
         vertex_weights = body_weights(character, body)
-        size = spread(Mesh(body.vertices, body.faces)) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
+        size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found = place_body_joints(character)
         carrier, alignment = (
             carriers(set(character.joints) | {"Hips"}, body),
@@ -80,57 +91,119 @@ class CharacterSurface:
                 joints[j] = found[name][1]
             else:  # as far from the parent as in the body
                 joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
+        coarse = None
+        if low_poly:
+            coarse = flattened(points, normals, mesh.vertices, mesh.faces)
+            coarse[:, 0] *= size
         named = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
         return cls(
             pack=character.meta.pack,
             points=size * points,
-            normals=geometry.face_normals(mesh.vertices, mesh.faces)[face],
+            normals=normals,
             weights=surface_points.at_barycentric(vertex_weights, mesh.faces, face, share),
             joints=size * joints,
             alignment=alignment,
             carrier=carrier,
             placed=np.array([name in named for name in body.joint_names]),
+            coarse=coarse,
         )
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingCharacters:
-    """The characters of a folder that a training uses."""
+    """The characters of a folder that a training uses, and poses of the clips of another folder."""
 
     surfaces: tuple[CharacterSurface, ...]
     poses: Float[np.ndarray, "P J 3"]
     """Poses of all their clips: rotation vectors of the shipped body's joints."""
     facts: dict[str, Any]
-    """For cards: `makers`, the number of characters of each "maker: pack (licence)", and `sha256` of all arrays."""
+    """For cards: `makers`, the number of characters of each "maker: pack (licence)", `sha256` of all arrays, and where
+    packs were left out, `left_out`, their numbers of characters. `clips` are the facts of the other clips."""
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
-
-    def described(self) -> str:
-        """Say in words whose the characters are and how many cannot be used."""
-        used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
-        left_out = "; ".join(f"{count} left out: {reason}" for reason, count in self.refused.items())
-        return f"{used}; {len(self.poses)} poses of their clips{'; ' if left_out else ''}{left_out}"
+    clips: TrainingClips | None = None
+    """Clips of another folder."""
 
     @classmethod
-    def read(cls, folder: str | Path, body: RiggedBody, split: str = "train") -> TrainingCharacters:
-        """Read the characters of a split of a pool.
+    def none(cls, body: RiggedBody) -> TrainingCharacters:
+        """Make an empty set, for trainings on clips alone."""
+        return cls((), np.zeros((0, len(body.parents), 3)), {}, {})
+
+    @property
+    def all_poses(self) -> Float[np.ndarray, "P J 3"]:
+        """Poses of the characters' clips and of the other clips."""
+        return np.concatenate([self.poses, self.clips.poses]) if self.clips else self.poses
+
+    def with_clips(self, clips: TrainingClips) -> TrainingCharacters:
+        """Add a folder of clips."""
+        return dataclasses.replace(self, clips=clips, facts={**self.facts, "clips": clips.facts})
+
+    def continues(self, facts: dict[str, Any]) -> bool:
+        """Tell whether a training with some facts may go on with these characters: clips may be added, none changed."""
+        added = {key: value for key, value in self.facts.items() if key != "clips" or "clips" in facts}
+        return not facts or facts == added
+
+    def described(self) -> str:
+        """Say in words whose the characters and clips are and how many cannot be used."""
+        clips = self.clips.described() if self.clips else ""
+        return "; ".join(filter(None, [self._described_characters() if self.surfaces else "", clips]))
+
+    def _described_characters(self) -> str:
+        used = ", ".join(f"{count} of {maker}" for maker, count in self.facts["makers"].items())
+        packs = ", ".join(
+            f"{count} of the pack {pack} left out" for pack, count in self.facts.get("left_out", {}).items()
+        )
+        reasons = Counter(self.refused).most_common()
+        refused = [f"{count} refused: {reason}" for reason, count in reasons[:REASONS]]
+        if len(reasons) > REASONS:
+            refused.append(f"{sum(count for _, count in reasons[REASONS:])} refused for other reasons")
+        return "; ".join(filter(None, [used, f"{len(self.poses)} poses of their clips", packs, *refused]))
+
+    @classmethod
+    def read(
+        cls,
+        folder: str | Path,
+        body: RiggedBody,
+        split: str = "train",
+        leave_out: Collection[str] = (),
+        low_poly: bool = False,
+        progress: Progress | None = None,
+    ) -> TrainingCharacters:
+        """Read the characters of a folder: of a split of its pool, and of rigged files in it.
+
+        Args:
+            leave_out: packs that are not used.
+            low_poly: make low-poly versions of the surfaces too.
 
         Raises:
-            InputError: not a pool, or none of its characters can be used.
+            InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
         """
-        pool = read_pool(folder, split)
-        if not pool.characters:
+        pool = read_character_folder(folder, split, progress)
+        counts = Counter(character.meta.pack for character in pool.characters)
+        if unknown := [pack for pack in leave_out if pack not in counts]:
             raise InputError(
-                f"{folder}: expected humanoids of the split {split}, found none that can be used; add some"
+                f"--leave-out {unknown[0]}: expected a pack of {folder} ({', '.join(counts) or 'none'}), "
+                "found another; check its name"
             )
-        metas = [character.meta for character in pool.characters]
-        makers = Counter(f"{meta.maker}: {meta.pack} ({meta.licence})" for meta in metas)
-        surfaces = tuple(CharacterSurface.of(character, body) for character in pool.characters)
-        poses = clip_poses(pool.characters, body)
+        characters = [character for character in pool.characters if character.meta.pack not in leave_out]
+        if not characters:
+            raise InputError(
+                f"{folder}: expected humanoids of the split {split}, found none that can be used"
+                f"{''.join(f'; {reason}' for reason in list(pool.refusals())[:1])}; add some"
+            )
+        metas = [character.meta for character in characters]
+        makers = Counter(f"{meta.maker or NOT_STATED}: {meta.pack} ({meta.licence})" for meta in metas)
+        surfaces = tuple(
+            CharacterSurface.of(character, body, low_poly)
+            for character in counted(characters, len(characters), progress)
+        )
+        poses = clip_poses(characters, body)
         digest = hashlib.sha256(poses.round(4).tobytes())
         for surface in surfaces:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
-        facts = {"makers": dict(makers), "sha256": digest.hexdigest()}
+        facts: dict[str, Any] = {"makers": dict(makers), "sha256": digest.hexdigest()}
+        if leave_out:  # facts of trainings without this option stay as they were
+            facts["left_out"] = {pack: counts[pack] for pack in leave_out}
         return cls(surfaces, poses, facts, pool.refusals())
 
 
@@ -161,17 +234,17 @@ def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[n
 
     first = {character.meta.clips_from: character for character in characters if character.clips}
     poses = [
-        body_pose(character, character.clip_transforms(name, frame))
+        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)))
         for character in first.values()
         for name, clip in character.clips.items()
-        for frame in range(0, len(clip), CLIP_STEP)
     ]
-    rotmat = np.array(poses).reshape(-1, 3, 3)
+    rotmat = np.concatenate([np.zeros((0, len(body.parents), 3, 3)), *poses]).reshape(-1, 3, 3)
     return Rotation.from_matrix(rotmat).as_rotvec().reshape(-1, len(body.parents), 3)
 
 
-def spread(mesh: Mesh) -> float:
-    """Measure the root mean square distance of a surface from its centroid."""
-    face, share = surface_points.sample_surface(mesh.vertices, mesh.faces, POINTS, np.random.default_rng(0))
-    points = surface_points.at_barycentric(mesh.vertices, mesh.faces, face, share)
+@cache
+def body_spread(body: RiggedBody) -> float:
+    """Measure the root mean square distance of a body's surface from its centroid (metres), once for all characters."""
+    face, share = surface_points.sample_surface(body.vertices, body.faces, POINTS, np.random.default_rng(0))
+    points = surface_points.at_barycentric(body.vertices, body.faces, face, share)
     return float(np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean()))

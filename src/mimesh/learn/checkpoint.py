@@ -20,7 +20,7 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters")
+POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "changes")
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -45,6 +45,8 @@ class Checkpoint:
     """Of matrix products, `fp32` or `bf16`; empty in checkpoints that do not say."""
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
+    changes: tuple[dict[str, Any], ...] = ()
+    """What was changed where the training was resumed: `pairs` until then, and the new values by their keys."""
 
     def spent(self) -> dict[str, int]:
         """Give the time and the pairs of this training so far."""
@@ -88,7 +90,7 @@ def load(path: Path) -> Checkpoint:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
     config = config_from(json.loads(header["config"]), str(path))
     position = json.loads(header["state"])
-    position["before"] = tuple(position.get("before", ()))
+    position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)

@@ -41,6 +41,18 @@ def load_config(name_or_path: str, model: str = "npt", changes: Sequence[str] = 
     return config_from(values, str(path))
 
 
+def changed_config(config: TrainConfig, changes: Sequence[str]) -> TrainConfig:
+    """Copy a configuration with "key=value" changes.
+
+    Raises:
+        InputError: a key or value that does not belong.
+    """
+    values = dataclasses.asdict(config)
+    for change in changes:
+        _change(values, change)
+    return config_from(values, f"--set {', '.join(changes)}")
+
+
 def _change(values: dict[str, Any], change: str) -> None:
     """Put "model.blocks=conv" into nested dictionaries; numbers, lists, true and false as in JSON, else a word."""
     key, equals, value = change.partition("=")

@@ -2,42 +2,48 @@
 
 from __future__ import annotations
 
-import functools
+import contextlib
+import dataclasses
 import json
-import signal
-import sys
-import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
-from .config import load_config
+from .config import changed_config, load_config
 from .optimizers import make_optimizers
+from .precision import DTYPES, choose_precision
+from .stop_request import StopRequest
 from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
 from .tasks.find import NETWORKS, find_task
+from .training_clips import TrainingClips
+from .training_log import TrainingLog
 from .validation import Validation
 
+ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
+"""Makes a progress bar with a title."""
+RESUMABLE = ("data.low_poly", "data.scans")
+"""Keys that may change where a training is resumed: augmentations, which neither network nor schedule depend on."""
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
-LOG_SECONDS = 20.0
-"""Wall-clock time between lines of the log."""
 SAVE_SECONDS = 60.0
 """Wall-clock time between checkpoints."""
-DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
-SIDE = {"cpu": 256, "cuda": 4096}
-"""Rows and columns of the matrices whose products are timed: one takes at most 0.1 s on a slow device of each kind."""
-MIN_GAIN = {"": 1.25, "fp32": 1.6, "bf16": 0.9}
-"""Speed of bf16 products over that of fp32 from which bf16 is taken, by what a resumed training used before: near the
-limit, two measurements on one machine must not give two answers."""
+
+
+@contextlib.contextmanager
+def no_bar(title: str) -> Iterator[None]:
+    """Show no progress."""
+    yield None
 
 
 def train_command(
@@ -49,6 +55,9 @@ def train_command(
     changes: Sequence[str] = (),
     weights: Path | None = None,
     characters: Path | None = None,
+    clips: Path | None = None,
+    leave_out: Sequence[str] = (),
+    bar: ProgressBar = no_bar,
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
@@ -56,45 +65,82 @@ def train_command(
         changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
         weights: checkpoint whose network a new training begins with.
         characters: folder of characters to train on, where the configuration asks for them.
+        clips: folder of motions whose poses mime is trained on.
+        leave_out: packs of the folder of characters that are not used.
+        bar: makes a progress bar with a title.
     """
     if model not in NETWORKS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
     if resume is not None:
-        last = resume / "last.safetensors"
-        if not last.exists():
-            raise InputError(f"{resume}: expected last.safetensors of an earlier training in it, found none")
-        if changes or weights:
-            what = f"--set {changes[0]}" if changes else f"--weights {weights}"
-            raise InputError(f"{what}: expected no changes with --resume, found some; leave them out")
-        config_before = checkpoint.load(last).config
-        return train(config_before, resume, max_minutes, read_characters(config_before, characters))
+        fixed = [f"--set {change}" for change in changes if change.partition("=")[0] not in RESUMABLE]
+        fixed += [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
+        if fixed:
+            raise InputError(
+                f"{fixed[0]}: expected no changes with --resume but --set {', '.join(RESUMABLE)} and --clips, found "
+                "some; leave them out"
+            )
+        settings = resumed_config(resume, changes)
+        return train(settings, resume, max_minutes, read_characters(settings, characters, clips, bar))
     settings = load_config(config, model, changes)
-    if characters is not None and not settings.data.characters:
-        settings = load_config(config, model, [*changes, f"data.characters={CHARACTER_SHARE}"])
-    folder = out or Path("runs") / "-".join([model, Path(config).stem, *(c.partition("=")[2] for c in changes)])
+    share = [f"data.characters={CHARACTER_SHARE}"] if characters is not None and not settings.data.characters else []
+    packs = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
+    settings = load_config(config, model, [*changes, *share, *packs])
+    words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
+    folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
     if (folder / "last.safetensors").exists():
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
-    pool = read_characters(settings, characters)
+    pool = read_characters(settings, characters, clips, bar)
     if weights is not None:
         begin_with(settings, weights, folder, pool)
     return train(settings, folder, max_minutes, pool)
 
 
-def read_characters(config: TrainConfig, folder: Path | None) -> TrainingCharacters | None:
-    """Read the characters that a configuration asks for; None if it asks for none.
+def resumed_config(folder: Path, changes: Sequence[str]) -> TrainConfig:
+    """Read the configuration of the training in a folder, and change keys of RESUMABLE.
 
     Raises:
-        InputError: a folder is needed and not given, or given and not needed, or it has no characters to train on.
+        InputError: no training in the folder, or a value that does not belong.
     """
+    last = folder / "last.safetensors"
+    if not last.exists():
+        raise InputError(f"{folder}: expected last.safetensors of an earlier training in it, found none")
+    config = checkpoint.load(last).config
+    return changed_config(config, changes) if changes else config
+
+
+def read_characters(
+    config: TrainConfig, folder: Path | None, clips: Path | None = None, bar: ProgressBar = no_bar
+) -> TrainingCharacters | None:
+    """Read the characters that a configuration asks for, and the clips of a folder; None for neither.
+
+    Raises:
+        InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
+    """
+    if clips is not None and (config.network, config.data.kind) != ("mime", "wide"):
+        raise InputError(f"--clips: expected mime and data.kind wide, found {config.network}; leave it out")
+    if config.data.leave_out and folder is None:
+        raise InputError(f"--leave-out {config.data.leave_out[0]}: expected it with --characters, found it without")
     if bool(config.data.characters) != (folder is not None):
         needed, given = ("a folder", "none") if folder is None else ("none", str(folder))
         raise InputError(
             f"--characters: expected {needed} with data.characters {config.data.characters:g}, found {given}; "
             "it is the share of the training that characters of a folder have"
         )
-    return TrainingCharacters.read(folder, shipped_body()) if folder is not None else None
+    if folder is None and clips is None:
+        return None
+    body, found = shipped_body(), TrainingCharacters.none(shipped_body())
+    if folder is not None:
+        with bar("reading characters") as progress:
+            data = config.data
+            found = TrainingCharacters.read(
+                folder, body, leave_out=data.leave_out, low_poly=data.low_poly > 0, progress=progress
+            )
+    if clips is not None:
+        with bar("reading clips") as progress:
+            found = found.with_clips(TrainingClips.read(clips, body, progress))
+    return found
 
 
 def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingCharacters | None = None) -> None:
@@ -139,6 +185,8 @@ def train(
             log.note("precision", run.reason, precision=run.task.precision)
             if pool:
                 log.note("characters", pool.described())
+            if run.changes:
+                log.note("changes", json.dumps(run.changes[-1]))
             first = run.step
             while not stop() or (run.step == first and stop.signal is None and run.share() < 1.0):
                 if run.validation_due():
@@ -189,6 +237,8 @@ class TrainingRun:
     """Step of the last validation."""
     before: tuple[dict[str, int], ...] = ()
     """Trainings whose network this one began with."""
+    changes: tuple[dict[str, Any], ...] = ()
+    """What was changed where the training was resumed, as in `Checkpoint`."""
 
     @classmethod
     def start(cls, config: TrainConfig, folder: Path, pool: TrainingCharacters | None = None) -> TrainingRun:
@@ -204,11 +254,13 @@ class TrainingRun:
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = task.source(config.seed)
         step_model: Any = torch.compile(model) if config.compile else model
-        facts = pool.facts if pool else {}
-        if state and state.characters not in ({}, facts):
+        if state and not (pool or TrainingCharacters.none(shipped_body())).continues(state.characters):
+            parts = [state.characters, state.characters.get("clips", {})]
+            what = "characters and clips" if "clips" in state.characters else "characters"
             raise InputError(
-                f"{folder}: expected the characters of the training so far "
-                f"({', '.join(state.characters['makers'])}), found others; begin a new training with --weights {last}"
+                f"{folder}: expected the {what} of the training so far "
+                f"({', '.join(maker for part in parts for maker in part.get('makers', ()))}), found others; "
+                f"begin a new training with --weights {last}"
             )
         run = cls(config, task, model, step_model, ema, optimizers, source, device, reason, saved=time.monotonic())
         if state:
@@ -216,6 +268,7 @@ class TrainingRun:
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
+            run.changes = (*state.changes, *changes_at_resume(state, config, pool))
         return run
 
     def clock(self) -> float:
@@ -285,121 +338,20 @@ class TrainingRun:
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         facts = self.task.characters.facts if self.task.characters else {}
-        checkpoint.save(path, checkpoint.Checkpoint(self.config, *position, self.task.precision, facts))
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, facts, self.changes)
+        checkpoint.save(path, state)
         self.saved = time.monotonic()
 
 
-class TrainingLog:
-    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
-
-    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
-        self.lines, self.board, self.run = lines, board, run
-        self.losses: list[Tensor] = []
-        self.time, self.mark = time.monotonic(), run.seconds
-        # Forward plus backward: three times the forward arithmetic.
-        self.flops = 3 * run.task.flops_per_pair(run.model)
-
-    def add(self, loss: Tensor) -> None:
-        """Collect a loss; write a line now and then."""
-        self.losses.append(loss)
-        if time.monotonic() - self.time > LOG_SECONDS:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
-        if not self.losses:
-            return
-        loss = torch.stack(self.losses).mean().item()
-        rate = len(self.losses) * self.run.config.batch / (self.run.seconds - self.mark)
-        figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
-        figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
-        self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
-        self.write("training", figures)
-
-    def write(self, kind: str, figures: dict[str, float]) -> None:
-        """Write one line of figures."""
-        for name, value in figures.items():
-            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
-        self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
-
-    def note(self, kind: str, text: str, **facts: str) -> None:
-        """Write one line of words."""
-        self._line(kind, text, {"text": text, **facts})
-
-    def _line(self, kind: str, text: str, facts: Mapping[str, float | str]) -> None:
-        pairs = self.run.step * self.run.config.batch
-        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
-        self.lines.write(json.dumps(record) + "\n")
-        self.lines.flush()
-        print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)
-
-
-class StopRequest:
-    """Tells when a training has to end before its schedule does: after a time limit, or on SIGTERM or SIGINT.
-
-    A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
-    KeyboardInterrupt. A second one acts at once. Outside the main thread, which alone may handle signals, only the
-    time limit counts.
-    """
-
-    def __init__(self, max_minutes: float | None) -> None:
-        self.deadline = time.monotonic() + 60 * max_minutes if max_minutes else float("inf")
-        self.signal: signal.Signals | None = None
-        self.handlers: dict[signal.Signals, Any] = {}
-
-    def __call__(self) -> bool:
-        return self.signal is not None or time.monotonic() >= self.deadline
-
-    def reason(self) -> str:
-        """Say what ended the training."""
-        return "the time given is over" if self.signal is None else f"ended by {self.signal.name}"
-
-    def __enter__(self) -> StopRequest:
-        if threading.current_thread() is threading.main_thread():
-            self.handlers = {s: signal.signal(s, self._record) for s in (signal.SIGTERM, signal.SIGINT)}
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self._restore()
-        if kind is None and self.signal is not None:
-            raise KeyboardInterrupt
-
-    def _record(self, number: int, _: object) -> None:
-        self.signal = signal.Signals(number)
-        self._restore()
-
-    def _restore(self) -> None:
-        while self.handlers:
-            signal.signal(*self.handlers.popitem())
-
-
-def choose_precision(asked: str, device: torch.device, before: str = "") -> tuple[str, str]:
-    """Give the precision of matrix products, `fp32` or `bf16`, and the reason in words; measure where `auto` is asked.
-
-    Processors without units for bf16 take a hundred times as long for such a product as for one in fp32.
-
-    Args:
-        before: precision that a resumed training used before, or empty.
-    """
-    if asked != "auto":
-        return asked, f"matrix products in {asked}, as configured"
-    rates = {name: product_rate(dtype, device) for name, dtype in DTYPES.items()}
-    chosen = "bf16" if rates["bf16"] > MIN_GAIN[before] * rates["fp32"] else "fp32"
-    measured = " and ".join(f"{rate / 1e9:.3g} in {name}" for name, rate in rates.items())
-    return chosen, f"matrix products in {chosen}: GFLOP/s measured are {measured}"
-
-
-@functools.cache
-def product_rate(dtype: torch.dtype, device: torch.device, seconds: float = 0.05) -> float:
-    """Measure floating-point operations a second of products of square matrices: the best within a moment."""
-    side = SIDE[device.type]
-    a, b = torch.randn(2, side, side, generator=torch.Generator().manual_seed(0)).to(device, dtype)
-    best, end = float("inf"), time.perf_counter() + seconds
-    while best == float("inf") or time.perf_counter() < end:
-        started = time.perf_counter()
-        float((a @ b)[0, 0])  # waits for the device
-        best = min(best, time.perf_counter() - started)
-    return 2.0 * side**3 / best
+def changes_at_resume(
+    state: checkpoint.Checkpoint, config: TrainConfig, pool: TrainingCharacters | None
+) -> list[dict[str, Any]]:
+    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
+    before, now = (dataclasses.asdict(data) for data in (state.config.data, config.data))
+    changed: dict[str, Any] = {f"data.{key}": now[key] for key in now if now[key] != before[key]}
+    if pool and pool.clips and "clips" not in state.characters:
+        changed["clips"] = pool.clips.facts["makers"]
+    return [{"pairs": state.step * config.batch, **changed}] if changed else []
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:

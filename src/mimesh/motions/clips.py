@@ -15,7 +15,7 @@ from jaxtyping import Float, Float32
 
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
-from .motion import Motion, mirror, rotmat_to_rotvec, window
+from .motion import Motion, mirror, rotmat_to_rotvec, turned_to_front, window
 
 TAKES = ("cmu_01_01", "cmu_01_03")
 """Subject 01 of the database, trials 01 and 03."""
@@ -74,13 +74,7 @@ def pose_bank(split: Literal["train", "val", "test"], every: int = 3) -> Float32
     """
     motions = [m for clip in split_windows(split) for m in (clip, mirror(clip))]
     rotmat = np.concatenate([m.rotmat[::every] for m in motions])
-    # The third column of the root's rotation is where its front (+z at rest) points.
-    front = rotmat[:, 0, :, 2]
-    heading = np.arctan2(front[:, 0], front[:, 2])
-    turn = np.zeros((len(heading), 3))
-    turn[:, 1] = -heading
-    rotmat[:, 0] = rotvec_to_rotmat(turn) @ rotmat[:, 0]
-    return rotmat_to_rotvec(rotmat).astype(np.float32)
+    return rotmat_to_rotvec(turned_to_front(rotmat)).astype(np.float32)
 
 
 @cache

@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
+from ..bodies.joint_names import other_side
+from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip
@@ -63,18 +65,11 @@ def window(motion: Motion, start: float, stop: float, name: str | None = None) -
 def mirror(motion: Motion) -> Motion:
     """Reflect a motion at the plane x = 0, which exchanges left and right."""
     flip = np.array([-1.0, 1.0, 1.0])
-    swap = [motion.joint_names.index(other_side(n, motion.joint_names)) for n in motion.joint_names]
+    index = {name: j for j, name in enumerate(motion.joint_names)}
+    swap = [index.get(other_side(name), j) for name, j in index.items()]
     # F R F for the reflection F = diag(flip).
     rotmat = motion.rotmat[:, swap] * flip[:, None] * flip
     return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * flip)
-
-
-def other_side(name: str, names: tuple[str, ...]) -> str:
-    """Find the joint on the other side of the body (Left/Right or L/R); a joint without one is its own counterpart."""
-    for side, other in (("Left", "Right"), ("Right", "Left"), ("L", "R"), ("R", "L")):
-        if name.startswith(side) and other + name[len(side) :] in names:
-            return other + name[len(side) :]
-    return name
 
 
 def resample(motion: Motion, fps: float) -> Motion:
@@ -113,6 +108,17 @@ def rotmat_to_rotvec(rotmat: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotmat.reshape(-1, 3, 3)).as_rotvec().reshape(rotmat.shape[:-1])
+
+
+def turned_to_front(rotmat: Float[np.ndarray, "N J 3 3"]) -> Float[np.ndarray, "N J 3 3"]:
+    """Turn poses about the vertical so that the front of the hips, projected to the ground, is +z; tilts are kept."""
+    # The third column of the root's rotation is where its front (+z at rest) points.
+    front = rotmat[:, 0, :, 2]
+    turn = np.zeros((len(rotmat), 3))
+    turn[:, 1] = -np.arctan2(front[:, 0], front[:, 2])
+    turned = rotmat.copy()
+    turned[:, 0] = rotvec_to_rotmat(turn) @ rotmat[:, 0]
+    return turned
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], joint_names: tuple[str, ...]) -> float:

@@ -33,12 +33,15 @@ FLOOR_FRAMES = 400
 """Frames, evenly spread, that are used to find the floor."""
 
 
-def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
+def retarget(source: Bvh, body: RiggedBody, name: str | None = None, grounded: bool = True) -> Motion:
     """Retarget a motion to `body` (mean shape), at the source's frame rate; errors name `name`.
 
     The root's path is scaled by the ratio of leg lengths and starts above the origin. The floor is estimated from the
     result (FLOOR_QUANTILE). Joints that the source lacks are not rotated, nor are fingers: captures of hands with one
     or two optical markers are mostly noise. Contacts are not enforced.
+
+    Args:
+        grounded: find the floor, which poses every vertex; without, only the rotations of the result are meant.
 
     Raises:
         InputError: the hips or a limb joint are not found by name, or a limb bone has no length at rest.
@@ -67,9 +70,8 @@ def retarget(source: Bvh, body: RiggedBody, name: str | None = None) -> Motion:
     source_leg = [rest[index[joint]] for joint in LEG]
     scale = leg_length(body.joints, body.joint_names) / leg_length(np.array(source_leg), LEG)
     path = position[:, index["Hips"]] @ axes.T * scale
-    return Motion(
-        name or source.name, body.joint_names, to_local(target, body.parents), _grounded(path, target, body), source.fps
-    )
+    path = _grounded(path, target, body) if grounded else path
+    return Motion(name or source.name, body.joint_names, to_local(target, body.parents), path, source.fps)
 
 
 def rests_standing(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> bool:

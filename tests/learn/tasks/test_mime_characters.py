@@ -7,6 +7,7 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
+from motion_files import write_bvh  # noqa: E402
 from pools import BLOCKS, blocks, write_character  # noqa: E402
 
 from mimesh.core.errors import InputError  # noqa: E402
@@ -18,10 +19,14 @@ from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.tasks.base import shipped_body  # noqa: E402
 from mimesh.learn.tasks.mime import SurfaceSource, mime_loss  # noqa: E402
 from mimesh.learn.tasks.mime_characters import FigureSampler  # noqa: E402
+from mimesh.learn.tasks.mime_scans import repeat_visible, scanned  # noqa: E402
 from mimesh.learn.train import train_command  # noqa: E402
+from mimesh.motions import walk_motion  # noqa: E402
 
 BODY = shipped_body()
 CPU = torch.device("cpu")
+TINY = ["data.characters=0.5", "pairs=64", "batch=8", "validate_every=1000", "validation_pairs=1"]
+TINY += ["compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
 
 
 @pytest.fixture(scope="module")
@@ -159,3 +164,97 @@ def test_a_folder_alone_gives_characters_half_of_every_batch(pool, tmp_path):
     changes += ["data.vertices=32", "model.width=32", "precision=fp32"]
     out = train_command("mime", "small", tmp_path / "run", None, 0.001, changes, None, pool)
     assert checkpoint.load(out / "last.safetensors").config.data.characters == 0.5
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("walks")
+    write_bvh(folder / "walk.bvh", BODY, walk_motion(BODY, 0, 0))
+    return folder
+
+
+def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, clips, tmp_path):
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, pool)
+    before = checkpoint.load(out / "last.safetensors")
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    assert checkpoint.load(out / "last.safetensors").config == before.config
+    assert checkpoint.load(out / "last.safetensors").changes == ()
+    changes = ["data.low_poly=0.5", "data.scans=0.25"]
+    train_command("mime", "small", None, out, 0.001, changes, None, pool, clips)
+    state = checkpoint.load(out / "last.safetensors")
+    assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
+    assert [set(change) for change in state.changes] == [{"pairs", "data.low_poly", "data.scans", "clips"}]
+    assert state.characters["sha256"] == before.characters["sha256"]
+    assert list(state.characters["clips"]["makers"].values()) == [1]
+    with pytest.raises(InputError, match="expected the characters and clips of the training so far"):
+        train_command("mime", "small", None, out, 0.001, [], None, pool)
+    train_command("mime", "small", None, out, 0.001, [], None, pool, clips)
+    assert checkpoint.load(out / "last.safetensors").changes == state.changes
+    with pytest.raises(InputError, match=r"--set seed=1: expected no changes with --resume but --set data.low_poly"):
+        train_command("mime", "small", None, out, 0.001, ["seed=1"], None, pool, clips)
+    with pytest.raises(InputError, match=r"--leave-out toys: expected no changes with --resume"):
+        train_command("mime", "small", None, out, 0.001, [], None, pool, clips, ["toys"])
+
+
+def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    out = train_command("mime", "small", None, None, 0.001, TINY[1:], None, pool, None, ["toys"])
+    assert out.name.endswith("-without-toys")
+    state = checkpoint.load(out / "last.safetensors")
+    assert state.config.data.characters == 0.5
+    assert state.config.data.leave_out == ("toys",)
+    assert state.characters["left_out"] == {"toys": 1}
+    train_command("mime", "small", None, out, 0.001, [], None, pool)
+    with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
+        train_command("mime", "small", tmp_path / "other", None, 0.001, TINY[1:], None, None, None, ["toys"])
+
+
+def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY[1:], None, None, clips)
+    state = checkpoint.load(out / "last.safetensors")
+    assert state.characters.keys() == {"clips"}
+    assert state.config.data.characters == 0
+    with pytest.raises(InputError, match=r"--clips: expected mime and data.kind wide, found npt"):
+        train_command("npt", "small", tmp_path / "npt", None, None, [], None, None, clips)
+
+
+def test_low_poly_pairs_are_exact_and_change_no_other_batches(pool, source, monkeypatch):
+    monkeypatch.setattr("mimesh.learn.tasks.mime.OWN_REST", 1.0)
+    characters = TrainingCharacters.read(pool, BODY, low_poly=True)
+    config = dataclasses.replace(source.config, low_poly=1.0)
+    batch = SurfaceSource(config, BODY, CPU, 0, characters).batch(12, 0)
+    own, driving, truth = batch.identity, batch.driving, batch.truth
+    joints = posed_joints(own.rotation, own.joints, driving.rotation, truth.joints[:, 0], BODY.parents)
+    moved = skinned(own.points, own.weights, own.rotation, own.joints, driving.rotation, joints)
+    assert (moved - truth.points).norm(dim=-1).max() < 1e-5
+    assert not torch.equal(own.points, source.batch(12, 0).identity.points)
+    exact = SurfaceSource(source.config, BODY, CPU, 0, characters).batch(6, 3)
+    assert torch.equal(exact.identity.points, source.batch(6, 3).identity.points)
+
+
+def test_low_poly_people_have_few_normals():
+    source = SurfaceSource(DataConfig("wide", 1500, "identity", low_poly=1.0), BODY, CPU, 0)
+    people = source.people.draw(3, torch.Generator().manual_seed(0), 1.0)
+    plain = torch.ones_like(people.length)
+    skin = (torch.arange(people.worn.shape[1]) < 1).expand(3, -1)
+    people = dataclasses.replace(people, length=plain, girth=plain, worn=skin, level=torch.tensor([1, 3, 0]))
+    index = source.surface.choose(people, 1500, torch.Generator().manual_seed(1))
+    rest = torch.eye(3).expand(3, len(BODY.parents), 3, 3)
+    normals = source.surface.posed(people, rest, index).normals
+    counts = [len(torch.unique(mesh.round(decimals=4), dim=0)) for mesh in normals]
+    assert counts[0] < 250 < counts[1] < counts[2]
+
+
+def test_a_scan_shows_what_is_in_front():
+    count = 300
+    wall = torch.rand(1, count, 3, generator=torch.Generator().manual_seed(0)) * torch.tensor([1.0, 1.0, 0.0])
+    facing = torch.tensor([0.0, 0.0, 1.0]).expand(1, count, 3)
+    points = torch.cat([wall, wall - torch.tensor([0, 0, 0.6])], 1)  # a wall behind a wall, both facing +z
+    normals = torch.cat([facing, facing], 1)
+    seen = [scanned(points, normals, torch.Generator().manual_seed(k))[0] for k in range(40)]
+    behind = torch.stack([(scan[0, :, 2] < -0.3).float().mean() for scan in seen])
+    assert behind.min() < 0.05  # from the front; from behind the whole surface is given
+    assert behind.max() < 0.6
+    hidden = torch.zeros(1, 5, dtype=torch.bool)
+    hidden[0, :3] = True
+    assert repeat_visible(hidden)[0].tolist() == [3, 4, 3, 4, 3]

@@ -6,6 +6,7 @@ channel keeps the value of that key. KHR_animation_pointer is not read.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -133,6 +134,27 @@ def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
             "the file is damaged, export it again"
         ) from error
     return channels
+
+
+def animated_nodes(document: Document, paths: Collection[str]) -> set[int]:
+    """List the nodes whose properties of some target paths any animation moves, without reading keys.
+
+    Raises:
+        InputError: a channel without a target.
+    """
+    count, found = len(document.gltf.get("nodes", [])), set()
+    for number, entry in enumerate(document.gltf.get("animations", [])):
+        try:
+            targets = [channel["target"] for channel in entry["channels"]]
+            found |= {
+                target["node"] for target in targets if target["path"] in paths and target.get("node") is not None
+            }
+        except (KeyError, TypeError) as error:
+            raise InputError(
+                f"{document.path}: expected channels with targets in animation {number}, found a gap ({error!r}); "
+                "the file is damaged, export it again"
+            ) from error
+    return {node for node in found if isinstance(node, int) and 0 <= node < count}
 
 
 def select_channels(document: Document, selector: str | None) -> list[AnimationChannel]:

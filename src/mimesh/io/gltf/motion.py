@@ -21,7 +21,7 @@ from ...motions.bvh import Bvh
 from ...motions.on_body import first_frame, on_body, played
 from ...motions.retarget import to_local
 from ..timing import DEFAULT_FPS
-from .animation import AnimationChannel, frame_rate, read_channels, select_channels
+from .animation import AnimationChannel, animated_nodes, frame_rate, select_channels
 from .bake import frame_times, sample_nodes
 from .document import Document
 from .scene import joint_matrices, local_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
@@ -156,8 +156,7 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
     joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
-    for number in range(len(document.gltf["animations"])):
-        joints |= {channel.node for channel in read_channels(document, number) if channel.path in PLAYED_PATHS}
+    joints |= animated_nodes(document, PLAYED_PATHS)
     for node in tuple(joints):  # add the nodes between a joint and the next joint above it
         between, node = [], node_parent[node]
         while node >= 0 and node not in joints:

@@ -8,6 +8,7 @@ z-up roots: the vertex is their weighted mean, and a pose moves each of them rig
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from jaxtyping import Float, Int
 
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
+from ...core.mesh import Mesh
 from .. import load_mesh
 from .document import Document
 from .edit import GltfSource
@@ -64,30 +66,37 @@ def read_skin(path: str | Path) -> SkinnedCharacter:
             f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
             "export the mesh and its armature together as glTF"
         )
-    # One tree for all skins of the scene, so that their joints have one numbering.
-    tree = _find_joints(source.document, source.rest)
-    if not tree.nodes:
+    joint_nodes = skin_joints(source.document, source.rest)
+    if not joint_nodes:
         raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
-    parts = [_read_range_influences(source.document, source.rest, span, tree) for span in source.rest.vertex_ranges]
+    return rig_on_nodes(mesh, source.document, source.rest, joint_nodes)[0]
+
+
+def skin_joints(document: Document, rest: RestScene) -> set[int]:
+    """List the nodes that are joints of the shown skins."""
+    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
+    return {node for skin in skins for node in document.gltf["skins"][skin]["joints"]}
+
+
+def rig_on_nodes(
+    mesh: Mesh, document: Document, rest: RestScene, joint_nodes: Collection[int]
+) -> tuple[SkinnedCharacter, list[int]]:
+    """Read the influences on the vertices of a scene with given joints, and the node of each joint of the rig.
+
+    The mesh is left as it is: its vertices are those of `rest` only where the mesh was read with it.
+    """
+    # One tree for all skins of the scene, so that their joints have one numbering.
+    node_parent = node_parents(document)
+    nodes = [node for node in sort_parents_first(document, node_parent) if node in joint_nodes]
+    tree = _JointTree(nodes, node_parent, {node: j for j, node in enumerate(nodes)})
+    parts = [_read_range_influences(document, rest, span, tree) for span in rest.vertex_ranges]
     columns = max(weights.shape[1] for _, weights, _ in parts)
     joint_of, weights, points = (
         np.concatenate([_pad_influences(part[k], columns) for part in parts]) for k in range(3)
     )
-    names = [source.document.gltf["nodes"][node].get("name", f"node{node}") for node in tree.nodes]
-    parents = tuple(tree.nearest_joint(tree.node_parent[node]) for node in tree.nodes)
-    return SkinnedCharacter(
-        mesh, tuple(names), parents, source.rest.T_world_node[tree.nodes], joint_of, weights, points
-    )
-
-
-def _find_joints(document: Document, rest: RestScene) -> _JointTree:
-    """Find the joints of the shown skins, each after its parent."""
-    gltf = document.gltf
-    skins = {skin for span in rest.vertex_ranges if (skin := _find_skin(document, span)) is not None}
-    joint_nodes = {node for skin in skins for node in gltf["skins"][skin]["joints"]}
-    node_parent = node_parents(document)
-    nodes = [node for node in sort_parents_first(document, node_parent) if node in joint_nodes]
-    return _JointTree(nodes, node_parent, {node: j for j, node in enumerate(nodes)})
+    names = tuple(str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in nodes)
+    parents = tuple(tree.nearest_joint(node_parent[node]) for node in nodes)
+    return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
 
 
 def _find_skin(document: Document, span: VertexRange) -> int | None:

@@ -67,8 +67,14 @@ class TrainConfig:
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
         if self.data.characters and self.network != "mime":
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
-        if not 0.0 <= self.data.reflect <= 1.0:
-            raise InputError(f"{where}: expected data.reflect from 0 to 1, found {self.data.reflect}")
+        for name in ("low_poly", "scans"):
+            share = getattr(self.data, name)
+            if share and (self.network != "mime" or self.data.kind != "wide"):
+                raise InputError(f"{where}: expected data.{name} with mime and data.kind wide only, found {share}")
+        for name in ("low_poly", "scans", "reflect"):
+            share = getattr(self.data, name)
+            if not 0.0 <= share <= 1.0:
+                raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
 
 
 @runtime_checkable

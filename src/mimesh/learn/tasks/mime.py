@@ -29,6 +29,7 @@ from ..primitives import primitive_people
 from .base import OnnxInterface, Task, TrainConfig
 from .mime_characters import OWN_REST, CharacterBank, FigureSampler
 from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
+from .mime_scans import gather_points, repeat_visible, scanned
 
 DEFAULT_POINTS = 320
 """Points of each mesh, unless the configuration says more."""
@@ -108,14 +109,15 @@ class SurfaceSource(BodySampler):
         characters: TrainingCharacters | None = None,
     ) -> None:
         super().__init__(config, body, device, seed)
-        self.surface = SurfaceBody(body).to(device)
+        self.surface = SurfaceBody(body, low_poly=config.low_poly > 0).to(device)
         self.people = PeopleSampler(body, config.spread, device)
         self.count = config.vertices or DEFAULT_POINTS
         if config.characters:
             assert characters is not None
             surfaces = [*characters.surfaces, *primitive_people(body)]
             self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
-            self.motion_frames = torch.cat([self.motion_frames, self._tensor(characters.poses)])
+        if characters is not None:
+            self.motion_frames = torch.cat([self.motion_frames, self._tensor(characters.all_poses)])
 
     def batch(self, size: int, step: int) -> SurfaceBatch:
         """Make the pairs of a step."""
@@ -141,7 +143,7 @@ class SurfaceSource(BodySampler):
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
         """Make the same of pairs of characters. Half of the identities stand as in their files."""
         _, (identity_pose, driving_pose), _ = self._sample_pairs(size, rng)
-        identity, driving = (self.figures.draw(size, rng) for _ in range(2))
+        identity, driving = (self.figures.draw(size, rng, self.config.low_poly) for _ in range(2))
         index = [
             self.bank.choose(figures, self.count, rng, share)
             for figures, share in zip((identity, driving), MISSING, strict=True)
@@ -175,15 +177,20 @@ class SurfaceSource(BodySampler):
         plain = [plain_people(shape, self.surface) for shape in shapes]
         if self.config.kind in TABLE_KINDS:
             return plain
-        drawn = [self.people.draw(len(touching[0]), rng) for _ in shapes]
+        drawn = [self.people.draw(len(touching[0]), rng, self.config.low_poly) for _ in shapes]
         return [one.where(some, other) for one, some, other in zip(plain, touching, drawn, strict=True)]
 
     def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
-        """Add noise to driving points, leave out one side of some and the normals of others."""
+        """Add noise to driving points, leave out one side of some and the normals of others; make scans of a share."""
         size, index = len(driving.points), self._one_sided(driving.normals, rng)
         noise = torch.randn(driving.points.shape, generator=rng, device=self.device)
-        noisy = _gather(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
-        meshes = ((identity.points, identity.normals), (noisy, _gather(driving.normals, index)))
+        noisy = gather_points(driving.points, index) + MAX_NOISE * self._uniform(size, rng).square() * noise
+        normals = gather_points(driving.normals, index)
+        if self.config.scans:
+            some = self._uniform(size, rng) < self.config.scans
+            scan = scanned(driving.points, driving.normals, rng)
+            noisy, normals = torch.where(some, scan[0], noisy), torch.where(some, scan[1], normals)
+        meshes = ((identity.points, identity.normals), (noisy, normals))
         return tuple(
             (points, normals * (self._uniform(size, rng) >= share))
             for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
@@ -191,13 +198,11 @@ class SurfaceSource(BodySampler):
 
     def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
         """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""
-        size, count = normals.shape[:2]
+        size = len(normals)
         angle = 2 * math.pi * self._uniform(size, rng)
         side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
         hidden = ((normals * side).sum(-1) <= 0) & (self._uniform(size, rng)[..., 0] < ONE_SIDED)
-        order = hidden.int().argsort(dim=1, stable=True)
-        visible = (~hidden).sum(1, keepdim=True)
-        return order.gather(1, torch.arange(count, device=self.device) % visible)
+        return repeat_visible(hidden)
 
     def _uniform(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 1 1"]:
         return torch.rand(size, 1, 1, generator=rng, device=self.device)
@@ -325,7 +330,3 @@ class _OneMesh(nn.Module):
         prediction = self.model.predict_joints(points, normals)
         scores = self.model.predict_weights(prediction, vertices, vertex_normals)
         return prediction.rotation, prediction.joints, scores
-
-
-def _gather(values: Float[Tensor, "B N 3"], index: Int[Tensor, "B N"]) -> Float[Tensor, "B N 3"]:
-    return values.gather(1, index[..., None].expand(-1, -1, 3))

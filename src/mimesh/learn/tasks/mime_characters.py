@@ -19,7 +19,7 @@ from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ..bodies import posed_joints, scaled_joints, skinned
 from ..character_surfaces import CharacterSurface
 from ..props import Props, PropSampler
-from .mime_people import MAX_HOLE, PosedSurface, random_bumps
+from .mime_people import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
 
 USUAL_SPREAD, UNUSUAL_SPREAD, UNUSUAL = 0.06, 0.3, 0.4
 """Largest standard deviation of the logarithm of a bone's scale, what is added for unusual figures, and their share."""
@@ -46,6 +46,8 @@ class Figures:
     girth: Float[Tensor, "B J"]
     """Scale across each bone."""
     bumps: Float[Tensor, "B W 5"]
+    """As of `mime_people.People`."""
+    level: Int[Tensor, " B"]
     """As of `mime_people.People`."""
     lacking: Bool[Tensor, "B J"]
     """Joints whose surface is missing."""
@@ -75,9 +77,17 @@ class CharacterBank(nn.Module):
     bones: Tensor
     branching: Tensor
     strongest: Tensor
+    coarse: Tensor
+    """Points and normals of the low-poly versions; people of primitives, which have none, keep their points."""
 
     def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody) -> None:
         super().__init__()
+        levels = max(0 if surface.coarse is None else len(surface.coarse) for surface in surfaces)
+        coarse = [
+            np.array([[surface.points, surface.normals]] * levels) if surface.coarse is None else surface.coarse
+            for surface in surfaces
+        ]
+        self.register_buffer("coarse", torch.from_numpy(np.stack(coarse)).float())
         self.parents = body.parents
         for name in ("points", "normals", "weights", "joints", "alignment"):
             stacked = np.stack([getattr(surface, name) for surface in surfaces])
@@ -158,8 +168,13 @@ class CharacterBank(nn.Module):
         joint, axes = props.joint.gather(1, row), row[..., None].expand(-1, -1, 3)
         place = joints.gather(1, joint[..., None].expand_as(axes)) + props.offset.gather(1, axes)
         prop_normal = props.normals.gather(1, axes)
-        rest = torch.where(of_prop[..., None], place, self.points[who, column])
-        normal = torch.where(of_prop[..., None], prop_normal, self.normals[who, column])
+        points, normals = self.points[who, column], self.normals[who, column]
+        if self.coarse.shape[1]:
+            flat, level = (figures.level > 0)[:, None, None], (figures.level - 1).clamp_min(0)[:, None]
+            points = torch.where(flat, self.coarse[who, level, 0, column], points)
+            normals = torch.where(flat, self.coarse[who, level, 1, column], normals)
+        rest = torch.where(of_prop[..., None], place, points)
+        normal = torch.where(of_prop[..., None], prop_normal, normals)
         one_joint = nn.functional.one_hot(self.carrier[figures.which].gather(1, joint), len(self.parents)).float()
         weights = torch.where(of_prop[..., None], one_joint, self.weights[who, column])
         waves = rest @ figures.bumps[..., :3].mT + figures.bumps[..., None, :, 3]
@@ -186,8 +201,8 @@ class FigureSampler:
         )
         self.props = PropSampler(body, device)
 
-    def draw(self, size: int, rng: torch.Generator) -> Figures:
-        """Draw figures; left and right bones are scaled alike."""
+    def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> Figures:
+        """Draw figures, a share of them low-poly; left and right bones are scaled alike."""
         pack = torch.randint(len(self.rows), (size,), generator=rng, device=self.device)
         place = self._uniform(rng, size)
         which = torch.stack([rows[(place * len(rows)).long()] for rows in self.rows])[pack, torch.arange(size)]
@@ -200,7 +215,9 @@ class FigureSampler:
         girth = (drawn[1][:, self.group] + larger).exp()
         lacking = ((self._uniform(rng, size, len(self.ends), 1) < WITHOUT_ENDS) & self.ends).any(1)
         bumps = random_bumps(size, rng, self.device)
-        return Figures(which, length, girth, bumps, lacking, self.props.draw(size, rng))
+        props = self.props.draw(size, rng)
+        level = random_levels(size, low_poly, rng, self.device)
+        return Figures(which, length, girth, without_bumps(bumps, level), level, lacking, props)
 
     def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.rand(*size, generator=rng, device=self.device)

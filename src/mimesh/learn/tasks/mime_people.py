@@ -21,6 +21,7 @@ from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
 from ..bodies import scaled_joints, world_rotations
+from ..low_poly import LEVELS, SMALLEST, flattened
 
 WAVES = 6
 """Sines that a person's bumps are the sum of."""
@@ -52,6 +53,8 @@ class People:
     """Waves over the surface at rest: direction times frequency (radians a metre), phase, height (metres)."""
     worn: Bool[Tensor, "B G"]
     """Which surfaces a person has: the skin in the first column, always true, then each garment."""
+    level: Int[Tensor, " B"]
+    """Low-poly version of the surface: 0 for the surface itself, k for that of `low_poly.LEVELS[k - 1]` triangles."""
 
     def where(self, some: Bool[Tensor, " B"], others: People) -> People:
         """Take these people where `some` is true, and `others` elsewhere."""
@@ -97,8 +100,10 @@ class SurfaceBody(nn.Module):
     bones: Tensor
     branching: Tensor
     piece: Tensor
+    coarse: Tensor
+    """Offsets to the points of the low-poly versions, and their normals (L, 2, 3, N)."""
 
-    def __init__(self, body: RiggedBody, count: int = 20_000) -> None:
+    def __init__(self, body: RiggedBody, count: int = 20_000, low_poly: bool = False) -> None:
         super().__init__()
         dressed = dressed_body(body, GARMENTS)
         self.parents = body.parents
@@ -118,7 +123,19 @@ class SurfaceBody(nn.Module):
         for name, array in arrays.items():
             self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(array)).float())
         self.register_buffer("branching", torch.from_numpy(branching))
-        self.register_buffer("piece", torch.from_numpy(np.searchsorted(starts, corners[:, 0], side="right")))
+        piece = np.searchsorted(starts, corners[:, 0], side="right")
+        self.register_buffer("piece", torch.from_numpy(piece))
+        coarse = np.zeros((len(LEVELS) * low_poly, 2, 3, count))
+        faces_of = np.searchsorted(starts, dressed.faces[:, 0], side="right")
+        points, normals = arrays["rest"].T, arrays["normals"].T
+        for number in range(len(starts) * low_poly):
+            mine, its_faces = piece == number, dressed.faces[faces_of == number]
+            # Garments have as many triangles for their points as the skin.
+            counts = [max(round(level * mine.sum() / (piece == 0).sum()), SMALLEST) for level in LEVELS]
+            flat = flattened(points[mine], normals[mine], dressed.vertices, its_faces, counts)
+            flat[:, 0] -= points[mine]
+            coarse[..., mine] = flat.swapaxes(-1, -2)
+        self.register_buffer("coarse", torch.from_numpy(coarse).float())
 
     def choose(self, people: People, count: int, rng: torch.Generator, missing: float = 0.0) -> Int[Tensor, "B N"]:
         """Choose random points of the surfaces that each person has; a share `missing` of them lack those of a ball.
@@ -145,6 +162,10 @@ class SurfaceBody(nn.Module):
         rest = self.rest[:, index].transpose(0, 1)
         rest = rest + torch.einsum("bk,kcbn->bcn", people.shape, self.components[:, :, index])
         normal = self.normals[:, index].transpose(0, 1)
+        if len(self.coarse):
+            flat, level = (people.level > 0)[:, None, None], (people.level - 1).clamp_min(0)[:, None]
+            offset, faceted = self.coarse.permute(1, 0, 3, 2)[:, level, index].mT
+            rest, normal = rest + flat * offset, torch.where(flat, faceted, normal)
         rest = rest + self._bump_heights(people, index) * normal
         weights = self.weights[:, index].permute(1, 2, 0)
         offset = position - (linear @ joints[..., None])[..., 0]
@@ -172,8 +193,8 @@ class PeopleSampler:
         self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
         self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
 
-    def draw(self, size: int, rng: torch.Generator) -> People:
-        """Draw people, some with unusual proportions; left and right bones are scaled alike."""
+    def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> People:
+        """Draw people, some with unusual proportions, a share low-poly; left and right bones are scaled alike."""
         shape = self.spread * self._normal(rng, size, self.components).clamp(-2.5, 2.5)
         unusual = self._uniform(rng, size, 1) < UNUSUAL
         spread = unusual * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
@@ -184,7 +205,8 @@ class PeopleSampler:
         bumps = random_bumps(size, rng, self.device)
         worn = self._uniform(rng, size, 1 + len(GARMENTS)) < GARMENT_SHARE
         worn[:, 0] = True
-        return People(shape, length, girth, bumps, worn)
+        level = random_levels(size, low_poly, rng, self.device)
+        return People(shape, length, girth, without_bumps(bumps, level), worn, level)
 
     def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.rand(*size, generator=rng, device=self.device)
@@ -208,9 +230,23 @@ def random_bumps(size: int, rng: torch.Generator, device: torch.device) -> Float
     return torch.cat([frequency, 2 * math.pi * uniform(WAVES, 1), height], -1)
 
 
+def random_levels(size: int, share: float, rng: torch.Generator, device: torch.device) -> Int[Tensor, " B"]:
+    """Draw the low-poly version of surfaces: 0 for all but a share of them. A share of 0 draws no numbers."""
+    if not share:
+        return torch.zeros(size, dtype=torch.long, device=device)
+    level = torch.randint(1, len(LEVELS) + 1, (size,), generator=rng, device=device)
+    return level * (torch.rand(size, generator=rng, device=device) < share)
+
+
+def without_bumps(bumps: Float[Tensor, "B W 5"], level: Int[Tensor, " B"]) -> Float[Tensor, "B W 5"]:
+    """Remove the bumps of low-poly surfaces, whose triangles are flat."""
+    return torch.where((level > 0)[:, None, None], torch.zeros_like(bumps), bumps)
+
+
 def plain_people(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:
     """Make people without garments, bumps or proportions of their own."""
     size, joints = len(shape), len(surface.parents)
     one = torch.ones(size, joints, device=shape.device)
     worn = torch.arange(1 + len(GARMENTS), device=shape.device).expand(size, -1) == 0
-    return People(shape, one, one, torch.zeros(size, 1, 5, device=shape.device), worn)
+    level = torch.zeros(size, dtype=torch.long, device=shape.device)
+    return People(shape, one, one, torch.zeros(size, 1, 5, device=shape.device), worn, level)

@@ -1,0 +1,255 @@
+"""Reads a rigged .glb, .gltf or .vrm of any maker as a character with limbs and clips, like those of a pool.
+
+Rest is the bind pose of the largest skin (`motion.rest_matrices`); the nodes' transforms in the file are often a frame
+of an animation, and are used only where the bind pose does not stand. Joints are found by VRM's humanoid bones, where
+the file lists them, else by their names. A file without skins is a figure of rigid parts: moving nodes are its joints.
+
+Facing: glTF characters face +z and VRM 0 characters -z. Joint names and feet check that: where two of the three agree,
+they are right. Some makers export -z, others name sides as the viewer sees them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterable
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...bodies.character_limbs import (
+    attach_feet,
+    carried_vertices,
+    find_limbs,
+    name_limb_joints,
+    name_sided_joints,
+)
+from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
+from ...bodies.joint_names import ancestors
+from ...bodies.skinned_character import SkinnedCharacter
+from ...core.errors import InputError
+from ...core.geometry import nearest_rotation
+from ...core.mesh import Mesh, check_mesh
+from .animation import animated_nodes, animation_names, read_channels
+from .bake import frame_times, sample_nodes
+from .document import Document, open_document
+from .motion import PLAYED_PATHS, is_motion, rest_matrices
+from .origin import read_origin, vrm_bones, vrm_version
+from .read import RestScene, read_rest
+from .scene import scene_nodes
+from .skin import rig_on_nodes, skin_joints
+
+CLIP_FPS = 30.0
+"""Frame rate at which clips are read."""
+MAX_FRAMES = 1800
+"""Frames that are read of a clip: one minute."""
+UPRIGHT = 0.5
+"""Cosine of the largest angle (60 degrees) between the trunk of a character that stands and the vertical."""
+SHORTEST_LEG = 0.05
+"""Smallest height of the hips above the lowest vertex, in heights of the character."""
+SHORTEST_TOES = 0.02
+"""Smallest distance from ankle to the middle of the foot that says where a foot points, in heights of the character."""
+APART = 0.1
+"""Largest share of the skinning weight on skeletons without any joint of the character: a second character, or LODs."""
+NOT_STATED = "not stated"
+"""Licence of a character whose file and folder name none."""
+PAIRS = ("UpLeg", "Arm")
+"""Joints whose two sides say where left is."""
+AXES = {"+z": (0, 1), "-z": (0, -1), "+x": (1, 0), "-x": (-1, 0)}
+"""Horizontal direction (x, z) of each facing."""
+
+
+def read_rigged_character(
+    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
+) -> PoolCharacter:
+    """Read a character, turned to face +z, with all of its clips but those that `left_out` names.
+
+    Args:
+        licence: of files that do not state one.
+
+    Raises:
+        InputError: a damaged file, no mesh, no limbs by name, or a character that does not stand upright.
+    """
+    path = Path(path)
+    document = open_document(path)
+    if is_motion(document):
+        raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh; give them with --clips")
+    mesh, scene = read_rest(document)
+    check_mesh(mesh, path)
+    bones = vrm_bones(document)
+    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(bones.values())
+    bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
+    try:
+        rig, nodes, facing = _standing(mesh, document, bound, joint_nodes, bones)
+    except InputError:
+        if not document.gltf.get("skins"):
+            raise
+        rig, nodes, facing = _standing(mesh, document, scene, joint_nodes, bones)
+        bound = scene
+    known = {name: nodes.index(node) for name, node in bones.items()}
+    turn = facing_rotation(facing)
+    rig = _turned(rig, turn)
+    joints = name_limb_joints(rig, path, known)
+    clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
+    file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
+    rig, joints, order = attach_feet(rig, joints, poses, path)
+    maker, stated = read_origin(document)
+    meta = CharacterMeta(
+        path.stem,
+        pack,
+        maker,
+        stated or licence or NOT_STATED,
+        "",
+        "humanoid",
+        "train",
+        facing,
+        str(path) * bool(clips),
+    )
+    return PoolCharacter(meta, rig, joints, find_limbs(rig, joints, path), clips, file_parents, order, turn)
+
+
+def read_clips(
+    document: Document,
+    T_world_rest: Float[np.ndarray, "J 4 4"],
+    nodes: list[int],
+    parents: Iterable[int],
+    left_out: Callable[[str], bool],
+) -> dict[str, CharacterClip]:
+    """Read the animations of a file as frames of joints relative to their parents; scales are dropped."""
+    from scipy.spatial.transform import Rotation
+
+    clips = {}
+    rest_inverse = np.linalg.pinv(T_world_rest[:, :3, :3])
+    rest_rotation = nearest_rotation(T_world_rest[:, :3, :3])
+    for number, name in enumerate(animation_names(document)):
+        channels = read_channels(document, number)
+        if left_out(name) or not any(channel.path == "rotation" for channel in channels):
+            continue
+        times = frame_times(document, channels, CLIP_FPS)[:MAX_FRAMES]
+        world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+        if not np.isfinite(world).all():
+            continue
+        local = np.tile(np.eye(4), (*world.shape[:2], 1, 1))
+        local[..., :3, :3] = nearest_rotation(world[..., :3, :3] @ rest_inverse) @ rest_rotation
+        local[..., :3, 3] = world[..., :3, 3]
+        rigid = local.copy()
+        for j, parent in enumerate(parents):
+            if parent >= 0:
+                local[:, j] = np.linalg.inv(rigid[:, parent]) @ rigid[:, j]
+        quaternions = Rotation.from_matrix(local[..., :3, :3].reshape(-1, 3, 3)).as_quat()
+        clips[name] = CharacterClip(quaternions.reshape(*local.shape[:2], 4), local[..., :3, 3])
+    return clips
+
+
+def _moving_nodes(document: Document) -> set[int]:
+    """List the nodes that show a mesh or that an animation moves: the joints of a figure of rigid parts."""
+    return animated_nodes(document, PLAYED_PATHS) | {
+        node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]
+    }
+
+
+def _standing(
+    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int], bones: dict[str, int]
+) -> tuple[SkinnedCharacter, list[int], str]:
+    """Read the rig with the nodes of `scene` as its rest pose: the rig, its joints' nodes, and where it faces.
+
+    Raises:
+        InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
+    """
+    path = document.path
+    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
+    if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
+        raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
+    rig = _carried(rig)
+    frames = np.tile(np.eye(4), (len(nodes), 1, 1))
+    frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
+    frames[:, :3, 3] = rig.joints
+    rig = dataclasses.replace(rig, T_world_joint=frames)
+    joints = name_sided_joints(rig, path, {name: nodes.index(node) for name, node in bones.items()})
+    _check_one_skeleton(rig, joints, path)
+    height = np.ptp(rig.mesh.vertices[:, 1])
+    hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))
+    trunk = shoulders - hips
+    upright = trunk[1] > UPRIGHT * np.linalg.norm(trunk)
+    if not (upright and hips[1] - rig.mesh.vertices[:, 1].min() > SHORTEST_LEG * height):
+        raise InputError(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
+                         "turn it, or leave it out")  # fmt: skip
+    return rig, nodes, find_facing(rig, joints, "-z" if vrm_version(document) == 0 else "+z")
+
+
+def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str:
+    """Find where a character faces: the rule of its format, where its joints' names or its feet agree with it.
+
+    Args:
+        joints: joints by name, left and right as the maker named them.
+        rule: facing by the rule of the file's format, such as +z.
+    """
+    hips, shoulders = (rig.joints[joints[f"Left{part}"]] - rig.joints[joints[f"Right{part}"]] for part in PAIRS)
+    left = hips + shoulders
+    front = np.array([-left[2], left[0]])  # x and z of left x up
+    by_names = _nearest_axis(front)
+    if by_names == rule:
+        return rule
+    toes = sum(
+        (_toes(rig, joints[f"{side}Foot"]) for side in ("Left", "Right") if f"{side}Foot" in joints), np.zeros(2)
+    )
+    ahead = toes @ AXES[by_names]
+    if abs(ahead) > 2 * SHORTEST_TOES * np.ptp(rig.mesh.vertices[:, 1]):
+        return by_names if ahead > 0 else _nearest_axis(-np.array(AXES[by_names]))
+    # Feet do not say: sides that the viewer sees are more frequent than files that break the rule.
+    return rule if np.dot(AXES[rule], AXES[by_names]) < 0 else by_names
+
+
+def _toes(rig: SkinnedCharacter, foot: int) -> Float[np.ndarray, " 2"]:
+    """Compute the horizontal vector (x, z) from an ankle to the middle of the foot; zero for a foot without surface."""
+    carried = carried_vertices(rig, foot)
+    if not carried.any():
+        return np.zeros(2)
+    points = rig.mesh.vertices[carried]
+    return ((points.min(axis=0) + points.max(axis=0)) / 2 - rig.joints[foot])[[0, 2]]
+
+
+def _nearest_axis(direction: np.ndarray) -> str:
+    """Find the facing whose axis is nearest to a horizontal direction (x, z)."""
+    return max(AXES, key=lambda axis: float(np.dot(AXES[axis], direction)))
+
+
+def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[np.ndarray, " 3"]:
+    """Compute the midpoint of the left and right joint of a part."""
+    return (rig.joints[joints[f"Left{part}"]] + rig.joints[joints[f"Right{part}"]]) / 2
+
+
+def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: Path) -> None:
+    """Check that nearly all weights are on the skeletons (a rig may have several roots) that the named joints are in.
+
+    Raises:
+        InputError: much of the mesh is on another skeleton.
+    """
+    roots = np.array([ancestors(rig.parents, j)[-1] for j in range(len(rig.parents))])
+    named = np.isin(roots, roots[list(joints.values())])
+    apart = (rig.weights * ~np.append(named, True)[rig.joint_of]).sum() / rig.weights.sum()
+    if apart > APART:
+        raise InputError(f"{path}: expected one character, found {apart:.0%} of the weights on other skeletons; "
+                         "export it alone")  # fmt: skip
+
+
+def _carried(rig: SkinnedCharacter) -> SkinnedCharacter:
+    """Leave out triangles that no joint carries (a floor, a stand), and vertices without triangles; move to rest."""
+    carried = (rig.weights * (rig.joint_of < len(rig.parents))).sum(axis=1) > 0
+    faces = rig.mesh.faces[carried[rig.mesh.faces].all(axis=1)]
+    used: Bool[np.ndarray, " V"] = np.zeros(len(carried), bool)
+    used[faces] = True
+    if not used.any():
+        raise InputError(f"{rig.mesh.name}: expected triangles that joints carry, found none; bind the mesh again")
+    points, weights = rig.points[used], rig.weights[used]
+    vertices = (weights[..., None] * points).sum(axis=1)
+    mesh = Mesh(vertices, (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
+    return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
+
+
+def _turned(rig: SkinnedCharacter, turn: Float[np.ndarray, "3 3"]) -> SkinnedCharacter:
+    """Turn a rig about the vertical."""
+    frames = np.tile(np.eye(4), (len(rig.parents), 1, 1))
+    frames[:, :3, :3], frames[:, :3, 3] = turn @ rig.T_world_joint[:, :3, :3], rig.joints @ turn.T
+    mesh = dataclasses.replace(rig.mesh, vertices=rig.mesh.vertices @ turn.T)
+    return dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=rig.points @ turn.T)

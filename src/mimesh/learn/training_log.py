@@ -1,0 +1,64 @@
+"""TrainingLog: what a training reports while it runs."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, TextIO
+
+import torch
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+
+if TYPE_CHECKING:
+    from .train import TrainingRun
+
+LOG_SECONDS = 20.0
+"""Wall-clock time between lines of the log."""
+
+
+class TrainingLog:
+    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
+
+    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
+        self.lines, self.board, self.run = lines, board, run
+        self.losses: list[Tensor] = []
+        self.time, self.mark = time.monotonic(), run.seconds
+        # Forward plus backward: three times the forward arithmetic.
+        self.flops = 3 * run.task.flops_per_pair(run.model)
+
+    def add(self, loss: Tensor) -> None:
+        """Collect a loss; write a line now and then."""
+        self.losses.append(loss)
+        if time.monotonic() - self.time > LOG_SECONDS:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what was collected: mean loss, pairs a second of `clock`, arithmetic achieved."""
+        if not self.losses:
+            return
+        loss = torch.stack(self.losses).mean().item()
+        rate = len(self.losses) * self.run.config.batch / (self.run.seconds - self.mark)
+        figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
+        figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
+        self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
+        self.write("training", figures)
+
+    def write(self, kind: str, figures: dict[str, float]) -> None:
+        """Write one line of figures."""
+        for name, value in figures.items():
+            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
+        self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
+
+    def note(self, kind: str, text: str, **facts: str) -> None:
+        """Write one line of words."""
+        self._line(kind, text, {"text": text, **facts})
+
+    def _line(self, kind: str, text: str, facts: Mapping[str, float | str]) -> None:
+        pairs = self.run.step * self.run.config.batch
+        record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
+        self.lines.write(json.dumps(record) + "\n")
+        self.lines.flush()
+        print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)

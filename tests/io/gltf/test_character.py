@@ -1,0 +1,170 @@
+"""Rigged glTF and VRM files as characters: rest pose, facing, VRM's bones, clips, origin, and what is refused."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rigs
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.bodies.joint_names import other_side
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip
+from mimesh.io.gltf.character import read_rigged_character
+from mimesh.io.gltf.origin import VRM_BONES
+
+BODY = load_body()
+BACK = Rotation.from_euler("y", 180, degrees=True).as_matrix()
+LYING = Rotation.from_euler("x", -90, degrees=True).as_matrix()
+
+
+def edited(path: Path, change: Callable[[dict], None]) -> Path:
+    """Change the JSON of a .gltf file."""
+    gltf = json.loads(path.read_text())
+    change(gltf)
+    path.write_text(json.dumps(gltf))
+    return path
+
+
+def node_of(gltf: dict, joint: str) -> int:
+    return next(k for k, node in enumerate(gltf["nodes"]) if node["name"] == joint)
+
+
+def joint_at(character, name: str) -> np.ndarray:
+    return character.rig.joints[character.joints[name]]
+
+
+def test_rest_is_the_bind_pose_whatever_the_nodes_and_their_scales(tmp_path):
+    """Joint frames have a scale of 100, random axes, some mirrored; the nodes of the second file are in a pose."""
+    rotmat = np.tile(np.eye(3), (len(BODY.parents), 1, 1))
+    rotmat[BODY.joint("LeftArm")] = Rotation.from_euler("z", 70, degrees=True).as_matrix()
+    rotation, translation = BODY.skinning_transforms(BODY.joints, rotmat)
+    moved = np.tile(np.eye(4), (len(BODY.parents), 1, 1))
+    moved[:, :3, :3], moved[:, :3, 3] = rotation, translation
+    for options in ({}, {"moved": moved}):
+        found = read_rigged_character(rigs.character(tmp_path / "a.glb", None, **options))
+        np.testing.assert_allclose(found.rig.mesh.vertices, BODY.vertices[rigs.kept()], atol=1e-4)
+        for name in ("Hips", "LeftHand", "RightFoot", "Head"):
+            np.testing.assert_allclose(joint_at(found, name), BODY.joints[BODY.joint(name)], atol=1e-4)
+        assert np.allclose(np.linalg.det(found.rig.T_world_joint), 1)
+        assert found.meta.facing == "+z"
+
+
+def test_feet_decide_where_names_and_the_rule_of_the_format_differ(tmp_path):
+    backwards = read_rigged_character(rigs.character(tmp_path / "a.glb", turn=BACK))
+    assert backwards.meta.facing == "-z"
+    assert backwards.rig.joint_names[backwards.joints["LeftArm"]] == "LeftArm"
+    viewers = read_rigged_character(rigs.character(tmp_path / "b.glb", name=other_side))
+    assert viewers.meta.facing == "+z"
+    assert viewers.rig.joint_names[viewers.joints["LeftArm"]] == "RightArm"
+    for found in (backwards, viewers):
+        assert joint_at(found, "LeftArm")[0] > 0
+        assert joint_at(found, "LeftToeBase")[2] > joint_at(found, "LeftFoot")[2]
+
+
+@pytest.mark.parametrize("version", [0, 1])
+def test_the_bones_of_vrm_count_before_names(tmp_path, version):
+    """VRM 0 faces -z, VRM 1 +z. The joints have no names that say anything."""
+
+    def humanoid(gltf: dict) -> None:
+        joints = {**{bone: joint for bone, joint in VRM_BONES.items()}, "spine": "Spine", "chest": "Spine1"}
+        nodes = {bone: 2 + BODY.joint(joint) for bone, joint in joints.items()}
+        for k, node in enumerate(gltf["nodes"]):
+            node["name"] = f"bone{k}"
+        if version:
+            bones = {bone: {"node": node} for bone, node in nodes.items()}
+            meta = {"authors": ["ann", "bob"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
+            gltf["extensions"] = {"VRMC_vrm": {"humanoid": {"humanBones": bones}, "meta": meta}}
+        else:
+            rows = [{"bone": bone, "node": node} for bone, node in nodes.items()]
+            gltf["extensions"] = {
+                "VRM": {"humanoid": {"humanBones": rows}, "meta": {"author": "eve", "licenseName": "CC0"}}
+            }
+
+    path = edited(rigs.character(tmp_path / "a.gltf", turn=None if version else BACK), humanoid)
+    found = read_rigged_character(path, licence="License.txt")
+    assert found.meta.facing == ("+z" if version else "-z")
+    origin = ("ann, bob", "https://vrm.dev/licenses/1.0/") if version else ("eve", "CC0")
+    assert (found.meta.maker, found.meta.licence) == origin
+    assert found.rig.joint_names[found.joints["Spine1"]] == f"bone{2 + BODY.joint('Spine1')}"
+    assert {"LeftForeArm", "RightLeg", "Head", "LeftToeBase"} <= found.joints.keys()
+    assert joint_at(found, "LeftArm")[0] > 0
+
+
+@pytest.mark.parametrize(
+    "extensions",
+    [
+        {"VRM": [1]},
+        {"VRM": {"humanoid": {"humanBones": {"hips": 3}}}},
+        {"VRMC_vrm": {"humanoid": {"humanBones": {"hips": {"node": 10**9}, "head": {"node": "x"}}}, "meta": []}},
+    ],
+)
+def test_damaged_extensions_of_vrm_leave_the_names(tmp_path, extensions):
+    path = edited(rigs.character(tmp_path / "a.gltf"), lambda gltf: gltf.update(extensions=extensions))
+    found = read_rigged_character(path)
+    assert found.rig.joint_names[found.joints["LeftArm"]] == "LeftArm"
+
+
+def test_clips_move_the_surface_as_the_file_does(tmp_path):
+    def animate(gltf: dict) -> None:
+        for node in gltf["nodes"][2:]:  # transforms that an animation may move
+            matrix = np.array(node.pop("matrix")).reshape(4, 4).T
+            size = np.cbrt(abs(np.linalg.det(matrix[:3, :3])))
+            scale = size * np.array([1, 1, np.sign(np.linalg.det(matrix[:3, :3]))])
+            quaternion = Rotation.from_matrix(matrix[:3, :3] / scale).as_quat()
+            node |= {"translation": matrix[:3, 3].tolist(), "rotation": quaternion.tolist(), "scale": scale.tolist()}
+        arm = node_of(gltf, "LeftArm")
+        first = Rotation.from_quat(gltf["nodes"][arm]["rotation"])
+        keys = np.array([first.as_quat(), (first * Rotation.from_euler("y", 1.2)).as_quat()])
+        content = np.array([0.0, 1.0]).astype("<f4").tobytes() + keys.astype("<f4").tobytes()
+        gltf["buffers"].append({"byteLength": len(content), "uri": "data:application/octet-stream;base64,"
+                                + base64.b64encode(content).decode()})  # fmt: skip
+        buffer, view, accessor = len(gltf["buffers"]) - 1, len(gltf["bufferViews"]), len(gltf["accessors"])
+        gltf["bufferViews"] += [
+            {"buffer": buffer, "byteLength": 8},
+            {"buffer": buffer, "byteOffset": 8, "byteLength": 32},
+        ]
+        gltf["accessors"] += [
+            {"bufferView": view, "componentType": 5126, "count": 2, "type": "SCALAR", "min": [0], "max": [1]},
+            {"bufferView": view + 1, "componentType": 5126, "count": 2, "type": "VEC4"},
+        ]
+        channel = {"sampler": 0, "target": {"node": arm, "path": "rotation"}}
+        sampler = {"input": accessor, "output": accessor + 1}
+        gltf["animations"] = [{"name": "wave", "channels": [channel], "samplers": [sampler]}]
+
+    path = edited(rigs.character(tmp_path / "a.gltf", turn=BACK), animate)
+    found, clip = read_rigged_character(path), load_clip(path, fps=30.0)
+    assert list(found.clips) == ["wave"]
+    assert len(found.clips["wave"]) == len(clip) == 31
+    for t in (0, 17, 30):
+        ours = found.rig.skinned(found.clip_transforms("wave", t)) @ BACK  # back to the file's axes
+        np.testing.assert_allclose(ours, clip.vertices[t], atol=2e-4)
+    assert not read_rigged_character(path, left_out=lambda name: name == "wave").clips
+
+
+def test_a_sword_follows_its_joint_and_a_floor_is_left_out(tmp_path):
+    def add(gltf: dict) -> None:
+        gltf["nodes"] += [{"name": "floor", "mesh": 0}, {"name": "sword", "mesh": 0}]
+        gltf["scenes"][0]["nodes"].append(len(gltf["nodes"]) - 2)
+        gltf["nodes"][node_of(gltf, "LeftHand")].setdefault("children", []).append(len(gltf["nodes"]) - 1)
+
+    alone = read_rigged_character(rigs.character(tmp_path / "a.gltf"))
+    found = read_rigged_character(edited(rigs.character(tmp_path / "b.gltf"), add))
+    count = len(alone.rig.weights)
+    assert len(found.rig.weights) == 2 * count
+    hand = found.joints["LeftHand"]
+    rigid = ((found.rig.joint_of == hand) * found.rig.weights).sum(axis=1) == 1
+    assert rigid.sum() >= count
+
+
+def test_what_does_not_stand_or_is_no_character_is_refused(tmp_path):
+    with pytest.raises(InputError, match="expected a character that stands upright"):
+        read_rigged_character(rigs.character(tmp_path / "a.glb", turn=LYING))
+    with pytest.raises(InputError, match="expected a thigh and an upper arm"):
+        read_rigged_character(rigs.character(tmp_path / "b.glb", name=lambda name: f"x{BODY.joint(name)}"))
