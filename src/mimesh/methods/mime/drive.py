@@ -11,7 +11,7 @@ of the body to both surfaces. Each frame: the joints' rotations by least squares
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,11 +28,13 @@ from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive
-from ..confidence import Confidence, mean_angle
+from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, mean_angle
 from ..npt import generator
-from .body_fit import SurfaceSample, fit_body, sampled_body
+from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
+from .body_weights import corrected_weights
 from .denoise import Denoiser, face_outward
 from .joint_network import JointNetwork, NetworkPoints
+from .joint_targets import JointTargets
 from .part_tracking import PartTracker, mean_rotation
 from .weight_cleanup import clean_weights
 
@@ -83,6 +85,10 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    identity_targets: JointTargets | None = None
+    """Joints of the identity that the user has corrected."""
+    driving_targets: JointTargets | None = None
+    """Joints of the driving that the user has corrected, in its last keyframe."""
 
     @cached_property
     def network(self) -> JointNetwork:
@@ -93,6 +99,18 @@ class MimeMethod:
     def fits_body(self) -> bool:
         """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
         return self.fits and self.joints == sampled_body().names
+
+    def with_joints(
+        self,
+        identity: Mapping[str, Float[np.ndarray, " 3"]],
+        driving: Mapping[str, Float[np.ndarray, " 3"]],
+    ) -> MimeMethod:
+        """Return this method with known joints of the identity, and of the driving in its last keyframe."""
+        identity_targets, driving_targets = (
+            JointTargets([self.joints.index(name) for name in known], np.array(list(known.values()))) if known else None
+            for known in (identity, driving)
+        )
+        return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
         """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
@@ -159,16 +177,50 @@ class MimeMethod:
         rig = dataclasses.replace(consensus, weights=clean_weights(weights, vertices, faces, self.parents))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        return self._with_fit(rig, self._confidence(rigs, consensus, even_weights), sample)
+        confidence = self._confidence(rigs, consensus, even_weights)
+        if self.identity_targets is None:
+            return self._with_fit(rig, confidence, sample)
+        rig, confidence = self._with_corrections(
+            dataclasses.replace(consensus, weights=np.concatenate([weights, even_weights])),
+            confidence,
+            sample,
+            queries,
+            self.identity_targets,
+        )
+        weights, even_weights = np.split(rig.weights, [len(vertices)])
+        rig = dataclasses.replace(rig, weights=clean_weights(weights, vertices, faces, self.parents))
+        return rig, self._with_weights(confidence, even_weights)
 
     def _with_fit(self, rig: Rig, confidence: Confidence, sample: SurfaceSample) -> tuple[Rig, Confidence]:
         """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
         if not self.fits_body:
             return rig, confidence
         fit = fit_body(sample, rig.rotation, rig.joints)
-        rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
-        return rig, dataclasses.replace(
-            confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface
+        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_unmatched(confidence, fit)
+
+    def _with_corrections(
+        self,
+        rig: Rig,
+        confidence: Confidence,
+        sample: SurfaceSample,
+        queries: NetworkPoints,
+        targets: JointTargets,
+    ) -> tuple[Rig, Confidence]:
+        """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
+
+        The weights are those of the points `queries`.
+        """
+        fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets)
+        displacement = fit.joints - rig.joints
+        weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
+        return Rig(fit.rotation, fit.joints, weights), _with_unmatched(confidence, fit)
+
+    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
+        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
+        explained = confidence.unmatched_surface <= MAX_UNMATCHED_SURFACE
+        measured = Confidence.of(0.0 if explained else confidence.prediction_spread, weights, self.joints, self.parents)
+        return dataclasses.replace(
+            measured, unmatched_body=confidence.unmatched_body, unmatched_surface=confidence.unmatched_surface
         )
 
     def _confidence(self, rigs: list[Rig], consensus: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
@@ -183,21 +235,27 @@ class MimeMethod:
         there to the other keyframes, and the rotations predicted in those are carried back by the measured motion. The
         robust mean of all is used for the whole clip, so the network's errors are the same in every frame and add no
         jitter. The first frame is the first choice of reference, because its facing is known; others are tried if the
-        predictions disagree.
+        predictions disagree. Where the user has corrected joints, the reference is the keyframe that this was done in.
         """
         denoiser, frames = Denoiser.of(keyframes.mesh), list(keyframes.vertices)
         denoised = [denoiser(vertices) for vertices in frames]
         mesh = dataclasses.replace(keyframes.mesh, vertices=denoised[0])
         samples = SurfacePoints.of(mesh, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
-        best = self._predict_keyframes(samples, frames, denoised, 0)
+        targets = self.driving_targets
+        best = self._predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
-            if best.confidence.prediction_spread > DISAGREEMENT:
+            if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
                 other = self._predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
-        consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        if targets is None:
+            consensus, confidence = self._with_fit(best.consensus, best.confidence, sample)
+        else:
+            queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
+            consensus, confidence = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
+            confidence = self._with_weights(confidence, consensus.weights)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(consensus.joints, self.legs) if self.fits_body else best.leg
         best = dataclasses.replace(best, consensus=consensus, leg=leg, confidence=confidence)
@@ -256,3 +314,8 @@ def _consensus(rigs: list[Rig]) -> Rig:
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
     """Remove the shares of limbs if the mesh is a point cloud: its points may be denser on one limb than on another."""
     return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})
+
+
+def _with_unmatched(confidence: Confidence, fit: BodyFit) -> Confidence:
+    """Add how well a fitted body covers the surface."""
+    return dataclasses.replace(confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface)
