@@ -91,14 +91,14 @@ NO_CORRECTIONS = Corrections()
 """All joints are found by the model."""
 
 
-def found_joints(prepared: Prepared) -> tuple[JointPositions, JointPositions] | None:
-    """Return the joints of the identity, and of the driving in its first frame; None if the method has no joints."""
+def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, JointPositions] | None:
+    """Return the joints of the identity, and of the driving in a frame; None if the method has no joints."""
     drive, norm = prepared.drive, prepared.driving_norm
     if not isinstance(drive, SkinnedDrive):
         return None
-    first = norm.apply(np.asarray(prepared.clip.vertices[0], np.float64))
+    vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
     identity = prepared.identity_norm.undo(drive.rig.joints)
-    driving = norm.undo(drive.follow(first)[1])
+    driving = norm.undo(drive.follow(vertices)[1])
     return _named(drive, identity), _named(drive, driving)
 
 
