@@ -11,9 +11,9 @@ from starlette.testclient import TestClient
 from mimesh import InputError, animate, save_clip, save_mesh
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.io.joint_file import load_corrections, save_corrections
+from mimesh.pipeline.corrections import shown_bones
 from mimesh.studio import make_session
 from mimesh.studio.app import make_app
-from mimesh.studio.joints import shown_bones
 from mimesh.studio.security import AccessControl
 from mimesh.studio.state import describe
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies import load_body
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
@@ -20,6 +21,9 @@ from ..methods.base import CorrectableMethod, Method, SkinnedDrive
 if TYPE_CHECKING:
     from .run import Prepared
 
+HIDDEN = ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
+          "RightHandFinger1")  # fmt: skip
+"""Joints without a handle: in the hips, or in a hand, which they follow."""
 JointPositions = dict[str, Float[np.ndarray, " 3"]]
 """Joint -> position in the axes, unit and position of a mesh's file."""
 GivenJoints = JointCorrections | Mapping[str, Any] | str | Path | None
@@ -100,6 +104,18 @@ def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, Jo
     identity = prepared.identity_norm.undo(drive.rig.joints)
     driving = norm.undo(drive.follow(vertices)[1])
     return _named(drive, identity), _named(drive, driving)
+
+
+def shown_bones() -> dict[str, str | None]:
+    """Return the joints that have a handle, and the nearest of them above each; None for the root."""
+    body, bones = load_body(), {}
+    for name, parent in zip(body.joint_names, body.parents, strict=True):
+        above = parent
+        while above >= 0 and body.joint_names[above] in HIDDEN:
+            above = body.parents[above]
+        if name not in HIDDEN:
+            bones[name] = None if above < 0 else body.joint_names[above]
+    return bones
 
 
 def _named(drive: SkinnedDrive, joints: Float[np.ndarray, "J 3"]) -> JointPositions:

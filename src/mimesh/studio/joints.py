@@ -14,25 +14,9 @@ from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..io.joint_file import describe_corrections, load_corrections, side_file
 from ..methods.base import CorrectableMethod, Method
-from ..pipeline.corrections import Corrections, found_joints
+from ..pipeline.corrections import Corrections, found_joints, shown_bones
 from ..pipeline.run import Prepared
 from .items import Item
-
-HIDDEN = ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
-          "RightHandFinger1")  # fmt: skip
-"""Joints without a handle: in the hips, or in a hand, which they follow."""
-
-
-def shown_bones() -> dict[str, str | None]:
-    """Return the joints that have a handle, and the nearest of them above each; None for the root."""
-    body, bones = load_body(), {}
-    for name, parent in zip(body.joint_names, body.parents, strict=True):
-        above = parent
-        while above >= 0 and body.joint_names[above] in HIDDEN:
-            above = body.parents[above]
-        if name not in HIDDEN:
-            bones[name] = None if above < 0 else body.joint_names[above]
-    return bones
 
 
 def read_side_file(path: Path | None) -> JointCorrections | None:
