@@ -2,14 +2,14 @@
 """mimesh in Blender: transfers the pose or motion of one object to another.
 
 `panel.py` shows the properties of `properties.py`; `operator.py` reads the scene (`reading.py`), runs mimesh in a
-thread (`job.py`) and builds the result (`building.py`, `animating.py`). mimesh itself is a wheel in
-the extension, imported when first used.
+thread (`job.py`) and builds the result (`building.py`, `animating.py`), or empties for joints that the user can correct
+(`joints.py`). mimesh itself is a wheel in the extension, imported when first used.
 """
 
 import bpy
 
-from .operator import MIMESH_OT_animate, MIMESH_OT_pose
-from .panel import MIMESH_PT_axes, MIMESH_PT_main, MIMESH_PT_motion
+from .operator import MIMESH_OT_animate, MIMESH_OT_clear_joints, MIMESH_OT_pose, MIMESH_OT_show_joints
+from .panel import MIMESH_PT_axes, MIMESH_PT_joints, MIMESH_PT_main, MIMESH_PT_motion
 from .properties import MimeshProgress, MimeshSettings
 
 CLASSES = (
@@ -17,7 +17,10 @@ CLASSES = (
     MimeshProgress,
     MIMESH_OT_animate,
     MIMESH_OT_pose,
+    MIMESH_OT_show_joints,
+    MIMESH_OT_clear_joints,
     MIMESH_PT_main,
+    MIMESH_PT_joints,
     MIMESH_PT_motion,
     MIMESH_PT_axes,
 )

@@ -15,11 +15,11 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.types import Context, Event, Operator
 
-from . import building, reading
+from . import building, joints, reading
 from .job import Job, panel_message
 
 if TYPE_CHECKING:
-    from mimesh import Clip
+    from mimesh import Clip, ClipResult
 
 TICK = 0.05
 """Seconds between two checks of the job, and the longest time that a step blocks the window."""
@@ -36,18 +36,7 @@ def transfer(context: Context, frames: range, single_pose: bool) -> Generator[St
     """
     settings = context.scene.mimesh
     source = settings.identity
-    yield 0.0, "mimesh: reading the scene"
-    identity = reading.read_identity(context, source)
-    clip = yield from _read_driving(context, frames)
-    job = Job(identity.mesh, clip, settings.options())
-    job.start()
-    try:
-        while job.running:
-            yield READ_SHARE + (1 - READ_SHARE) * job.fraction, "mimesh: moving the identity"
-            job.wait(TICK)
-    finally:
-        job.cancel()
-    result = job.result()
+    identity, result = yield from _run(context, frames)
     yield 1.0, "mimesh: building the result"
     built = building.Transfer(source, identity, result, frames, single_pose)
     if settings.result == "ARMATURE":
@@ -55,6 +44,35 @@ def transfer(context: Context, frames: range, single_pose: bool) -> Generator[St
     else:
         building.build_shape_keys(context, built)
     return tuple(note for note in result.notes if not (single_pose and "has one frame" in note))
+
+
+def show_joints(context: Context, frame: int) -> Generator[Step, None, tuple[str, ...]]:
+    """Find the joints of both objects in a frame and make empties for them; yields steps, returns no notes."""
+    from mimesh import InputError
+
+    if context.scene.mimesh.model != "mime":
+        raise InputError(f"joints: expected the model mime, found {context.scene.mimesh.model}; choose it as the model")
+    _, result = yield from _run(context, range(frame, frame + 1))
+    joints.show(context, result, frame)
+    return ()
+
+
+def _run(context: Context, frames: range) -> Generator[Step, None, tuple[reading.Identity, ClipResult]]:
+    """Read the scene and run mimesh with the settings and the joints that were moved; yields steps."""
+    settings = context.scene.mimesh
+    yield 0.0, "mimesh: reading the scene"
+    corrections = joints.corrections(context, frames) if settings.model == "mime" else {}
+    identity = reading.read_identity(context, settings.identity)
+    clip = yield from _read_driving(context, frames)
+    job = Job(identity.mesh, clip, settings.options() | corrections)
+    job.start()
+    try:
+        while job.running:
+            yield READ_SHARE + (1 - READ_SHARE) * job.fraction, "mimesh: moving the identity"
+            job.wait(TICK)
+    finally:
+        job.cancel()
+    return identity, job.result()
 
 
 def _read_driving(context: Context, frames: range) -> Generator[Step, None, Clip]:
@@ -179,3 +197,25 @@ class MIMESH_OT_pose(_TransferOperator):
 
     def frames(self, context: Context) -> range:
         return range(context.scene.frame_current, context.scene.frame_current + 1)
+
+
+class MIMESH_OT_show_joints(_TransferOperator):
+    """Show the joints that mime finds, as empties: move those that are wrong, then press Animate or Pose"""
+
+    bl_idname = "mimesh.show_joints"
+    bl_label = "Show joints"
+
+    def _work(self, context: Context) -> Iterator[Step]:
+        yield from show_joints(context, context.scene.frame_current)
+
+
+class MIMESH_OT_clear_joints(Operator):
+    """Remove the empties of all joints, and with them the corrections"""
+
+    bl_idname = "mimesh.clear_joints"
+    bl_label = "Clear"
+    bl_options = frozenset({"UNDO"})
+
+    def execute(self, context: Context) -> set[str]:
+        joints.clear(context)
+        return {"FINISHED"}

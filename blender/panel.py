@@ -3,6 +3,7 @@
 
 from bpy.types import Context, Panel, UILayout
 
+from . import joints
 from .properties import MimeshSettings
 
 
@@ -25,6 +26,22 @@ class MIMESH_PT_main(_Sidebar, Panel):
             layout.label(text="Only mime has joints", icon="ERROR")
         _draw_range(layout, settings)
         _draw_buttons(self.layout, context)
+
+
+class MIMESH_PT_joints(_Sidebar, Panel):
+    bl_label = "Joints"
+    bl_parent_id = "MIMESH_PT_main"
+    bl_options = frozenset({"DEFAULT_CLOSED"})
+
+    def draw(self, context: Context) -> None:
+        layout, settings = _form(self.layout, context)
+        layout.enabled = settings.model == "mime"
+        row = layout.row(align=True)
+        row.operator("mimesh.show_joints", icon="EMPTY_DATA")
+        row.operator("mimesh.clear_joints", icon="X")
+        counts = [len(joints.moved_empties(context, role)) for role in ("identity", "driving")]
+        if any(counts):
+            layout.label(text=f"Moved: {counts[0]} of the identity, {counts[1]} of the driving")
 
 
 class MIMESH_PT_motion(_Sidebar, Panel):

@@ -1,9 +1,9 @@
-"""Make the screenshots of the player and of the studio in the quick start: docs/images/player.webp, studio.webp.
+"""Make the screenshots of the pages: docs/images/player.webp, studio.webp, studio-joints.webp.
 
     python scripts/draw_pages.py [--browser PATH]
 
 Needs Chromium, playwright (`[dev]`) and the studio (`[viewer]`), and half a minute. The screenshots show the page of
-`mimesh demo`, and a studio with three of the shipped characters and the motion of the demo.
+`mimesh demo`, a studio with three of the shipped characters and the motion of the demo, and one with its joints shown.
 """
 
 from __future__ import annotations
@@ -49,8 +49,18 @@ STOP = f"""() => {{
 as with a graphics card. Both pages define `mimesh`."""
 
 
+SHOW_JOINTS = """async () => {
+  document.querySelector("[data-name=joints]").click();
+  while (!document.querySelector("svg.joints circle")) await new Promise((done) => setTimeout(done, 100));
+  mimesh.stage.software = false;
+  mimesh.stage.resized();
+  mimesh.joints.select("identity", "LeftLeg");
+}"""
+"""Script that shows the joints in the first frame and selects one."""
+
+
 def main() -> None:
-    """Make both pictures."""
+    """Make all pictures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--browser", default=os.environ.get("MIMESH_CHROMIUM", "chromium"))
     browser = shutil.which(parser.parse_args().browser)
@@ -66,6 +76,8 @@ def main() -> None:
         motion = (demo / "driving.glb").rename(demo.parent / "jump.glb")
         with studio([*files, motion]) as address:
             save(screenshot(browser, address, "html[data-state=ready]", ALL_DONE), "studio")
+        with studio([files[0], motion]) as address:
+            save(screenshot(browser, address, "#identities .row[data-state=done]", stop=SHOW_JOINTS), "studio-joints")
 
 
 @contextmanager
@@ -81,8 +93,10 @@ def studio(files: list[Path]) -> Iterator[str]:
         process.wait()
 
 
-def screenshot(browser: str, address: str, selector: str, condition: str = "() => true") -> Image.Image:
-    """Take a screenshot of a page in the middle of its clip, of the size SIZE.
+def screenshot(
+    browser: str, address: str, selector: str, condition: str = "() => true", stop: str = STOP
+) -> Image.Image:
+    """Take a screenshot of a page, of the size SIZE, after the script `stop`: in the middle of its clip.
 
     It waits until `selector` matches an element and the JavaScript function `condition` returns true.
     """
@@ -99,7 +113,7 @@ def screenshot(browser: str, address: str, selector: str, condition: str = "() =
         page.wait_for_selector(selector, timeout=60_000)
         page.wait_for_function(condition, timeout=60_000)
         page.wait_for_timeout(1500)
-        page.evaluate(STOP)
+        page.evaluate(stop)
         page.wait_for_timeout(1500)
         content = page.screenshot()
         chromium.close()

@@ -212,3 +212,56 @@ def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
     page.set_viewport_size({"width": 400, "height": 760})
     assert page.evaluate("() => document.documentElement.scrollWidth <= innerWidth"), "nothing exceeds the window"
     page.set_viewport_size({"width": 760, "height": 480})
+
+
+def joint_place(page, name, panel="identity"):
+    """Return the place of a joint's handle in the window."""
+    box = page.locator(f".panel-{panel} circle[aria-label^='{name} of']").bounding_box()
+    return np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+
+
+def test_joints_are_dragged_moved_by_keys_and_reset(fresh, files, studio):
+    page, session = fresh.page, studio[2]
+    page.select_option("#model select", "mime")
+    choose(page, "identity", files / "hero.glb")
+    choose(page, "driving", files / "walk.npz")
+    page.wait_for_selector(HERO, timeout=30_000)
+    wait_and_pause(page)
+    page.set_viewport_size({"width": 1100, "height": 600})
+    page.click("[data-name=joints]")
+    page.wait_for_selector("svg.joints circle", timeout=30_000)
+    assert page.locator("svg.joints circle").count() == 2 * 23
+    before = joint_place(page, "LeftForeArm")
+    page.mouse.move(*before)
+    page.mouse.down()
+    page.mouse.move(*before + [10, 6], steps=3)
+    page.mouse.move(*before + [20, 12])
+    page.mouse.up()
+    page.wait_for_function("() => 'LeftForeArm' in mimesh.live.state.identities[0].joints.corrected")
+    page.wait_for_selector(HERO, timeout=30_000)
+    np.testing.assert_allclose(joint_place(page, "LeftForeArm") - before, [20, 12], atol=2)
+    assert page.locator("circle.corrected").count() == 1
+    assert "Corrected by hand: LeftForeArm" in page.inner_text("#identities")
+    # The keyboard: choose a joint in the list, then use the arrow keys; they do not move the time.
+    page.select_option(".joint-bar select", "driving Head")
+    head, time = joint_place(page, "Head", "driving"), page.evaluate("() => mimesh.stage.time")
+    page.keyboard.press("Shift+ArrowRight")
+    page.wait_for_function("() => 'Head' in mimesh.live.state.driving.joints.corrected")
+    assert joint_place(page, "Head", "driving")[0] - head[0] == pytest.approx(10, abs=1)
+    assert page.evaluate("() => mimesh.stage.time") == time
+    with page.expect_download() as download:
+        page.click(".joint-bar a")
+    assert download.value.suggested_filename == "walk.joints.json"
+    page.keyboard.press("Escape")
+    page.click("text=Undo")
+    page.wait_for_function("() => !('Head' in mimesh.live.state.driving.joints.corrected)")
+    page.locator(".panel-identity circle[aria-label^='LeftForeArm of']").dblclick()
+    page.wait_for_function("() => !Object.keys(mimesh.live.state.identities[0].joints.corrected).length")
+    page.click("text=Undo")
+    page.wait_for_function("() => 'LeftForeArm' in mimesh.live.state.identities[0].joints.corrected")
+    page.click("text=Reset all")
+    page.wait_for_function("() => !Object.keys(mimesh.live.state.identities[0].joints.corrected).length")
+    assert all(item.corrections is None for item in (*session.identities.values(), session.driving))
+    page.click("[data-name=joints]")
+    assert page.locator("svg.joints").count() == 0
+    page.set_viewport_size({"width": 760, "height": 480})

@@ -18,6 +18,7 @@ from mathutils import Matrix
 
 ARCHIVE, FOLDER = Path(sys.argv[1]), Path(sys.argv[2])
 FRAMES = range(3, 9)
+ROLES = ("identity", "driving")
 
 
 def refuse(*arguments):
@@ -223,7 +224,7 @@ def drawn():
     from bl_ext.user_default.mimesh import panel
 
     layout = Layout()
-    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_motion, panel.MIMESH_PT_axes):
+    for one in (panel.MIMESH_PT_main, panel.MIMESH_PT_joints, panel.MIMESH_PT_motion, panel.MIMESH_PT_axes):
         one.draw(SimpleNamespace(layout=layout), bpy.context)
     return layout.shown
 
@@ -259,6 +260,44 @@ def refusal(**settings):
     return ""
 
 
+def empties(role):
+    """Return the empties of joints: joint -> object."""
+    return {one["mimesh_joint"]: one for one in bpy.data.objects if one.get("mimesh_role") == role}
+
+
+def corrected(driving):
+    """Show the joints, move two of them, pose, show them again, and clear; return what happened."""
+    scene = bpy.context.scene
+    scene.mimesh.driving, scene.mimesh.model, scene.mimesh.result = driving, "mime", "SHAPE_KEYS"
+    before = counts()
+    bpy.ops.mimesh.show_joints()
+    bpy.context.view_layer.update()
+    found = {role: {n: list(one.matrix_world.translation) for n, one in empties(role).items()} for role in ROLES}
+    facts = {"joints": sorted(found["identity"]), "same": sorted(found["driving"]) == sorted(found["identity"])}
+    (parent,) = {one.parent for one in empties("identity").values()}
+    facts["parent"] = parent.name
+    # Half of the size of the identity's object: its children move twice as far in the world.
+    empties("identity")["LeftLeg"].location.x += 0.05
+    empties("driving")["RightForeArm"].location.z += 0.03
+    bpy.context.view_layer.update()
+    moved = {"identity": ["LeftLeg"], "driving": ["RightForeArm"]}
+    picked = {role: {n: list(empties(role)[n].matrix_world.translation) for n in moved[role]} for role in ROLES}
+    facts["drawn"] = drawn()
+    facts["posed"] = case("corrected", driving, [driving], bpy.ops.mimesh.pose, [scene.frame_current])
+    np.savez(FOLDER / "picked.npz", **{role: np.array(list(picked[role].values())) for role in ROLES})
+    bpy.ops.mimesh.show_joints()
+    bpy.context.view_layer.update()
+    facts["kept"] = [
+        float(np.abs(np.subtract(empties(role)[n].matrix_world.translation, picked[role][n])).max())
+        for role in ROLES
+        for n in moved[role]
+    ]
+    facts["other frames"] = refusal(use_scene_range=False, frame_start=5, frame_end=6)
+    bpy.ops.mimesh.clear_joints()
+    facts["cleared"] = before == counts()
+    return facts
+
+
 def main():
     socket.socket.connect = refuse
     socket.getaddrinfo = refuse
@@ -289,6 +328,7 @@ def main():
     facts["posed"] = case("posed", armature, [skin], bpy.ops.mimesh.pose, still)
     facts["modified"] = {kind: modified(kind) for kind in ("SUBSURF", "SMOOTH")}
     facts["pose key"] = case("pose key", driving, [driving], bpy.ops.mimesh.pose, still, result="SHAPE_KEYS")
+    facts["corrected"] = corrected(driving)
     np.savez(
         FOLDER / "scene.npz", identity=rest, faces=triangles(identity), driving=triangles(driving), skin=triangles(skin)
     )

@@ -15,6 +15,7 @@ import pytest
 from people import person, walk
 
 import mimesh
+from mimesh.pipeline.corrections import shown_bones
 
 pytestmark = pytest.mark.client
 ROOT = Path(__file__).parents[2]
@@ -149,9 +150,37 @@ def test_work_runs_in_steps_and_escape_cancels_it(facts):
 
 
 def test_panel_draws_all_properties(facts):
-    assert {"Identity", "Driving", "Model", "Result", "Step", "Animate", "Pose", "Smooth", "Front"} <= set(
-        facts["drawn"]
-    )
+    assert {
+        "Identity",
+        "Driving",
+        "Model",
+        "Result",
+        "Step",
+        "Animate",
+        "Pose",
+        "Smooth",
+        "Front",
+        "Show joints",
+        "Clear",
+    } <= set(facts["drawn"])
+
+
+def test_moved_empties_are_corrections(outcome, facts):
+    picked, seen = np.load(outcome / "picked.npz"), facts["corrected"]
+    corrections = {
+        "joints": {"LeftLeg": picked["identity"][0]},
+        "driving_joints": {"RightForeArm": picked["driving"][0]},
+    }
+    frames, result = run_mimesh(outcome, "corrected", "driving", **corrections)
+    assert relative_error(frames, result.clip.vertices) < 1e-5
+    assert relative_error(frames, run_mimesh(outcome, "corrected", "driving")[1].clip.vertices) > 1e-3
+    assert tuple(seen["joints"]) == tuple(sorted(shown_bones()))
+    assert seen["same"]
+    assert seen["parent"] == "hero"
+    assert max(seen["kept"]) < 1e-5, "showing them again keeps the moved ones"
+    assert "Moved: 1 of the identity, 1 of the driving" in seen["drawn"]
+    assert "expected frame 1, in which they were shown, among those taken, found 5 to 6" in seen["other frames"]
+    assert seen["cleared"]
 
 
 def test_invalid_settings_are_explained(facts):

@@ -9,6 +9,7 @@ export const ICONS = {
   wireframe: icon('<path d="M12 4 4.500 17.500h15zM12 4v13.500M4.500 17.500l7.500-5 7.500 5"/>'),
   overlay: icon('<circle cx="9.500" cy="12" r="5.500"/><circle cx="14.500" cy="12" r="5.500" stroke-dasharray="2.500 2.500"/>'),
   follow: icon('<circle cx="12" cy="12" r="3"/><path d="M4 8V4h4M20 8V4h-4M4 16v4h4M20 16v4h-4"/>'),
+  joints: icon('<circle cx="12" cy="5" r="2.200"/><circle cx="7" cy="13" r="2.200"/><circle cx="16" cy="19" r="2.200"/><path d="M10.900 6.900 8.200 11.100M8.800 14.200l5.500 3.600"/>'),
   reset: icon('<path d="M5 12a7 7 0 1 0 2.500-5.400M5 4.500V8h3.500"/>'),
   theme: icon('<circle cx="12" cy="12" r="8"/><path d="M12 4a8 8 0 0 1 0 16z" fill="currentColor"/>'),
   help: icon('<path d="M9 9.200a3 3 0 1 1 4.600 2.500c-1 .7-1.600 1.200-1.600 2.300M12 17.500v.01"/>'),

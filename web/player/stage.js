@@ -7,6 +7,7 @@
 //   stage.look                              the current settings
 //   stage.offers                            {moves, stretch, error, overlay, travels}: what this scene supports
 //   stage.measure                           statistics of the measure shown by the colours (see Meter.paint), or null
+//   stage.project(view, points), stage.drag(view, point, right, down)   between a file's coordinates and pixels of a panel
 //   stage.resetView(), stage.render(), stage.dispose()
 //   stage.addEventListener("time" | "look" | "scene" | "drawn", ...)
 import * as THREE from "three";
@@ -193,11 +194,41 @@ export class Stage extends EventTarget {
       const viewport = [box.left - stageBox.left, stageBox.bottom - box.bottom, box.width, box.height];
       renderer.setViewport(...viewport);
       renderer.setScissor(...viewport);
-      camera.aspect = box.width / (box.height - CAPTION);
-      camera.setViewOffset(box.width, box.height - CAPTION, 0, 0, box.width, box.height);
+      this.aim(box);
       renderer.render(view.scene, camera);
     }
     this.dispatchEvent(new Event("drawn"));
+  }
+
+  /** Set the camera up for a panel's box. */
+  aim({ width, height }) {
+    this.camera.aspect = width / (height - CAPTION);
+    this.camera.setViewOffset(width, height - CAPTION, 0, 0, width, height);
+  }
+
+  /** Return where points ([x, y, z] in the file's coordinates of a view's mesh) are in its panel: [x, y] in pixels. */
+  project(view, points) {
+    const box = view.box.getBoundingClientRect();
+    this.aim(box);
+    return points.map((point) => {
+      const at = this.toStage(view, point).project(this.camera);
+      return [((at.x + 1) / 2) * box.width, ((1 - at.y) / 2) * box.height];
+    });
+  }
+
+  /** Move a point ([x, y, z] in the file's coordinates) parallel to the picture by pixels of a view's panel. */
+  drag(view, point, right, down) {
+    const box = view.box.getBoundingClientRect();
+    this.aim(box);
+    const at = this.toStage(view, point).project(this.camera);
+    at.x += (2 * right) / box.width;
+    at.y -= (2 * down) / box.height;
+    at.unproject(this.camera).applyMatrix4(view.subject.matrix.clone().invert());
+    return at.toArray().map((x, k) => x + view.panel.anchor[k]);
+  }
+
+  toStage({ panel, subject }, point) {
+    return new THREE.Vector3(...point.map((x, k) => x - panel.anchor[k])).applyMatrix4(subject.matrix);
   }
 
   /** Draw the contact shadow of a subject in its current pose, without wireframe and translucent driving mesh. */

@@ -34,13 +34,21 @@ export function meshRow(row, mesh, act) {
     showProgress(bar, now);
     stop.hidden = outcome?.state !== "moving" || outcome.done === 0 || outcome.done > 0.98;
     showText(error, now.error || outcome?.error || "");
-    const text = (outcome?.notes ?? []).join("\n");
+    const lines = [...correctionLines(now), ...(outcome?.notes ?? [])];
+    const text = lines.join("\n");
     if (notes.dataset.text !== text) {
       notes.dataset.text = text;
-      notes.replaceChildren(...(outcome?.notes ?? []).map((note) => make("p", "note", { textContent: note })));
+      notes.replaceChildren(...lines.map((note) => make("p", "note", { textContent: note })));
     }
     showFacing(now);
   };
+}
+
+/** Say which joints are corrected, and why those of the file beside it are not. */
+function correctionLines({ joints }) {
+  const names = Object.keys(joints?.corrected ?? {});
+  const which = names.length > 4 ? `${names.length} joints` : names.join(", ");
+  return [...(names.length ? [`Corrected by hand: ${which}`] : []), ...(joints?.error ? [joints.error] : [])];
 }
 
 function factsOf({ state, vertices, triangles, frames, fps, outcome, uploading }) {

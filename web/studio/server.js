@@ -2,10 +2,10 @@
 const JSON_TYPE = { "content-type": "application/json" };
 const LOST = "The studio does not respond: it has ended, or the computer was asleep. Start it again with mimesh studio.";
 
-/** Send an object as JSON and return the response's. */
+/** Send an object as JSON and return that of the response; null if it was cancelled. */
 export async function call(method, path, body) {
   const response = await send(method, path, body === undefined ? undefined : JSON.stringify(body));
-  return response.json();
+  return response.status === 204 ? null : response.json();
 }
 
 /** Fetch positions of a mesh in one frame, as a Float32Array; null if it was cancelled: by a newer request or a removal. */

@@ -4,6 +4,7 @@ import { Controls, Stage, make } from "./player.js";
 import { acceptDrops, chosenFiles } from "./files.js";
 import { showText, updateList } from "./fields.js";
 import { Live } from "./live.js";
+import { Joints } from "./joints.js";
 import { ExportForm, ModelForm } from "./forms.js";
 import { exportRow, meshRow } from "./rows.js";
 import { call, upload, watchState } from "./server.js";
@@ -98,11 +99,13 @@ function start() {
     }),
   ];
   let live = null;
+  let joints = null;
   if (document.createElement("canvas").getContext("webgl2")) {
     const stage = new Stage(element("stage"));
     const controls = new Controls(stage, { top: element("top"), bottom: element("bottom") });
     live = new Live(stage, controls, (message) => showText(element("model").querySelector(":scope > .error"), message));
-    window.mimesh = { stage, controls, live };
+    joints = new Joints(stage, controls, live, (number, action) => attempt(sectionWith(number), action));
+    window.mimesh = { stage, controls, live, joints };
   } else showWithoutStage();
 
   acceptDrops(element("drop"), uploadFiles);
@@ -124,6 +127,7 @@ function start() {
     showRows();
     for (const form of forms) form.show(now);
     live?.update(now);
+    joints?.update(now);
     Object.assign(document.documentElement.dataset, { version: now.version, state: "ready" });
   };
   watchState(update, (message) => showText(element("doing"), message));

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +26,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
+    from ..core.joint_corrections import JointCorrections
     from ..pipeline.result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
@@ -52,6 +54,22 @@ Ground = Annotated[
     typer.Option("--ground/--no-ground", help="Plant soles where DRIVING's stand, by root path and legs (mime)."),
 ]
 Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
+Joints = Annotated[
+    Path | None,
+    typer.Option(help="Joints of IDENTITY picked by hand; by default IDENTITY's .joints.json (mime).", metavar="FILE"),
+]
+DrivingJoints = Annotated[
+    Path | None, typer.Option(help="The same of DRIVING, beside which it is found, too (mime).", metavar="FILE")
+]
+NoJoints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
+SaveJoints = Annotated[
+    Path | None, typer.Option(help="Write the joints found on IDENTITY, to be edited (mime).", metavar="FILE")
+]
+SaveDrivingJoints = Annotated[
+    Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")
+]
+MOST_NAMED = 6
+"""Corrected joints up to which their names are printed."""
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
@@ -68,6 +86,11 @@ def transfer(
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
+    joints: Joints = None,
+    driving_joints: DrivingJoints = None,
+    no_joints: NoJoints = False,
+    save_joints: SaveJoints = None,
+    save_driving_joints: SaveDrivingJoints = None,
     preview: Preview = True,
     open_it: Open = False,
     seed: Seed = 0,
@@ -83,6 +106,8 @@ def transfer(
 
     output = output or output_beside(identity, driving, identity.suffix)
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
+    _check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
+    corrected = _JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
     _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
     result = run_transfer(
@@ -97,11 +122,14 @@ def transfer(
         seed=seed,
         reference=reference,
         markers=markers,
+        joints=corrected.identity,
+        driving_joints=corrected.driving,
     )
     result.seconds["load"] += seconds
     result.save(output)
+    _save_joints(result, identity, driving, save_joints, save_driving_joints)
     shown = _write_preview(result, output, preview, open_it)
-    _print_result(result, output, shown, json, quiet)
+    _print_result(result, output, shown, json, quiet, joints=corrected.described())
 
 
 def animate(
@@ -125,6 +153,11 @@ def animate(
     root: Root = "scale",
     ground: Ground = True,
     smooth: Smooth = 0.0,
+    joints: Joints = None,
+    driving_joints: DrivingJoints = None,
+    no_joints: NoJoints = False,
+    save_joints: SaveJoints = None,
+    save_driving_joints: SaveDrivingJoints = None,
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
     ] = False,
@@ -145,7 +178,9 @@ def animate(
 
     output = output or output_beside(identity, driving, ".glb")
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
+    _check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     _check_clip_output(output, skinned, blendshapes)
+    corrected = _JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
         result = run_animate(
@@ -169,14 +204,83 @@ def animate(
             smooth=smooth,
             skinned=skinned,
             progress=advance,
+            joints=corrected.identity,
+            driving_joints=corrected.driving,
         )
     result.seconds["load"] += seconds
+    _save_joints(result, identity, driving, save_joints, save_driving_joints, start)
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
     notes = animations_note(clip.mesh, driving) if animation is None else ()
     notes += taken_rate_note(clip, driving) if fps is None else ()
     shown = _write_preview(result, output, preview, open_it)
-    _print_result(result, output, shown, json, quiet, notes)
+    _print_result(result, output, shown, json, quiet, notes, corrected.described())
+
+
+@dataclass(frozen=True)
+class _JointFiles:
+    """Corrected joints of both inputs."""
+
+    identity: JointCorrections | None
+    driving: JointCorrections | None
+    beside: tuple[str, ...] = ()
+    """Paths of those found beside the inputs."""
+
+    @classmethod
+    def found(
+        cls,
+        identity: Path,
+        driving: Path,
+        joints: Path | None,
+        driving_joints: Path | None,
+        no_joints: bool,
+        model: str,
+    ) -> _JointFiles:
+        """Read the files that were given, else those beside the inputs; only models with joints use the latter."""
+        from ..io.joint_file import load_corrections, side_file
+        from ..methods.base import CorrectableMethod
+        from ..methods.find import find_method
+
+        corrections, found = [], []
+        for mesh, given in ((identity, joints), (driving, driving_joints)):
+            beside = side_file(mesh)
+            usable = not no_joints and beside.is_file() and isinstance(find_method(model), CorrectableMethod)
+            path = given or (beside if usable else None)
+            found += [str(beside)] if usable and given is None else []
+            corrections.append(None if path is None else load_corrections(path))
+        return cls(corrections[0], corrections[1], tuple(found))
+
+    def described(self) -> tuple[str, ...]:
+        """Return a line for each of the files that was used."""
+        lines = []
+        for corrections in filter(None, (self.identity, self.driving)):
+            names, count = ", ".join(corrections.positions), len(corrections.positions)
+            what = f"{count} joints" if count > MOST_NAMED else names or "none"
+            beside = " (--no-joints ignores it)" if corrections.source in self.beside else ""
+            lines.append(f"{what} as in {corrections.source}{beside}")
+        return tuple(lines)
+
+
+def _save_joints(
+    result: Result | ClipResult,
+    identity: Path,
+    driving: Path,
+    save_joints: Path | None,
+    save_driving_joints: Path | None,
+    frame: int = 0,
+) -> None:
+    """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
+    from ..core.joint_corrections import JointCorrections
+    from ..io.joint_file import save_corrections
+
+    clip = result.driving_clip
+    outputs = (
+        (save_joints, identity, result.joints, result.moved.mesh, 0),
+        (save_driving_joints, driving, result.driving_joints, None if clip is None else clip.mesh, frame),
+    )
+    for path, file, joints, mesh, t in outputs:
+        if path is not None and joints is not None and mesh is not None:
+            save_corrections(JointCorrections(joints, t, file.name, len(mesh.vertices)), path)
 
 
 def _print_result(
@@ -186,6 +290,7 @@ def _print_result(
     json: bool,
     quiet: bool,
     driving_notes: tuple[str, ...] = (),
+    joints: tuple[str, ...] = (),
 ) -> None:
     """Print the report as JSON, or a summary with all notes; `shown` are the paths of the preview."""
     from ..pipeline.result import Result
@@ -205,6 +310,8 @@ def _print_result(
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": {**result.report, "notes": notes, **shown},
     }
+    if joints:
+        facts["report"]["joints"] = list(joints)
     if json:
         print_json(facts)
     elif not quiet:
@@ -219,6 +326,8 @@ def _print_summary(facts: dict[str, Any]) -> None:
     length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())
     print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
+    for line in facts["report"].get("joints", ()):
+        print(f"joints: {line}")
     for note in facts["report"]["notes"]:
         print(f"note: {note}")
     for path in facts["report"]["pictures"]:
@@ -254,6 +363,22 @@ def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | N
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
+
+
+def _check_joint_outputs(paths: tuple[Path | None, Path | None], model: str, *others: Path) -> None:
+    """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
+    from ..core.errors import InputError
+    from ..methods.base import SkinnedMethod
+    from ..methods.find import find_method
+
+    for path, option in zip(paths, ("--save-joints", "--save-driving-joints"), strict=True):
+        if path is None:
+            continue
+        if not isinstance(find_method(model), SkinnedMethod):
+            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
+        refuse_inputs(path, *others)
+        if path.suffix.lower() != ".json":
+            raise InputError(f"{path}: expected a .json file for the joints, found '{path.suffix}'; rename it")
 
 
 def _check_clip_output(output: Path, skinned: bool, blendshapes: int | None) -> None:

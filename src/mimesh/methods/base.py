@@ -6,7 +6,7 @@ The identity has a normalisation of its own; all frames of the driving have that
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, runtime_checkable
 
@@ -69,6 +69,22 @@ class QuickPredictor(Protocol):
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict mean entropy (nats) of a normalised mesh's skinning weights, and world rotation of its root joint."""
+        ...
+
+
+@runtime_checkable
+class CorrectableMethod(SkinnedMethod, Protocol):
+    """A method with joints that takes known positions of some of them. Only these support `--joints`."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        ...
+
+    def with_joints(
+        self, identity: Mapping[str, Float[np.ndarray, " 3"]], driving: Mapping[str, Float[np.ndarray, " 3"]]
+    ) -> Method:
+        """Return this method with known joints of the identity, and of the driving in its last keyframe, normalised."""
         ...
 
 

@@ -15,6 +15,7 @@ from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.normalization import Normalization
 from ..methods.base import Method
 from ..methods.find import find_method
+from .corrections import Corrections, GivenJoints
 from .result import ClipResult, Result, Timer
 from .run import Choice, MotionOptions, move
 
@@ -33,6 +34,8 @@ def transfer(
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
+    joints: GivenJoints = None,
+    driving_joints: GivenJoints = None,
 ) -> Result:
     """Give the identity the pose of the driving mesh: `animate` with one frame, in double precision.
 
@@ -52,6 +55,10 @@ def transfer(
         refine: smooth the result, keeping the identity's surface details; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
+        joints: positions of some of the identity's joints, where the model finds them wrongly (mime only): joint ->
+            (x, y, z) in the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are
+            the keys of `Result.joints`.
+        driving_joints: the same of the driving mesh.
 
     Raises:
         InputError: a file, an axis, the model or its options cannot be used; the message says why and what to do.
@@ -61,9 +68,21 @@ def transfer(
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     choice = _choice(model, ensemble, seed, reference, markers)
-    moved = move(identity, Clip.still(driving), choice, axes, refine, timer)
+    clip = Clip.still(driving)
+    corrections = Corrections.read(joints, driving_joints, clip)
+    moved = move(identity, clip, choice, axes, refine, timer, corrections=corrections)
     mesh = identity.with_vertices(moved.vertices[0])
-    return Result(mesh, _name(model), timer, moved.report, moved.notes, identity, driving)
+    return Result(
+        mesh,
+        _name(model),
+        timer,
+        moved.report,
+        moved.notes,
+        identity,
+        driving,
+        moved.skeleton,
+        moved.driving_joints,
+    )
 
 
 def animate(
@@ -90,6 +109,8 @@ def animate(
     smooth: float = 0.0,
     skinned: bool = False,
     progress: Progress | None = None,
+    joints: GivenJoints = None,
+    driving_joints: GivenJoints = None,
 ) -> ClipResult:
     """Give the identity the motion of the driving clip; see `transfer` for the arguments they share.
 
@@ -111,6 +132,9 @@ def animate(
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
         skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
         progress: is called with the frames done and the frames in all.
+        joints: see `transfer`.
+        driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames
+            count from 0 in the whole clip.
 
     Raises:
         InputError: a file, an axis, the range, the model or its options cannot be used.
@@ -118,17 +142,29 @@ def animate(
     timer = Timer()
     with timer.step("load"):
         identity = _read_mesh(identity)
-        clip = cut_clip(_read_clip(driving, fps, animation), start, stop, step)
+        whole = _read_clip(driving, fps, animation)
+        corrections = Corrections.read(joints, driving_joints, whole)
+        clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
     options = MotionOptions(root, ground, smooth, skinned)
-    moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32)
+    moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     notes = moved.notes
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
     mesh = identity.with_vertices(moved.vertices[0].astype(np.float64))
     result = Clip(mesh, moved.vertices, clip.fps)
-    return ClipResult(result, _name(model), timer, moved.report, notes, moved.skeleton, identity, clip)
+    return ClipResult(
+        result,
+        _name(model),
+        timer,
+        moved.report,
+        notes,
+        moved.skeleton,
+        identity,
+        clip,
+        moved.driving_joints,
+    )
 
 
 def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:

@@ -48,6 +48,7 @@ class _Playable(Protocol):
     report: dict
     notes: tuple[str, ...]
     identity: Mesh | None
+    skeleton: AnimatedRig | None
 
     @property
     def moved(self) -> Clip:
@@ -58,6 +59,12 @@ class _Playable(Protocol):
     def driving_clip(self) -> Clip | None:
         """The driving mesh or clip as a clip; None where the result does not know it."""
         ...
+
+    @property
+    def joints(self) -> dict[str, Float[np.ndarray, " 3"]] | None:
+        """Joint -> position found on the identity, in the axes, unit and position of its file; None without joints."""
+        rig = self.skeleton
+        return None if rig is None else dict(zip(rig.names, rig.rig.joints, strict=True))
 
     def panels(self) -> list[Panel] | None:
         """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""
@@ -137,6 +144,10 @@ class Result(_Playable):
     """The mesh that was moved, to be shown beside the result; without it there is no page."""
     driving: Mesh | None = field(default=None, repr=False)
     """The mesh whose pose was taken, for the same."""
+    skeleton: AnimatedRig | None = field(default=None, repr=False)
+    """Joints, skinning weights and pose of the identity, if the model has joints."""
+    driving_joints: dict[str, Float[np.ndarray, " 3"]] | None = field(default=None, repr=False)
+    """Joint -> position found on the driving mesh, in its file's axes, unit and position, if the model has joints."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
@@ -173,6 +184,8 @@ class ClipResult(_Playable):
     """The mesh that was moved, to be shown beside the result; without it there is no page."""
     driving: Clip | None = field(default=None, repr=False)
     """The clip whose motion was taken, for the same; its frames stay in memory, or on disk if they are many."""
+    driving_joints: dict[str, Float[np.ndarray, " 3"]] | None = field(default=None, repr=False)
+    """Joint -> position found in the first driving frame, in its file's axes, unit and position."""
 
     @property
     def fps(self) -> float:

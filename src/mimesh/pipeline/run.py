@@ -23,6 +23,7 @@ from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
 from ..core.rig import Rig
 from ..methods.base import Drive, Method, QuickPredictor, SkinnedDrive, SkinnedMethod
 from ..methods.confidence import Confidence
+from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
@@ -71,6 +72,8 @@ class MovedIdentity:
     """Joints, skinning weights and motion of the identity, if the method has joints."""
     report: dict
     notes: tuple[str, ...]
+    driving_joints: JointPositions | None = None
+    """Joints of the driving in its first frame, in its axes, unit and position, if the method has joints."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,21 +113,27 @@ class Prepared:
 
 
 def prepare(
-    identity: Mesh, clip: Clip, choice: Choice, axes: Axes, refine: bool | None, options: MotionOptions
+    identity: Mesh,
+    clip: Clip,
+    choice: Choice,
+    axes: Axes,
+    refine: bool | None,
+    options: MotionOptions,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> Prepared:
     """Normalise both inputs, choose the method and prepare it.
 
     The options are only checked here; `play` applies them.
 
     Raises:
-        InputError: an axis, the model or its options cannot be used.
+        InputError: an axis, the model, its options or the corrections cannot be used.
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
     options.check(method)
-    drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+    drive = _prepared_drive(method, identity, clip, first, norms, corrections)
     # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
     if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None:
         corrected = (
@@ -133,9 +142,22 @@ def prepare(
         )
         if corrected != norms:  # `reorient` returns the same object where it changes nothing
             norms = corrected
-            drive = method.prepare(_normalised(identity, norms[0]), _keyframes(clip, first, norms[1]))
+            drive = _prepared_drive(method, identity, clip, first, norms, corrections)
     rest = _normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).with_refinement(refine)
+
+
+def _prepared_drive(
+    method: Method,
+    identity: Mesh,
+    clip: Clip,
+    first: Mesh,
+    norms: tuple[Normalization, Normalization],
+    corrections: Corrections,
+) -> Drive:
+    """Prepare a method with the corrected joints."""
+    corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
+    return corrected.prepare(_normalised(identity, norms[0]), keyframes)
 
 
 def reorient(
@@ -198,14 +220,15 @@ def move(
     options: MotionOptions = MotionOptions(),
     progress: Progress | None = None,
     dtype: type[np.floating] = np.float64,
+    corrections: Corrections = NO_CORRECTIONS,
 ) -> MovedIdentity:
     """Give the identity the motion of a clip: `prepare`, then `play`.
 
     Raises:
-        InputError: an axis, the model or its options cannot be used.
+        InputError: an axis, the model, its options or the corrections cannot be used.
     """
     with timer.step("prepare"):
-        prepared = prepare(identity, clip, choice, axes, refine, options)
+        prepared = prepare(identity, clip, choice, axes, refine, options, corrections)
     return play(prepared, timer, options, progress, dtype)
 
 
@@ -243,13 +266,16 @@ def play(
     report = _report(prepared, moved)
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
-    skeleton = None
+    skeleton = driving_joints = None
     if motion is not None:
+        positions = driving_norm.undo(motion.track.positions[0])
+        driving_joints = dict(zip(motion.drive.joints, positions, strict=True))
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
-    return MovedIdentity(moved, skeleton, report, notes + tuple(getattr(identity.source, "notes", ())))
+    notes += tuple(getattr(identity.source, "notes", ()))
+    return MovedIdentity(moved, skeleton, report, notes, driving_joints)
 
 
 def _report(prepared: Prepared, moved: Float[np.ndarray, "T V 3"]) -> dict:

@@ -13,6 +13,7 @@ from concurrent.futures import Future
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 from starlette.applications import Starlette
@@ -21,7 +22,9 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from ..core.errors import InputError
+from ..io.joint_file import SUFFIX
 from .jobs import Cancelled, error_line
+from .joints import describe_file
 from .session import Session
 from .state import describe, scene
 from .uploads import TooLarge, Upload, clip_name, find_clip, find_meshes
@@ -59,6 +62,9 @@ def make_app(session: Session, is_closing: Callable[[], bool]) -> Starlette:
         ("DELETE", "/api/meshes/{number:int}", routes.remove_item),
         ("POST", "/api/meshes/{number:int}/pose", routes.pose),
         ("POST", "/api/meshes/{number:int}/stop", routes.stop),
+        ("GET", "/api/meshes/{number:int}/joints", routes.joints),
+        ("POST", "/api/meshes/{number:int}/joints", routes.set_joints),
+        ("GET", "/api/meshes/{number:int}/joints.json", routes.download_joints),
         ("GET", "/api/scene", routes.scene),
         ("POST", "/api/exports", routes.begin_export),
         ("GET", "/api/exports/{number:int}", routes.download_export),
@@ -192,6 +198,26 @@ class Routes:
         except Cancelled:
             return Response(status_code=204)
         return Response(np.asarray(vertices, "<f4").tobytes(), media_type="application/octet-stream")
+
+    async def joints(self, request: Request) -> Response:
+        """Send the joints found on a mesh and on the driving clip; nothing (204) if it was cancelled."""
+        try:
+            found = self._session.joints(request.path_params["number"])
+            return JSONResponse(await self._unless_closing(asyncio.wrap_future(found)))
+        except Cancelled:
+            return Response(status_code=204)
+
+    async def set_joints(self, request: Request) -> Response:
+        """Replace the corrected joints of a mesh or the driving clip by the positions `joints`."""
+        self._session.set_joints(request.path_params["number"], (await _json(request)).get("joints"))
+        return JSONResponse({})
+
+    async def download_joints(self, request: Request) -> Response:
+        """Send the side file with the corrected joints of a mesh or the driving clip."""
+        item = self._session.item(request.path_params["number"])
+        name = quote(f"{Path(item.name).stem}{SUFFIX}")
+        headers = {"content-disposition": f"attachment; filename*=UTF-8''{name}"}
+        return JSONResponse(describe_file(item), headers=headers)
 
     async def scene(self, request: Request) -> Response:
         """Send what the stage shows, packed for the player."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
 from ..pipeline.result import ClipResult
 from ..pipeline.run import Prepared
@@ -31,6 +32,10 @@ class Item:
     """Chosen animation; None for the first."""
     fps: float | None = None
     """Chosen frame rate; None for the file's own."""
+    corrections: JointCorrections | None = None
+    """Joints that the user has corrected."""
+    corrections_error: str = ""
+    """Why the corrections beside its file are not used."""
     up: str | None = None
     front: str | None = None
     error: str = ""
@@ -80,4 +85,13 @@ def finished_result(item: Item) -> ClipResult:
 
 def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
     """Return everything that preparing a mesh and the driving clip for a model depends on."""
-    return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes)
+    corrections = tuple(_corrections_key(entry) for entry in (item, driving))
+    return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes, *corrections)
+
+
+def _corrections_key(item: Item) -> tuple:
+    """Return the values of the corrections of an item, to be compared."""
+    if item.corrections is None:
+        return ()
+    positions = item.corrections.positions.items()
+    return (item.corrections.frame, *((name, *map(float, position)) for name, position in positions))

@@ -21,8 +21,10 @@ from ..methods.find import find_method
 from ..pipeline import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
-from ..pipeline.run import Axes, MotionOptions, Prepared, play, pose_frame, prepare
+from ..pipeline.run import MotionOptions, Prepared, play, pose_frame, prepare
 from ..tools.demo import driving_clip
+from .items import Item
+from .joints import applicable_corrections
 from .options import Options
 
 __all__ = [
@@ -84,10 +86,14 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepare_inputs(identity: Mesh, clip: Clip, model: str, axes: Axes) -> Prepared:
-    """Prepare identity and driving clip for a model, without refinement."""
-    all_axes = (*axes[:2], *driving_axes(clip, *axes[2:]))
-    return prepare(identity, clip, lambda frame: find_method(model), all_axes, False, MotionOptions())
+def prepare_inputs(identity: Item, driving: Item, model: str) -> Prepared:
+    """Prepare identity and driving clip, which have been read, for a model, without refinement."""
+    assert isinstance(identity.content, Mesh)
+    assert isinstance(driving.content, Clip)
+    axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
+    method = find_method(model)
+    corrections = applicable_corrections(method, identity, driving)
+    return prepare(identity.content, driving.content, lambda frame: method, axes, False, MotionOptions(), corrections)
 
 
 def compute_result(prepared: Prepared, options: Options, progress: Progress) -> ClipResult:

@@ -28,6 +28,7 @@ from . import operations
 from .exports import MAX_EXPORTS, Export, write
 from .items import Item, Outcome, finished_result, preparation_inputs
 from .jobs import Cancelled, Worker, error_line
+from .joints import check_corrections, describe_joints, parse_positions, read_side_file
 from .options import Options, parse_rate
 from .uploads import UploadFolder
 
@@ -182,6 +183,33 @@ class Session:
 
         return self.worker.submit(("pose", number), work, urgent=True)
 
+    def set_joints(self, number: int, positions: Any) -> None:
+        """Replace the corrected joints of an item; results that depend on them are computed again.
+
+        Raises:
+            InputError: not positions of joints near the mesh.
+        """
+        item = self.item(number)
+        item.corrections, item.corrections_error = parse_positions(item, positions), ""
+        self.refresh()
+
+    def joints(self, number: int) -> Future:
+        """Find the joints of a mesh and of the driving clip, before other work; cancels earlier calls for it.
+
+        The future gives a dictionary for the page; see `describe_joints`.
+
+        Raises:
+            Cancelled: one of them has been removed.
+        """
+        item, driving = self.identities.get(number), self.driving
+        if item is None or driving is None:
+            raise Cancelled
+
+        def work(progress: Progress) -> dict[str, Any]:
+            return describe_joints(self._prepare(item), item, driving)
+
+        return self.worker.submit(("joints", number), work, urgent=True)
+
     def export(self, suffix: str, numbers: list[int], skinned: bool, blendshapes: int | None) -> int:
         """Start to write results in a format, several into one archive; returns the number of the export."""
         items = [self.item(number) for number in numbers or self.identities]
@@ -252,6 +280,7 @@ class Session:
             if error is None:
                 content, item.facing = future.result()
                 item.content, item.animations = content, operations.animations(content)
+                self._use_side_file(item)
             self.refresh()
 
         def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:
@@ -260,6 +289,16 @@ class Session:
 
         self.worker.submit(("read", item.number), work).add_done_callback(finish)
         self.changed()
+
+    def _use_side_file(self, item: Item) -> None:
+        """Take the corrected joints beside the file of an item that has been read, unless it has some already."""
+        try:
+            if item.corrections is None:
+                item.corrections = read_side_file(item.path)
+            if item.corrections is not None:
+                check_corrections(item, item.corrections)
+        except InputError as error:
+            item.corrections, item.corrections_error = None, self.page_error(error)
 
     def _start_result(self, item: Item) -> None:
         """Let the worker compute the result of a mesh, unless inputs are missing or it is there or under way."""
@@ -312,8 +351,7 @@ class Session:
             raise Cancelled
         inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.prepared
         if cached is None or cached[0] != inputs:
-            axes = (*item.axes, *driving.axes)
-            cached = (inputs, False, operations.prepare_inputs(mesh, driving.content, options.model, axes))
+            cached = (inputs, False, operations.prepare_inputs(item, driving, options.model))
         # Refinement is a second step, so that switching it does not repeat the first.
         if cached[1] != options.refine:
             cached = (inputs, options.refine, cached[2].with_refinement(options.refine))
@@ -321,7 +359,7 @@ class Session:
         return cached[2]
 
     def _cancel_jobs(self, item: Item) -> None:
-        for what in ("read", "pose", "result"):
+        for what in ("read", "pose", "joints", "result"):
             self.worker.cancel((what, item.number))
 
 

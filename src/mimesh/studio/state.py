@@ -14,7 +14,7 @@ from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene
 from . import operations
 from .exports import Export, formats
-from .items import Item
+from .items import Item, preparation_inputs
 from .session import Session
 
 STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
@@ -118,7 +118,20 @@ def _describe_item(session: Session, item: Item) -> dict[str, Any]:
         "up": item.up,
         "front": item.front,
         "facing": item.facing,
+        "joints": _describe_corrections(session, item),
         "outcome": _describe_outcome(session, item),
+    }
+
+
+def _describe_corrections(session: Session, item: Item) -> dict[str, Any]:
+    """Describe the corrected joints of an item, with a key that changes when its joints have to be fetched again."""
+    corrections, driving = item.corrections, session.driving
+    joints = {} if corrections is None else corrections.positions
+    inputs = () if driving is None else preparation_inputs(item, driving, session.options)
+    return {
+        "corrected": {name: [float(x) for x in position] for name, position in joints.items()},
+        "error": item.corrections_error,
+        "key": f"{hash(inputs):x}",
     }
 
 

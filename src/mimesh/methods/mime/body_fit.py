@@ -18,6 +18,7 @@ from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
 from ..confidence import LIMBS, mean_angle
+from .joint_targets import JointTargets
 
 if TYPE_CHECKING:
     from scipy.spatial import KDTree
@@ -37,6 +38,8 @@ ROTATION_SIGMA, JOINT_SIGMA = 0.2, 0.1
 """Standard deviation of the predicted rotations (radians) and joint positions (metres of the body)."""
 SHAPE_SIGMA, BONE_SIGMA = 3.0, 0.1
 """Standard deviation of the shape coefficients, and of the logarithms of bone lengths and girths; their mean is 0."""
+CORRECTED_SIGMA = 0.005
+"""Standard deviation (metres of the body) of joint positions that the user has picked."""
 RELIABLE_RESIDUAL, RESIDUAL_EXPONENT = 0.006, 6
 """Residual (median distance of matches along their normals, metres of the body) at which fit and prediction count
 alike, and how fast that changes. People of the shipped body have 0.7 mm, dressed or noisy ones 4, realistic characters
@@ -105,20 +108,25 @@ def sampled_body() -> SampledBody:
     return SampledBody.of(load_body(), BODY_POINTS)
 
 
-def fit_body(surface: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]) -> BodyFit:
+def fit_body(
+    surface: SurfaceSample,
+    rotation: Float[np.ndarray, "J 3 3"],
+    joints: Float[np.ndarray, "J 3"],
+    targets: JointTargets | None = None,
+) -> BodyFit:
     """Fit the body to a surface, from predicted rotations and positions of its joints.
 
     The unknowns are size, root position, shape coefficients, bone lengths and girths, and the joint rotations (see
     `SampledBody`). Joints are those of the fitted body where it covers the surface closely, the predicted ones where it
     does not, and between the two a blend. The surface may have any unit, position and heading. Joints are the shipped
-    body's, in its order.
+    body's, in its order; those with `targets` keep these positions.
     """
     from scipy.spatial import KDTree
 
     body, tree = sampled_body(), KDTree(surface.points)
     state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
     surface = surface.outward(PosedBody(body, state))
-    state, residual = _optimise(body, state, Prior(body, state.size, rotation, joints), surface, tree)
+    state, residual = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
     distance = residual / state.size
@@ -128,9 +136,10 @@ def fit_body(surface: SurfaceSample, rotation: Float[np.ndarray, "J 3 3"], joint
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
     to_body = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
     unmatched_surface = float((to_body > UNMATCHED_SURFACE * state.size).mean())
+    positions = share * posed.joints + (1 - share) * joints
     return BodyFit(
         rotation=blended,
-        joints=share * posed.joints + (1 - share) * joints,
+        joints=targets.apply(positions) if targets else positions,
         unmatched_body=unmatched_body,
         unmatched_surface=unmatched_surface,
         distance=distance,
@@ -217,12 +226,19 @@ class Prior:
 
     Each is a squared difference over a variance: joint positions (JOINT_SIGMA), joint rotations (ROTATION_SIGMA), shape
     coefficients (SHAPE_SIGMA), and bone lengths and girths (BONE_SIGMA). They decide what no match determines.
+    Positions that the user has picked have the small CORRECTED_SIGMA.
     """
 
     def __init__(
-        self, body: SampledBody, size: float, rotation: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
+        self,
+        body: SampledBody,
+        size: float,
+        rotation: Float[np.ndarray, "J 3 3"],
+        joints: Float[np.ndarray, "J 3"],
+        targets: JointTargets | None = None,
     ) -> None:
-        self.rotation, self.joints = rotation, joints
+        self.rotation, self.joints, self.targets = rotation, joints, targets
+        self.target_sigma = CORRECTED_SIGMA * size
         self.joint_weight = 1 / (JOINT_SIGMA * size) ** 2
         self.turns = body.unknowns["turns"]
         # Derivative of the world rotations: a turn of one joint turns all of its descendants too.
@@ -243,4 +259,11 @@ class Prior:
         rotation_vector = (difference - difference.swapaxes(-1, -2))[:, [2, 0, 1], [1, 2, 0]] / 2
         hessian[self.turns, self.turns] += self.turn_jacobian.T @ self.turn_jacobian / ROTATION_SIGMA**2
         gradient[self.turns] += self.turn_jacobian.T @ rotation_vector.reshape(-1) / ROTATION_SIGMA**2
+        if self.targets:
+            corrected = jacobian.reshape(-1, 3, jacobian.shape[1])[self.targets.index].reshape(-1, jacobian.shape[1])
+            difference = (posed.joints[self.targets.index] - self.targets.positions).reshape(-1)
+            # Looser while they are far off: a step of Gauss-Newton is too large where it is far from linear.
+            weight = 1 / (self.target_sigma**2 + np.square(0.3 * difference).mean())
+            hessian += weight * corrected.T @ corrected
+            gradient += weight * corrected.T @ difference
         return hessian, gradient

@@ -11,7 +11,7 @@ of the body to both surfaces. Each frame: the joints' rotations by least squares
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -28,12 +28,14 @@ from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive
-from ..confidence import Confidence, mean_angle
+from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
+from .body_weights import corrected_weights
 from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
 from .joint_network import JointNetwork, NetworkPoints
+from .joint_targets import JointTargets
 from .part_tracking import PartTracker
 from .weight_cleanup import clean_weights
 
@@ -90,6 +92,10 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    identity_targets: JointTargets | None = None
+    """Joints of the identity that the user has corrected."""
+    driving_targets: JointTargets | None = None
+    """Joints of the driving that the user has corrected, in its last keyframe."""
 
     @cached_property
     def network(self) -> JointNetwork:
@@ -100,6 +106,18 @@ class MimeMethod:
     def fits_body(self) -> bool:
         """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
         return self.fits and self.joints == sampled_body().names
+
+    def with_joints(
+        self,
+        identity: Mapping[str, Float[np.ndarray, " 3"]],
+        driving: Mapping[str, Float[np.ndarray, " 3"]],
+    ) -> MimeMethod:
+        """Return this method with known joints of the identity, and of the driving in its last keyframe."""
+        identity_targets, driving_targets = (
+            JointTargets([self.joints.index(name) for name in known], np.array(list(known.values()))) if known else None
+            for known in (identity, driving)
+        )
+        return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
         """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
@@ -153,13 +171,17 @@ class MimeMethod:
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
         rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        weights, even_weights = np.split(self._weights(rigs, samples, denoised, queries), [len(vertices)])
-        mean = consensus(rigs)
+        mean = dataclasses.replace(consensus(rigs), weights=self._weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        rig, confidence, fit = self._with_fit(mean, self._confidence(rigs, mean, even_weights), sample)
+        confidence = self._confidence(rigs, mean, mean.weights[len(vertices) :])
+        if self.identity_targets is None:
+            rig, confidence, fit = self._with_fit(mean, confidence, sample)
+        else:
+            rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
+            confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
         nearest = fit.nearest(vertices) if fit else None
-        weights = clean_weights(weights, vertices, faces, self.parents, nearest)
+        weights = clean_weights(rig.weights[: len(vertices)], vertices, faces, self.parents, nearest)
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(
@@ -183,15 +205,32 @@ class MimeMethod:
         if not self.fits_body:
             return rig, confidence, None
         fit = fit_body(sample, rig.rotation, rig.joints)
-        rig = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
-        confidence = dataclasses.replace(
-            confidence,
-            unmatched_body=fit.unmatched_body,
-            unmatched_surface=fit.unmatched_surface,
-            fit_distance=fit.distance,
-            fit_angle=fit.angle,
-        )
-        return rig, confidence, fit
+        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
+
+    def _with_corrections(
+        self,
+        rig: Rig,
+        confidence: Confidence,
+        sample: SurfaceSample,
+        queries: NetworkPoints,
+        targets: JointTargets,
+    ) -> tuple[Rig, Confidence, BodyFit]:
+        """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
+
+        The weights are those of the points `queries`.
+        """
+        fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets)
+        displacement = fit.joints - rig.joints
+        weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
+        return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
+
+    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
+        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
+        measured = Confidence.of(confidence.prediction_spread, weights, self.joints, self.parents)
+        confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
+        if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
+            return confidence
+        return dataclasses.replace(confidence, prediction_spread=0.0, contradictions=0.0, fit_angle=0.0)
 
     def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
@@ -207,21 +246,27 @@ class MimeMethod:
         there to the other keyframes, and the rotations predicted in those are carried back by the measured motion. The
         robust mean of all is used for the whole clip, so the network's errors are the same in every frame and add no
         jitter. The first frame is the first choice of reference, because its facing is known; others are tried if the
-        predictions disagree.
+        predictions disagree. Where the user has corrected joints, the reference is the keyframe that this was done in.
         """
         denoiser, frames = Denoiser.of(keyframes.mesh), list(keyframes.vertices)
         denoised = [denoiser(vertices) for vertices in frames]
         mesh = dataclasses.replace(keyframes.mesh, vertices=denoised[0])
         samples = SurfacePoints.of(mesh, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
-        best = self._predict_keyframes(samples, frames, denoised, 0)
+        targets = self.driving_targets
+        best = self._predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
-            if best.confidence.prediction_spread > DISAGREEMENT:
+            if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
                 other = self._predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
-        rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
+        if targets is None:
+            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
+        else:
+            queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
+            rig, confidence, _ = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
+            confidence = self._with_weights(confidence, rig.weights)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
         soles = find_soles(sample.points, _nearest_weights(sample.points, best.points, rig), self.legs, self.parents)
@@ -272,3 +317,14 @@ def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
     """Remove the shares of limbs if the mesh is a point cloud: its points may be denser on one limb than on another."""
     return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})
+
+
+def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
+    """Add how well a fitted body covers the surface."""
+    return dataclasses.replace(
+        confidence,
+        unmatched_body=fit.unmatched_body,
+        unmatched_surface=fit.unmatched_surface,
+        fit_distance=fit.distance,
+        fit_angle=fit.angle,
+    )

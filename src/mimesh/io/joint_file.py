@@ -1,0 +1,92 @@
+"""Read and write the positions of joints that a user has picked: a small JSON file beside the mesh.
+
+    {"format": "mimesh joints", "version": 1, "mesh": "hero.glb", "vertices": 5310, "frame": 0,
+     "joints": {"LeftLeg": [0.11, 0.52, 0.02]}}
+
+Positions are in the axes, unit and position of the mesh's file. `frame` counts from 0 in a clip. `mesh`, `vertices` and
+`frame` may be missing.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from ..core.errors import InputError
+from ..core.joint_corrections import JointCorrections
+from .atomic import whole_file, writing
+
+FORMAT, VERSION = "mimesh joints", 1
+SUFFIX = ".joints.json"
+MAX_BYTES = 2**20
+"""Size of a file above which it is not read: 31 joints take 3 KiB."""
+
+
+def side_file(mesh: Path) -> Path:
+    """Return the path of the corrections that belong to a mesh, a clip or a folder of frames: hero.glb has
+    hero.joints.json.
+    """
+    mesh = mesh if mesh.name else mesh.resolve()
+    return mesh.with_name((mesh.name if mesh.is_dir() else mesh.stem) + SUFFIX)
+
+
+def load_corrections(path: str | Path) -> JointCorrections:
+    """Read corrections.
+
+    Raises:
+        InputError: no such file, not one of this format and version, or positions that are not three finite numbers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: expected a file of joints, found none; check the path")
+    if path.stat().st_size > MAX_BYTES:
+        raise InputError(f"{path}: expected a file of joints, found {path.stat().st_size:,} bytes; check the path")
+    try:
+        values = json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected joints as JSON, found '{str(error)[:80]}'; correct that place") from None
+    return parse_corrections(values, str(path))
+
+
+def parse_corrections(values: Any, source: str) -> JointCorrections:
+    """Make corrections from the contents of such a file.
+
+    Raises:
+        InputError: see `load_corrections`.
+    """
+    if not isinstance(values, dict) or not isinstance(values.get("joints"), dict):
+        raise InputError(f'{source}: expected an object with "joints", found none; see docs/formats.md')
+    if values.get("format", FORMAT) != FORMAT or values.get("version", VERSION) != VERSION:
+        found = f"{values.get('format')!r} version {values.get('version')!r}"[:80]
+        raise InputError(f"{source}: expected {FORMAT!r} version {VERSION}, found {found}; update mimesh")
+    frame, vertices = values.get("frame", 0), values.get("vertices")
+    for name, number in (("frame", frame), ("vertices", 0 if vertices is None else vertices)):
+        if isinstance(number, bool) or not isinstance(number, int) or number < 0:
+            raise InputError(f"{source}: expected a whole number for {name}, found {str(number)[:40]!r}; correct it")
+    mesh = str(values.get("mesh", ""))
+    return JointCorrections.of(values["joints"], source, frame=frame, vertices=vertices, mesh=mesh)
+
+
+def describe_corrections(corrections: JointCorrections) -> dict[str, Any]:
+    """Return the contents of a file with these corrections."""
+    head: dict[str, Any] = {"format": FORMAT, "version": VERSION}
+    if corrections.mesh:
+        head["mesh"] = corrections.mesh
+    if corrections.vertices is not None:
+        head["vertices"] = corrections.vertices
+    joints = {name: [float(f"{x:.7g}") for x in position] for name, position in corrections.positions.items()}
+    return {**head, "frame": corrections.frame, "joints": joints}
+
+
+def save_corrections(corrections: JointCorrections, path: str | Path) -> Path:
+    """Write corrections, one joint a line."""
+    values = describe_corrections(corrections)
+    joints = values.pop("joints")
+    rows = ",\n".join(f"    {json.dumps(name)}: {json.dumps(position)}" for name, position in joints.items())
+    head = "".join(f"  {json.dumps(key)}: {json.dumps(value)},\n" for key, value in values.items())
+    text = f'{{\n{head}  "joints": {{\n{rows}\n  }}\n}}\n' if joints else f'{{\n{head}  "joints": {{}}\n}}\n'
+    path = Path(path)
+    with writing(path), whole_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    return path

@@ -1,0 +1,133 @@
+"""Pass the joints that a user has corrected to a method, and read the joints that it found."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import load_body
+from ..core.errors import InputError
+from ..core.joint_corrections import JointCorrections
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization
+from ..methods.base import CorrectableMethod, Method, SkinnedDrive
+
+if TYPE_CHECKING:
+    from .run import Prepared
+
+HIDDEN = ("LHipJoint", "RHipJoint", "LThumb", "RThumb", "LeftFingerBase", "RightFingerBase", "LeftHandFinger1",
+          "RightHandFinger1")  # fmt: skip
+"""Joints without a handle: in the hips, or in a hand, which they follow."""
+JointPositions = dict[str, Float[np.ndarray, " 3"]]
+"""Joint -> position in the axes, unit and position of a mesh's file."""
+GivenJoints = JointCorrections | Mapping[str, Any] | str | Path | None
+"""Corrections as the public functions take them: joint -> position, or the path of a file of them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Corrections:
+    """Corrected joints of both inputs of a transfer; none by default."""
+
+    identity: JointCorrections | None = None
+    driving: JointCorrections | None = None
+    driving_frame: Float[np.ndarray, "U 3"] | None = None
+    """Vertices of the driving in the frame that its corrections are in."""
+
+    @classmethod
+    def read(cls, identity: GivenJoints, driving: GivenJoints, clip: Clip) -> Corrections:
+        """Read corrections; `clip` is the whole driving clip, before frames of it are chosen.
+
+        Raises:
+            InputError: a file that cannot be read, or a frame that the clip does not have.
+        """
+        read = _read(identity, "--joints"), _read(driving, "--driving-joints")
+        if read[1] is None:
+            return cls(read[0])
+        if read[1].frame >= len(clip):
+            raise InputError(
+                f"{read[1].source}: expected a frame of {clip.mesh.name}, which has {len(clip)} counted from 0, "
+                f"found {read[1].frame}; correct the joints in another frame"
+            )
+        return cls(*read, np.asarray(clip.vertices[read[1].frame], np.float64))
+
+    def apply(
+        self, method: Method, identity: Mesh, keyframes: Clip, norms: tuple[Normalization, Normalization]
+    ) -> tuple[Method, Clip]:
+        """Return the method with the corrected joints, and the keyframes with the frame of the driving's at the end.
+
+        Raises:
+            InputError: the method cannot be corrected, or a correction does not belong to its mesh.
+        """
+        if self.identity is None and self.driving is None:
+            return method, keyframes
+        if not isinstance(method, CorrectableMethod):
+            option = "--driving-joints" if self.identity is None else "--joints"
+            raise InputError(f"{option}: expected a model with joints (mime), found {method.name}; choose it with -m")
+        known = []
+        meshes = (
+            (self.identity, identity.vertices, identity.name),
+            (
+                self.driving,
+                self.driving_frame,
+                keyframes.mesh.name,
+            ),
+        )
+        for (corrections, vertices, name), norm in zip(meshes, norms, strict=True):
+            if corrections is not None and vertices is not None:
+                corrections.check(vertices, method.joints, name)
+            positions = {} if corrections is None else corrections.positions
+            known.append({joint: norm.apply(position[None])[0] for joint, position in positions.items()})
+        if self.driving_frame is not None:
+            last = norms[1].apply(self.driving_frame)[None]
+            keyframes = dataclasses.replace(keyframes, vertices=np.concatenate([keyframes.vertices, last]))
+            if len(keyframes) == 2 and np.array_equal(keyframes.vertices[0], last[0]):  # a pose gets no second keyframe
+                keyframes = dataclasses.replace(keyframes, vertices=last)
+        return method.with_joints(*known), keyframes
+
+
+NO_CORRECTIONS = Corrections()
+"""All joints are found by the model."""
+
+
+def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, JointPositions] | None:
+    """Return the joints of the identity, and of the driving in a frame; None if the method has no joints."""
+    drive, norm = prepared.drive, prepared.driving_norm
+    if not isinstance(drive, SkinnedDrive):
+        return None
+    vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
+    identity = prepared.identity_norm.undo(drive.rig.joints)
+    driving = norm.undo(drive.follow(vertices)[1])
+    return _named(drive, identity), _named(drive, driving)
+
+
+def shown_bones() -> dict[str, str | None]:
+    """Return the joints that have a handle, and the nearest of them above each; None for the root."""
+    body, bones = load_body(), {}
+    for name, parent in zip(body.joint_names, body.parents, strict=True):
+        above = parent
+        while above >= 0 and body.joint_names[above] in HIDDEN:
+            above = body.parents[above]
+        if name not in HIDDEN:
+            bones[name] = None if above < 0 else body.joint_names[above]
+    return bones
+
+
+def _named(drive: SkinnedDrive, joints: Float[np.ndarray, "J 3"]) -> JointPositions:
+    return dict(zip(drive.joints, joints, strict=True))
+
+
+def _read(given: GivenJoints, source: str) -> JointCorrections | None:
+    """Read corrections; an empty set of them is none."""
+    if isinstance(given, (str, Path)):
+        from ..io.joint_file import load_corrections
+
+        given = load_corrections(given)
+    elif given is not None and not isinstance(given, JointCorrections):
+        given = JointCorrections.of(given, source)
+    return given if given is not None and given.positions else None

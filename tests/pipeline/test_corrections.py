@@ -1,0 +1,104 @@
+"""Corrected joints: what is returned is at the correction, in the file's axes and unit, of identity and driving."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mimesh import InputError, animate, transfer
+from mimesh.bodies import load_body
+from mimesh.bodies.sampling import sample_pose
+from mimesh.core.joint_corrections import JointCorrections
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.evaluate.measure import AXES
+from mimesh.io.joint_file import save_corrections
+
+BODY = load_body()
+PERSON = Mesh(BODY.vertices, BODY.faces, "person")
+
+
+def posed(seed):
+    from scipy.spatial.transform import Rotation
+
+    rotations = Rotation.from_rotvec(sample_pose(BODY, seed, 0)).as_matrix()
+    return dataclasses.replace(PERSON, vertices=BODY.posed(np.zeros(len(BODY.components)), rotations), name="pose")
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return transfer(PERSON, posed(0), **AXES)
+
+
+def test_results_have_the_joints_of_both_meshes(plain):
+    assert tuple(plain.joints) == tuple(plain.driving_joints) == BODY.joint_names
+    found = np.array([plain.joints[name] for name in BODY.joint_names])
+    assert np.linalg.norm(found - BODY.joints, axis=1).mean() < 0.01
+    assert transfer(PERSON, posed(0), "copy", **AXES).joints is None
+
+
+def test_corrected_joints_are_where_they_were_put(plain):
+    knee, elbow = plain.joints["LeftLeg"] + [0.04, 0, 0.02], plain.driving_joints["RightForeArm"] + [0, 0.03, 0]
+    result = transfer(PERSON, posed(0), **AXES, joints={"LeftLeg": knee}, driving_joints={"RightForeArm": list(elbow)})
+    np.testing.assert_allclose(result.joints["LeftLeg"], knee, atol=1e-9)
+    np.testing.assert_allclose(result.driving_joints["RightForeArm"], elbow, atol=1e-6)
+    for name in ("Head", "RightFoot", "LeftHand"):
+        assert np.linalg.norm(result.joints[name] - plain.joints[name]) < 0.01
+    assert 0 < np.abs(result.vertices - plain.vertices).max() < 0.2
+
+
+def test_corrections_are_in_the_axes_and_unit_of_the_file(plain):
+    turn = np.array([[0.0, 0, 100], [100, 0, 0], [0, 100, 0]])  # z up, facing x, in centimetres
+    shift = np.array([5.0, 300, -20])
+    knee = plain.joints["LeftLeg"] + [0.04, 0, 0.02]
+    turned = dataclasses.replace(PERSON, vertices=PERSON.vertices @ turn.T + shift)
+    expected = transfer(PERSON, posed(0), **AXES, joints={"LeftLeg": knee})
+    axes = {**AXES, "up": "+z", "front": "+x"}
+    result = transfer(turned, posed(0), **axes, joints={"LeftLeg": turn @ knee + shift})
+    np.testing.assert_allclose(result.joints["LeftLeg"], turn @ knee + shift, atol=1e-6)
+    np.testing.assert_allclose((result.vertices - shift) @ turn / 1e4, expected.vertices, atol=2e-3)
+
+
+def test_truly_wrong_legs_are_mended():
+    """The knees of a prediction are swapped by swapping the corrections; true ones bring the result back."""
+    plain = transfer(PERSON, posed(1), **AXES)
+    swapped = {f"{a}{part}": plain.joints[f"{b}{part}"] for part in ("Leg", "Foot") for a, b in
+               (("Left", "Right"), ("Right", "Left"))}  # fmt: skip
+    wrong = transfer(PERSON, posed(1), **AXES, joints=swapped)
+    right = transfer(PERSON, posed(1), **AXES, joints={name: plain.joints[name] for name in swapped})
+    errors = [np.linalg.norm(result.vertices - plain.vertices, axis=1).mean() for result in (wrong, right)]
+    assert errors[1] < 0.004 < 0.01 < errors[0]
+
+
+def test_a_file_names_the_frame_of_the_whole_clip(tmp_path):
+    frames = np.stack([posed(seed).vertices for seed in range(3)])
+    clip = Clip(dataclasses.replace(PERSON, vertices=frames[0], name="clip"), frames, 30.0)
+    last = transfer(PERSON, dataclasses.replace(PERSON, vertices=frames[2]), **AXES)
+    elbow = last.driving_joints["LeftForeArm"]
+    path = save_corrections(
+        JointCorrections({"LeftForeArm": elbow}, 2, "clip.npz", len(PERSON.vertices)), tmp_path / "clip.joints.json"
+    )
+    plain = animate(PERSON, clip, **AXES, stop=2)
+    result = animate(PERSON, clip, **AXES, stop=2, driving_joints=path)
+    assert len(result.clip) == 2
+    assert np.linalg.norm(result.clip.vertices - plain.clip.vertices, axis=-1).mean() < 0.03
+    with pytest.raises(InputError, match="has 3 counted from 0, found 3"):
+        animate(PERSON, clip, **AXES, driving_joints=JointCorrections({"Head": elbow}, 3))
+
+
+def test_no_corrections_change_nothing(plain):
+    for joints in (None, {}):
+        again = transfer(PERSON, posed(0), **AXES, joints=joints, driving_joints=joints)
+        np.testing.assert_array_equal(again.vertices, plain.vertices)
+
+
+@pytest.mark.parametrize(
+    ("model", "message"), [("copy", "--joints: expected a model with joints"), ("npt", "choose it with -m")]
+)
+def test_models_without_joints_refuse_corrections(model, message):
+    with pytest.raises(InputError, match=message):
+        transfer(PERSON, posed(0), model, **AXES, joints={"Head": (0, 1.6, 0)})
+
+
+def test_unknown_joints_are_refused():
+    with pytest.raises(InputError, match="did you mean LeftLeg"):
+        transfer(PERSON, posed(0), **AXES, driving_joints={"LeftLegs": (0, 1.6, 0)})
