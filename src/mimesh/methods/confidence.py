@@ -57,12 +57,6 @@ class Confidence:
     """Share of each limb of the fitted body that is far from the surface; empty without a fit."""
     unmatched_surface: float = 0.0
     """Share of the surface that is far from the fitted body."""
-    contradictions: float = 0.0
-    """Share of the predictions that contradict the others."""
-    fit_distance: float = 0.0
-    """Median distance of the fitted body from the surface along its normals (metres of the body)."""
-    fit_angle: float = 0.0
-    """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
 
     @classmethod
     def of(
@@ -78,20 +72,6 @@ class Confidence:
         tops = {limb: joints.index(top) for limb, top in LIMBS.items() if top in joints}
         limbs = {limb: float(share[descendants([top], parents)].sum()) for limb, top in tops.items()}
         return cls(prediction_spread, float(entropy), limbs)
-
-    def features(self) -> dict[str, float]:
-        """Compute the figures that the expected error depends on, most of them as logarithms."""
-        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
-        return {
-            "spread": float(np.log1p(self.prediction_spread)),
-            "entropy": self.weight_entropy,
-            "contradictions": self.contradictions,
-            "fit_distance": float(np.log1p(1e3 * self.fit_distance)),
-            "fit_angle": float(np.log1p(self.fit_angle)),
-            "unmatched_limb": float(np.log1p(100 * unmatched_limb)),
-            "unmatched_surface": float(np.log1p(100 * self.unmatched_surface)),
-            "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
-        }
 
     @property
     def recognised(self) -> bool:

@@ -17,7 +17,7 @@ from ...bodies import load_body
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
-from ..confidence import LIMBS, mean_angle
+from ..confidence import LIMBS
 from .joint_targets import JointTargets
 
 if TYPE_CHECKING:
@@ -40,10 +40,10 @@ SHAPE_SIGMA, BONE_SIGMA = 3.0, 0.1
 """Standard deviation of the shape coefficients, and of the logarithms of bone lengths and girths; their mean is 0."""
 CORRECTED_SIGMA = 0.005
 """Standard deviation (metres of the body) of joint positions that the user has picked."""
-RELIABLE_RESIDUAL, RESIDUAL_EXPONENT = 0.006, 6
-"""Residual (median distance of matches along their normals, metres of the body) at which fit and prediction count
-alike, and how fast that changes. People of the shipped body have 0.7 mm, dressed or noisy ones 4, realistic characters
-of others 4.5, stylised ones 6, figures of blocks 7 (docs/LOG.md)."""
+RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
+"""Mismatch of the shapes (see `_mismatch`, metres of the body) at which fit and prediction count alike, how fast that
+changes, and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with
+noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/LOG.md)."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
 
@@ -87,10 +87,6 @@ class BodyFit:
     """Share of each limb of the body that is farther than UNMATCHED_BODY from the surface."""
     unmatched_surface: float
     """Share of the surface that is farther than UNMATCHED_SURFACE from the body."""
-    distance: float
-    """Median distance of the last matches along their normals (metres of the body)."""
-    angle: float
-    """Mean angle (degrees) between the rotations of the fitted body and the predicted ones."""
     posed: PosedBody
     """The fitted body."""
 
@@ -126,11 +122,10 @@ def fit_body(
     body, tree = sampled_body(), KDTree(surface.points)
     state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
     surface = surface.outward(PosedBody(body, state))
-    state, residual = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
+    state, mismatch = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
-    distance = residual / state.size
-    share = 1 / (1 + (distance / RELIABLE_RESIDUAL) ** RESIDUAL_EXPONENT)
+    share = 1 / (1 + (mismatch / state.size / RELIABLE_MISMATCH) ** MISMATCH_EXPONENT)
     blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
     unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
@@ -142,8 +137,6 @@ def fit_body(
         joints=targets.apply(positions) if targets else positions,
         unmatched_body=unmatched_body,
         unmatched_surface=unmatched_surface,
-        distance=distance,
-        angle=mean_angle(state.rotation, rotation),
         posed=posed,
     )
 
@@ -169,7 +162,7 @@ def _optimise(
 ) -> tuple[BodyState, float]:
     """Alternate between matching nearest points and one Gauss-Newton step, from coarse to fine.
 
-    Returns the state, and the median distance of the last matches along their normals, in the unit of the surface.
+    Returns the state, and the mismatch of the shapes (see `_mismatch`).
 
     The energy is the sum of w r^2 over the matches, r being the distance of a match along its normal, plus the prior.
     To first order r(x + step) = r(x) + J step, J being the derivative of r by the unknowns. The energy is then
@@ -189,7 +182,20 @@ def _optimise(
         hessian, gradient = (jacobian * weight[:, None]).T @ jacobian, jacobian.T @ (weight * residual)
         prior_hessian, prior_gradient = prior.normal_equations(posed)
         state = body.stepped(state, -np.linalg.solve(hessian + prior_hessian, gradient + prior_gradient))
-    return state, distance
+    return state, _mismatch(posed, residual, weight)
+
+
+def _mismatch(posed: PosedBody, residual: Float[np.ndarray, " M"], weight: Float[np.ndarray, " M"]) -> float:
+    """Measure how much the shapes of body and surface differ, in the unit of the surface.
+
+    It is the median over the body's points of the absolute mean of the signed residuals around each: where the shapes
+    differ, neighbouring residuals have one sign, and noise of the surface averages out.
+    """
+    from scipy.spatial import KDTree
+
+    near = KDTree(posed.points).query(posed.points, k=MISMATCH_POINTS)[1]
+    signed, weights = residual[: len(near)][near], weight[: len(near)][near]
+    return float(np.median(np.abs((signed * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9))))
 
 
 def _matches(

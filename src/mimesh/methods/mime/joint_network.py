@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float
 
+from ...bodies.joint_names import other_side
 from ...core.rig import Rig
 from ...core.surface_points import SurfacePoints
-from ...motions.motion import other_side
 from ..npt import batch_of_one
 
 if TYPE_CHECKING:
@@ -92,7 +92,8 @@ class JointNetwork:
     @cached_property
     def _other_sides(self) -> list[int]:
         """Joint on the other side of the body of each joint, or itself."""
-        return [self.joints.index(other_side(name, self.joints)) for name in self.joints]
+        index = {name: j for j, name in enumerate(self.joints)}
+        return [index.get(other_side(name), j) for name, j in index.items()]
 
 
 def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
