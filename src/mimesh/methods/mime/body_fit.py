@@ -169,7 +169,7 @@ def _optimise(
     quadratic in the step, and least where (J^T W J + P) step = -(J^T W r + g): the normal equations, with P and g from
     the prior. The next round matches and linearises again at the new state.
     """
-    coarse, distance = body.first(COARSE_POINTS), 0.0
+    coarse, distance, mismatch = body.first(COARSE_POINTS), 0.0, 0.0
     for k in range(ROUNDS):
         # Matches are expected to come nearer in every round, but not nearer than those of the last round were.
         fraction = (LAST_DISTANCE / FIRST_DISTANCE) ** (k / (ROUNDS - 1))
@@ -178,11 +178,13 @@ def _optimise(
         posed = PosedBody(coarse if k < COARSE_ROUNDS else body, state)
         jacobian, residual, weight = _matches(posed, surface, tree, OUTLIER_SCALE * expected)
         distance = float(np.median(np.abs(residual)))
+        if k == ROUNDS - 1:
+            mismatch = _mismatch(posed, residual, weight)
         weight *= MATCH_WEIGHT / expected**2
         hessian, gradient = (jacobian * weight[:, None]).T @ jacobian, jacobian.T @ (weight * residual)
         prior_hessian, prior_gradient = prior.normal_equations(posed)
         state = body.stepped(state, -np.linalg.solve(hessian + prior_hessian, gradient + prior_gradient))
-    return state, _mismatch(posed, residual, weight)
+    return state, mismatch
 
 
 def _mismatch(posed: PosedBody, residual: Float[np.ndarray, " M"], weight: Float[np.ndarray, " M"]) -> float:
@@ -193,8 +195,8 @@ def _mismatch(posed: PosedBody, residual: Float[np.ndarray, " M"], weight: Float
     """
     from scipy.spatial import KDTree
 
-    near = KDTree(posed.points).query(posed.points, k=MISMATCH_POINTS)[1]
-    signed, weights = residual[: len(near)][near], weight[: len(near)][near]
+    near = np.asarray(KDTree(posed.points).query(posed.points, k=MISMATCH_POINTS)[1])
+    signed, weights = residual[near], weight[near]  # matches of the body's points come first
     return float(np.median(np.abs((signed * weights).sum(axis=1) / np.maximum(weights.sum(axis=1), 1e-9))))
 
 
