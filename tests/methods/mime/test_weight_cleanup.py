@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.bodies import load_body
+from mimesh.methods.mime.body_fit import NearestBody
 from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_weights
 
 BODY = load_body()
@@ -67,3 +68,44 @@ def test_weights_of_a_separate_surface_stay():
 def test_weights_of_a_point_cloud_stay():
     weights = corrupted()
     assert cleaned(weights, np.zeros((0, 3), int)) is weights
+
+
+def with_stick(height, count=12):
+    """Add a thin stick, upright in front of the left hand and up to `height` above it, as a piece of its own."""
+    hand = BODY.joints[BODY.joint("LeftHand")]
+    steps = np.linspace(0, height, count)
+    stick = hand + np.concatenate([[[0.02 * side, y, 0.03] for y in steps] for side in (-1, 1)])
+    a = np.arange(count - 1)
+    faces = np.concatenate([np.stack([a, a + 1, a + count], 1), np.stack([a + 1, a + count + 1, a + count], 1)])
+    start = len(BODY.vertices)
+    return np.concatenate([BODY.vertices, stick]), np.concatenate([BODY.faces, faces + start]), start
+
+
+def nearest_body(vertices):
+    from scipy.spatial import KDTree
+
+    distance, index = KDTree(BODY.vertices).query(vertices)
+    return NearestBody(distance, BODY.weights[index])
+
+
+def test_a_stick_that_reaches_far_from_the_body_moves_with_the_hand_that_holds_it():
+    vertices, faces, start = with_stick(0.9)
+    weights = np.concatenate([BODY.weights, np.full((len(vertices) - start, len(BODY.parents)), 1 / len(BODY.parents))])
+    found = clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))[start:]
+    assert (found.max(axis=1) == 1).all()
+    assert len(np.unique(found.argmax(axis=1))) == 1
+    assert BODY.joint_names[found[0].argmax()] in ("LeftHand", "LeftFingerBase", "LThumb", "LeftForeArm")
+    # Without a fitted body nothing says that it is far from one.
+    assert clean_weights(weights, vertices, faces, BODY.parents)[start:].max() < 1
+
+
+def test_a_piece_that_follows_the_body_keeps_bending():
+    """A sleeve over a whole arm is near the body and weighted to several joints."""
+    arm = BODY.weights[:, [BODY.joint("LeftArm"), ELBOW]].sum(axis=1) > 0.9
+    sleeve = BODY.faces[arm[BODY.faces].all(axis=1)]
+    vertices = np.concatenate([BODY.vertices, BODY.vertices + 0.01 * BODY.vertices / 2])
+    faces = np.concatenate([BODY.faces, sleeve + len(BODY.vertices)])
+    weights = np.concatenate([BODY.weights, BODY.weights])
+    found = clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))
+    worn = np.unique(sleeve) + len(BODY.vertices)
+    assert np.abs(found - weights)[worn].max() < 0.05

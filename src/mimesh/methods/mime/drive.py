@@ -1,6 +1,7 @@
 """mime as an ONNX file: predict the joints of both meshes, fit the shipped body to them, then track each frame.
 
-A prediction is one run of the network on points sampled from a surface (`joint_network.py`).
+A prediction is one run of the network on points sampled from a surface (`joint_network.py`); every second one is of the
+mirror image.
 
 Preparing (once): several predictions for the identity and for keyframes of the driving, a consensus of each, and a fit
 of the body to both surfaces. Each frame: the joints' rotations by least squares over tracked points
@@ -31,18 +32,21 @@ from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
+from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
-from .part_tracking import PartTracker, mean_rotation
+from .part_tracking import PartTracker
 from .weight_cleanup import clean_weights
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
-"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of them predict weights too
-(of 6,890 vertices they cost four times as much as the joints)."""
+"""Predictions for a mesh, each from other samples, whose consensus is taken; and how many of those that agree predict
+weights too (of 6,890 vertices they cost four times as much as the joints)."""
+REFERENCE_ENSEMBLE = 4
+"""Predictions for the reference among the keyframes of a clip; each other keyframe gets one."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
 RETRIES, DISAGREEMENT = 4, 15.0
@@ -166,32 +170,42 @@ class MimeMethod:
         )
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
         queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
-        rigs = [self._predict(samples, denoised, k, queries) for k in range(ENSEMBLE)]
-        mean = _consensus(rigs)
+        rigs = [self._predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self._weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
         confidence = self._confidence(rigs, mean, mean.weights[len(vertices) :])
         if self.identity_targets is None:
-            rig, confidence = self._with_fit(mean, confidence, sample)
+            rig, confidence, fit = self._with_fit(mean, confidence, sample)
         else:
-            rig, confidence = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
+            rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
-        weights = clean_weights(rig.weights[: len(vertices)], vertices, faces, self.parents)
+        nearest = fit.nearest(vertices) if fit else None
+        weights = clean_weights(rig.weights[: len(vertices)], vertices, faces, self.parents, nearest)
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(
-        self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints
+        self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], k: int, queries: NetworkPoints | None = None
     ) -> Rig:
-        """Make prediction k of ENSEMBLE for a mesh, from samples of its own; the first few predict weights too."""
+        """Make prediction k of ENSEMBLE for a mesh, from samples of its own; odd ones are of the mirror image."""
         sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), vertices)
-        return self.network.predict(sampled, queries if k < WEIGHT_ENSEMBLE else None)
+        return self.network.predict(sampled, queries, mirrored=k % 2 == 1)
 
-    def _with_fit(self, rig: Rig, confidence: Confidence, sample: SurfaceSample) -> tuple[Rig, Confidence]:
+    def _weights(
+        self, rigs: list[Rig], samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"], queries: NetworkPoints
+    ) -> Float[np.ndarray, "V J"]:
+        """Predict the weights of the queries: the mean of WEIGHT_ENSEMBLE of the predictions that agree."""
+        kept = agreeing(rigs)[:WEIGHT_ENSEMBLE]
+        return np.mean([self._predict(samples, vertices, k, queries).weights for k in kept], axis=0)
+
+    def _with_fit(
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample
+    ) -> tuple[Rig, Confidence, BodyFit | None]:
         """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
         if not self.fits_body:
-            return rig, confidence
+            return rig, confidence, None
         fit = fit_body(sample, rig.rotation, rig.joints)
-        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_unmatched(confidence, fit)
+        return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
 
     def _with_corrections(
         self,
@@ -200,7 +214,7 @@ class MimeMethod:
         sample: SurfaceSample,
         queries: NetworkPoints,
         targets: JointTargets,
-    ) -> tuple[Rig, Confidence]:
+    ) -> tuple[Rig, Confidence, BodyFit]:
         """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
 
         The weights are those of the points `queries`.
@@ -208,7 +222,7 @@ class MimeMethod:
         fit = fit_body(sample, *targets.move(rig.rotation, rig.joints), targets)
         displacement = fit.joints - rig.joints
         weights = corrected_weights(rig.weights, queries.points, queries.normals, displacement, fit.posed)
-        return Rig(fit.rotation, fit.joints, weights), _with_unmatched(confidence, fit)
+        return Rig(fit.rotation, fit.joints, weights), _with_measures(confidence, fit), fit
 
     def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
@@ -246,10 +260,10 @@ class MimeMethod:
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         sample = SurfaceSample(samples.points(frames[best.reference]), samples.normals(denoised[best.reference]))
         if targets is None:
-            rig, confidence = self._with_fit(best.consensus, best.confidence, sample)
+            rig, confidence, _ = self._with_fit(best.consensus, best.confidence, sample)
         else:
             queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
-            rig, confidence = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
+            rig, confidence, _ = self._with_corrections(best.consensus, best.confidence, sample, queries, targets)
             confidence = self._with_weights(confidence, rig.weights)
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
@@ -271,38 +285,24 @@ class MimeMethod:
         Points are tracked in `frames`; the network's input is taken from the same frames `denoised`.
         """
         # Other keyframes add one prediction each; a single pose gets the whole ensemble.
-        tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else 2
-        rigs = [self._predict_turned(samples, k, denoised[t], np.eye(3)) for k in range(count)]
-        mean = _consensus(rigs)
-        tracker = PartTracker.of(tracked.points(frames[t]), mean.weights, mean.joints, self.parents)
+        tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else REFERENCE_ENSEMBLE
+        rigs = [self._predict(samples, denoised[t], k) for k in range(count)]
+        weights = self._weights(rigs, samples, denoised[t], NetworkPoints.of(tracked, denoised[t]))
+        joints = consensus(rigs).joints  # positions are those of the reference; only rotations are carried back
+        tracker = PartTracker.of(tracked.points(frames[t]), weights, joints, self.parents)
         for k, vertices in enumerate(frames):
             if k != t:
                 motion = tracker.follow(tracked.points(vertices))[0]  # rotations from the reference to this keyframe
                 # The network was trained on people who face +z: the frame is turned back by the motion of the root.
-                rig = self._predict_turned(samples, k, denoised[k], motion[0])
+                rig = self._predict(samples, denoised[k] @ motion[0], k % ENSEMBLE)
                 # Undo that turn, then the motion of each joint: the rotations as they would be in the reference.
                 in_reference = motion.swapaxes(-1, -2) @ motion[0] @ rig.rotation
                 rigs.append(dataclasses.replace(rig, rotation=in_reference))
-        joints = mean.joints  # positions are those of the reference; only rotations are carried back
-        mean = _consensus(rigs)
+        mean = consensus(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
-        confidence = self._confidence(rigs, mean, mean.weights)
-        rig = dataclasses.replace(mean, joints=joints)
+        confidence = self._confidence(rigs, mean, weights)
+        rig = Rig(mean.rotation, joints, weights)
         return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
-
-    def _predict_turned(
-        self, samples: SurfacePoints, k: int, vertices: Float[np.ndarray, "U 3"], turn: Float[np.ndarray, "3 3"]
-    ) -> Rig:
-        """Make prediction k for a frame turned back by a rotation; the first few predict weights of tracked points."""
-        turned = vertices @ turn
-        return self._predict(samples, turned, k, NetworkPoints.of(samples.part(0, TRACKED), turned))
-
-
-def _consensus(rigs: list[Rig]) -> Rig:
-    """Average predictions: robust mean of rotations, mean of joint positions, and of weights where predicted."""
-    joints = np.mean([rig.joints for rig in rigs], axis=0)
-    weights = np.mean([rig.weights for rig in rigs if len(rig.weights)], axis=0)
-    return Rig(mean_rotation(np.stack([rig.rotation for rig in rigs])), joints, weights)
 
 
 def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
@@ -317,6 +317,6 @@ def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
     return confidence if len(mesh.faces) else dataclasses.replace(confidence, limbs={}, unmatched_body={})
 
 
-def _with_unmatched(confidence: Confidence, fit: BodyFit) -> Confidence:
+def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
     """Add how well a fitted body covers the surface."""
     return dataclasses.replace(confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface)

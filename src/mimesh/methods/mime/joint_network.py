@@ -9,11 +9,13 @@ position will do; normals that are not known are zero.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
 
+from ...bodies.joint_names import other_side
 from ...core.rig import Rig
 from ...core.surface_points import SurfacePoints
 from ..npt import batch_of_one
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
 
 CHUNK = 16_384
 """Vertices whose weights are predicted in one run of the network; bounds the memory."""
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""Factors on coordinates for the reflection at the plane x = 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,10 @@ class NetworkPoints:
             np.concatenate([self.points, others.points]), np.concatenate([self.normals, others.normals])
         )
 
+    def mirrored(self) -> NetworkPoints:
+        """Reflect the points at the plane x = 0."""
+        return NetworkPoints(self.points * MIRROR, self.normals * MIRROR)
+
 
 @dataclass(frozen=True, eq=False)
 class JointNetwork:
@@ -59,8 +67,16 @@ class JointNetwork:
     joints: tuple[str, ...]
     """Names of the joints."""
 
-    def predict(self, samples: NetworkPoints, queries: NetworkPoints | None) -> Rig:
-        """Predict joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time."""
+    def predict(self, samples: NetworkPoints, queries: NetworkPoints | None, mirrored: bool = False) -> Rig:
+        """Predict joints from samples of a mesh, and skinning weights of the queries, CHUNK at a time.
+
+        With `mirrored` the network gets the mirror image, and its prediction is mirrored back: its errors are others,
+        so the mean of both kinds is nearer to the truth than that of as many of one kind.
+        """
+        if mirrored:
+            rig = self.predict(samples.mirrored(), queries and queries.mirrored())
+            rotation = rig.rotation[self._other_sides] * MIRROR[:, None] * MIRROR
+            return Rig(rotation, rig.joints[self._other_sides] * MIRROR, rig.weights[:, self._other_sides])
         given = {"points": batch_of_one(samples.points), "normals": batch_of_one(samples.normals)}
         at = queries or NetworkPoints(*np.zeros((2, 1, 3)))  # the network takes no empty input
         outputs = []
@@ -72,6 +88,12 @@ class JointNetwork:
         rotation, joints, _ = outputs[-1]  # the same for all chunks: they do not depend on the queries
         weights = [_softmax(scores) for _, _, scores in outputs] if queries else [np.zeros((0, len(joints)))]
         return Rig(rotation, joints, np.concatenate(weights))
+
+    @cached_property
+    def _other_sides(self) -> list[int]:
+        """Joint on the other side of the body of each joint, or itself."""
+        index = {name: j for j, name in enumerate(self.joints)}
+        return [index.get(other_side(name), j) for name, j in index.items()]
 
 
 def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:

@@ -1,9 +1,13 @@
-"""Repair skinning weights where limbs touch.
+"""Repair skinning weights: where limbs touch, and of pieces that move rigidly.
 
 A network predicts the weights of a vertex from its position, so a hand that rests on a knee is weighted to the leg. On
 the surface, however, the hand is connected to the forearm, and no forearm borders on a knee. Edges between vertices of
 joints that far apart in the skeleton are cut; the connected components that this separates from the largest one of
 their surface are wrong, and are inpainted from the vertices around them.
+
+Swords, hats, shin guards and the blocks of block figures are pieces of their own, not connected to the rest, which one
+joint moves. Predicted weights of such a piece vary over it, which would bend it: it gets the joint of most of it. What
+reaches far from the body, such as a sword, gets the joint where it is nearest to the body.
 """
 
 from __future__ import annotations
@@ -12,7 +16,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...core.geometry import edges, face_areas, factor, links
+from .body_fit import NearestBody
 
+RIGID_SHARE, SMALL_SHARE, SMALL_AREA, BODY_SHARE = 0.65, 0.5, 0.01, 0.3
+"""A piece moves rigidly if one joint has more than the first share of its weight, or the second of a piece with less
+than SMALL_AREA of the surface; BODY_SHARE of what counts are the fitted body's weights. Chosen on 1,529 pieces of
+characters (docs/LOG.md, "Pieces")."""
+FAR, ATTACHED = 0.05, 0.1
+"""A piece also moves rigidly if its vertices are farther from the fitted body than this (median, metres of the body);
+its joint is that of the share of its vertices that is nearest to the body. Of 312 garments and other pieces that bend,
+in the pool's `train` and `val` characters, the median is below 0.04 (docs/LOG.md)."""
 MAX_BONES = 5
 """Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
 
@@ -22,8 +35,12 @@ def clean_weights(
     vertices: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     parents: tuple[int, ...],
+    nearest: NearestBody | None = None,
 ) -> Float[np.ndarray, "V J"]:
     """Return weights without influences far from each vertex's strongest joint, wrong components being inpainted.
+
+    Args:
+        nearest: of each vertex, on the body that was fitted to the surface; None if there is none.
 
     Point clouds have no connectivity: their weights are returned as they are.
     """
@@ -36,7 +53,47 @@ def clean_weights(
     # Far influences are removed first: they would spread from the border into the components that are inpainted.
     near = np.where(distance[strongest] < MAX_BONES, weights, 0.0)
     near /= near.sum(axis=1, keepdims=True)
-    return _inpainted(near, wrong, pairs) if wrong.any() else near
+    whole = _inpainted(near, wrong, pairs) if wrong.any() else near
+    return _rigid_pieces(whole, vertices, faces, pairs, nearest)
+
+
+def _rigid_pieces(
+    weights: Float[np.ndarray, "V J"],
+    vertices: Float[np.ndarray, "V 3"],
+    faces: Int[np.ndarray, "F 3"],
+    pairs: Int[np.ndarray, "E 2"],
+    nearest: NearestBody | None,
+) -> Float[np.ndarray, "V J"]:
+    """Give pieces of the surface that one joint moves to this joint alone."""
+    from scipy.ndimage import median
+    from scipy.sparse.csgraph import connected_components
+
+    count, piece = connected_components(links(pairs, len(vertices)), directed=False)
+    vertex_area = _vertex_areas(vertices, faces)
+    area = np.bincount(piece, vertex_area, minlength=count)
+    mixed = weights if nearest is None else (1 - BODY_SHARE) * weights + BODY_SHARE * nearest.weights
+    summed = np.zeros((count, weights.shape[1]))
+    np.add.at(summed, piece, mixed * vertex_area[:, None])
+    joint, share = summed.argmax(axis=1), summed.max(axis=1) / np.maximum(area, 1e-30)
+    small = area < SMALL_AREA * area.sum()
+    rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
+    if nearest is not None:
+        for k in np.flatnonzero(~rigid & (median(nearest.distance, piece, np.arange(count)) > FAR)):
+            joint[k], rigid[k] = _attachment(np.flatnonzero(piece == k), mixed, nearest.distance), True
+    return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
+
+
+def _attachment(
+    vertices: Int[np.ndarray, " P"], weights: Float[np.ndarray, "V J"], distance: Float[np.ndarray, " V"]
+) -> int:
+    """Find the joint of a piece where it is nearest to the body."""
+    near = vertices[np.argsort(distance[vertices])[: max(3, int(ATTACHED * len(vertices)))]]
+    return int(weights[near].sum(axis=0).argmax())
+
+
+def _vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
+    """Compute the area around each vertex: a third of its triangles'."""
+    return np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
 
 
 def bone_distances(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
@@ -63,8 +120,7 @@ def _disconnected(
     surface, component = (
         connected_components(links(uncut, len(vertices)), directed=False)[1] for uncut in (pairs, pairs[~cut])
     )
-    vertex_area = np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces), 3), minlength=len(vertices))
-    component_area = np.bincount(component, vertex_area)
+    component_area = np.bincount(component, _vertex_areas(vertices, faces))
     largest_area = np.zeros(surface.max() + 1)
     np.maximum.at(largest_area, surface, component_area[component])
     return component_area[component] < largest_area[surface]

@@ -1,0 +1,45 @@
+"""Tests of the consensus of several predictions."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from mimesh.core.rig import Rig
+from mimesh.methods.mime.consensus import agreeing, consensus
+
+
+def prediction(degrees, noise=0, joints=4):
+    """Make a prediction whose joints are all turned about y by an angle, with noise of a few degrees."""
+    rng = np.random.default_rng(noise)
+    turned = Rotation.from_euler("y", degrees, degrees=True) * Rotation.from_rotvec(rng.normal(0, 0.03, (joints, 3)))
+    return Rig(turned.as_matrix(), rng.normal(0, 0.01, (joints, 3)) + degrees, np.zeros((0, joints)))
+
+
+def test_all_predictions_that_agree_are_kept():
+    rigs = [prediction(10, noise) for noise in range(8)]
+    assert sorted(agreeing(rigs)) == list(range(8))
+    np.testing.assert_allclose(consensus(rigs).joints, np.mean([rig.joints for rig in rigs], axis=0))
+
+
+def test_the_first_is_the_nearest_to_the_centre():
+    rigs = [prediction(40), prediction(12), prediction(10), prediction(8)]
+    kept = agreeing(rigs)
+    assert kept[-1] == 0
+    assert kept[0] in (1, 2, 3)
+
+
+def test_a_minority_that_contradicts_the_others_has_no_influence():
+    majority = [prediction(5, noise) for noise in range(5)]
+    found = consensus([*majority, prediction(80, 5), prediction(80, 6), prediction(80, 7)])
+    np.testing.assert_array_equal(found.rotation, consensus(majority).rotation)
+    np.testing.assert_array_equal(found.joints, consensus(majority).joints)
+
+
+def test_of_contradictory_facings_the_one_towards_the_front_wins():
+    front = [prediction(0, noise) for noise in range(2)]
+    found = consensus([prediction(180, noise) for noise in range(2, 8)] + front)
+    np.testing.assert_array_equal(found.rotation, consensus(front).rotation)
+
+
+def test_predictions_that_all_face_away_are_believed():
+    away = [prediction(180, noise) for noise in range(8)]
+    assert consensus(away).rotation[0, 2, 2] < -0.9
