@@ -39,6 +39,21 @@ the surface is far from the body. Holes in a mesh exceed only the first, clothes
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
+EXPECTED_ERROR = {
+    "constant": -6.0,
+    "spread": 0.5,
+    "entropy": 1.0,
+    "contradictions": 0.5,
+    "fit_distance": 0.3,
+    "fit_angle": 0.1,
+    "unmatched_limb": 0.1,
+    "unmatched_surface": 0.1,
+    "incomplete": 0.1,
+}
+"""Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
+`Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
+MAX_ERROR = 0.012
+"""Largest expected error of a mesh without a note."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -57,6 +72,12 @@ class Confidence:
     """Share of each limb of the fitted body that is far from the surface; empty without a fit."""
     unmatched_surface: float = 0.0
     """Share of the surface that is far from the fitted body."""
+    contradictions: float = 0.0
+    """Share of the predictions that contradict the others."""
+    fit_distance: float = 0.0
+    """Mismatch of the shapes of fitted body and surface (metres of the body); 0 without a fit."""
+    fit_angle: float = 0.0
+    """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
 
     @classmethod
     def of(
@@ -73,19 +94,46 @@ class Confidence:
         limbs = {limb: float(share[descendants([top], parents)].sum()) for limb, top in tops.items()}
         return cls(prediction_spread, float(entropy), limbs)
 
+    def features(self) -> dict[str, float]:
+        """Compute the figures that the expected error depends on, most of them as logarithms."""
+        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
+        return {
+            "spread": float(np.log1p(self.prediction_spread)),
+            "entropy": self.weight_entropy,
+            "contradictions": self.contradictions,
+            "fit_distance": float(np.log1p(1e3 * self.fit_distance)),
+            "fit_angle": float(np.log1p(self.fit_angle)),
+            "unmatched_limb": float(np.log1p(100 * unmatched_limb)),
+            "unmatched_surface": float(np.log1p(100 * self.unmatched_surface)),
+            "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
+        }
+
     @property
     def recognised(self) -> bool:
         """Whether the predictions are those of a person."""
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
 
     @property
+    def fitted(self) -> bool:
+        """Whether a body was fitted to the mesh."""
+        return self.fit_distance > 0
+
+    @property
+    def expected_error(self) -> float:
+        """Predict what this mesh adds to the mean error of a result, in heights of the identity; needs a fit."""
+        logarithm = sum(EXPECTED_ERROR[name] * value for name, value in self.features().items())
+        return float(np.exp(EXPECTED_ERROR["constant"] + logarithm))
+
+    @property
     def uncertainty(self) -> float:
-        """The largest ratio of one of the figures to its threshold; above 1 there is a note for the user."""
-        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
-        # A body that is far from the surface counts only where the surface is far from the body as well.
-        unmatched = min(unmatched_limb / MAX_UNMATCHED_LIMB, self.unmatched_surface / MAX_UNMATCHED_SURFACE)
+        """The expected error over MAX_ERROR; without a fit the largest ratio of one of the figures to its threshold.
+
+        Above 1 there is a note for the user.
+        """
+        if self.fitted:
+            return self.expected_error / MAX_ERROR
         incomplete = max(self._incompleteness(limb) for limb in MIN_SHARE)
-        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, unmatched, incomplete)
+        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, incomplete)
 
     def facts(self) -> dict[str, Any]:
         """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
@@ -98,10 +146,25 @@ class Confidence:
             "undecided": round(self.weight_entropy, 3),
             "limbs": limbs,
         }
-        return facts | ({"astray": unmatched, "bare": round(self.unmatched_surface, 4)} if unmatched else {})
+        if not self.fitted:
+            return facts
+        # A confidence of 0.5 is the threshold of the note.
+        facts |= {
+            "confidence": round(1 / (1 + self.uncertainty**2), 3),
+            "expected_error": round(self.expected_error, 4),
+        }
+        return facts | {"astray": unmatched, "bare": round(self.unmatched_surface, 4)}
 
     def notes(self, name: str) -> tuple[str, ...]:
-        """Return a note for the user if the mesh `name` does not look like a whole person, with the reasons."""
+        """Return a note for the user if limbs of the mesh `name` were not found with certainty, with reasons."""
+        if self.uncertainty <= 1:
+            return ()
+        reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
+        error = f" (about {self.expected_error:.0%} of the height)" if self.fitted else ""
+        return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}",)
+
+    def _reasons(self) -> list[str]:
+        """List in words which figures are bad."""
         incomplete = [limb for limb in MIN_SHARE if self._incompleteness(limb) > 1]
         uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
         unmatched = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
@@ -114,9 +177,7 @@ class Confidence:
             reasons.append(f"{_listed('no whole', incomplete)} was found")
         if unmatched and not incomplete:
             reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
-        if not reasons:
-            return ()
-        return (f"{name} hardly looks like a whole person: {'; '.join(reasons)}; do not trust the result",)
+        return reasons
 
     def _incompleteness(self, limb: str) -> float:
         """Return how much of a limb is missing: above 1, its share of the surface is too small, or too much of it is

@@ -17,7 +17,7 @@ from ...bodies import load_body
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
-from ..confidence import LIMBS
+from ..confidence import LIMBS, mean_angle
 from .joint_targets import JointTargets
 
 if TYPE_CHECKING:
@@ -87,6 +87,10 @@ class BodyFit:
     """Share of each limb of the body that is farther than UNMATCHED_BODY from the surface."""
     unmatched_surface: float
     """Share of the surface that is farther than UNMATCHED_SURFACE from the body."""
+    distance: float
+    """Mismatch of the shapes of body and surface (metres of the body); see `_mismatch`."""
+    angle: float
+    """Mean angle (degrees) between the rotations of the fitted body and the predicted ones."""
     posed: PosedBody
     """The fitted body."""
 
@@ -125,7 +129,8 @@ def fit_body(
     state, mismatch = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
-    share = 1 / (1 + (mismatch / state.size / RELIABLE_MISMATCH) ** MISMATCH_EXPONENT)
+    distance = mismatch / state.size
+    share = 1 / (1 + (distance / RELIABLE_MISMATCH) ** MISMATCH_EXPONENT)
     blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
     unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
     unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
@@ -137,6 +142,8 @@ def fit_body(
         joints=targets.apply(positions) if targets else positions,
         unmatched_body=unmatched_body,
         unmatched_surface=unmatched_surface,
+        distance=distance,
+        angle=mean_angle(state.rotation, rotation),
         posed=posed,
     )
 

@@ -230,12 +230,14 @@ class MimeMethod:
         confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
         if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
             return confidence
-        return dataclasses.replace(confidence, prediction_spread=0.0)
+        return dataclasses.replace(confidence, prediction_spread=0.0, contradictions=0.0, fit_angle=0.0)
 
     def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
         spread = float(np.median([mean_angle(rig.rotation, mean.rotation) for rig in rigs]))
-        return Confidence.of(spread, weights, self.joints, self.parents)
+        contradictions = 1 - len(agreeing(rigs)) / len(rigs)
+        confidence = Confidence.of(spread, weights, self.joints, self.parents)
+        return dataclasses.replace(confidence, contradictions=contradictions)
 
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
         """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
@@ -319,4 +321,10 @@ def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:
 
 def _with_measures(confidence: Confidence, fit: BodyFit) -> Confidence:
     """Add how well a fitted body covers the surface."""
-    return dataclasses.replace(confidence, unmatched_body=fit.unmatched_body, unmatched_surface=fit.unmatched_surface)
+    return dataclasses.replace(
+        confidence,
+        unmatched_body=fit.unmatched_body,
+        unmatched_surface=fit.unmatched_surface,
+        fit_distance=fit.distance,
+        fit_angle=fit.angle,
+    )

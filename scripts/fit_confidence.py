@@ -1,0 +1,141 @@
+"""Fit the expected error of `mime` to the figures of its confidence, on pairs with a known truth.
+
+`collect` runs mime on pairs of many kinds and writes the figures of both meshes and the error; `fit` finds the
+coefficients of `mimesh.methods.confidence.EXPECTED_ERROR` and says how well they warn.
+
+The error of a pair is modelled as the sum of the contributions of its two meshes, each exp(constant + coefficients *
+features). Coefficients are found by least squares on the logarithm of the sum.
+
+    python scripts/fit_confidence.py collect pairs.json --characters POOL --people FOLDER
+    python scripts/fit_confidence.py fit pairs.json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from jaxtyping import Float
+from scipy.optimize import least_squares
+
+from mimesh.bodies.character_pool import read_arrays
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.evaluate.characters import ACROSS
+from mimesh.evaluate.measure import AXES
+from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.run import find_protocol
+from mimesh.methods.confidence import Confidence
+from mimesh.methods.find import find_method
+from mimesh.pipeline.result import Timer
+from mimesh.pipeline.run import MotionOptions, play, prepare
+
+SHIPPED_BODY = ("human-npt", "human-wide", "contact", "dressed", "noise", "cross-topology")
+"""Protocols of the shipped body: COUNT pairs of each kind."""
+CHARACTERS = {"val": 72, "train": 36}
+"""Pairs of each kind of the pool's splits. The network has been trained on `train`, where it errs less: fewer of it."""
+COUNT, PEOPLE = 10, 24
+CREATURES, NONSENSE = "creatures", (500.0, 0.15)
+"""Animals and things as identities, and the PMD x1e4 and the error that they count as."""
+BAD, GOOD = 50.0, 10.0
+"""PMD x1e4 above which a result is bad, and below which it is good."""
+RIDGE = 0.03
+"""Weight of the coefficients' squares beside one pair: decides what few pairs do not."""
+app = typer.Typer(add_completion=False)
+
+
+@app.command()
+def collect(
+    output: Path,
+    characters: Annotated[Path, typer.Option(help="Pool of rigged characters.")],
+    people: Annotated[Path, typer.Option(help="Folder of rigged characters of the protocol cross-body.")],
+    model: Annotated[str, typer.Option("-m", help="mime, or an .onnx file.")] = "mime",
+) -> None:
+    """Run mime on pairs of many kinds; write the error and the confidence of both meshes of each."""
+    method = find_method(model)
+    axes = (AXES["up"], AXES["front"], AXES["driving_up"], AXES["driving_front"])
+    rows = []
+    with typer.progressbar(list(_pairs(characters, people)), label="pairs") as bar:
+        for name, make in bar:
+            pair = make()
+            prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, MotionOptions())
+            meshes = [dataclasses.asdict(confidence) for confidence in prepared.drive.confidence]
+            pmd, error = NONSENSE if name == CREATURES else _errors(play(prepared, Timer()).vertices[0], pair)
+            rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
+    output.write_text(json.dumps(rows))
+
+
+def _errors(result: Float[np.ndarray, "V 3"], pair: Pair) -> tuple[float, float]:
+    """Compute the PMD x1e4, and the mean distance in heights of the identity."""
+    height = np.ptp(pair.identity.vertices[:, 1])
+    return pmd_of_pair(result, pair.truth) * 1e4, mean_error_mm(result, pair.truth, height) / 1700
+
+
+def _pairs(characters: Path, people: Path) -> Iterator[tuple[str, Callable[[], Pair]]]:
+    """List the kind and a function that makes the pair, of all pairs."""
+    pool, others = find_protocol("characters", characters), find_protocol("cross-body", people)
+    sets = [(find_protocol(name), "val", COUNT) for name in SHIPPED_BODY]
+    sets += [(pool, split, count) for split, count in CHARACTERS.items()] + [(others, "val", PEOPLE)]
+    for protocol, split, count in sets:
+        for kind in (kind for kind in protocol.kinds if not kind.startswith(ACROSS)):
+            for i in range(count):
+                yield f"{protocol.name} {split} {kind}", lambda p=protocol, s=split, k=kind, i=i: p.pair(s, k, i)
+    wide = find_protocol("human-wide")
+    rows = json.loads((characters / "index.json").read_text())
+    for i, row in enumerate(row for row in rows if row["class"] != "humanoid" and row["split"] == "train"):
+        yield CREATURES, lambda i=i, file=row["file"]: _with_creature(wide.pair("val", "clips", i), characters / file)
+
+
+def _with_creature(pair: Pair, path: Path) -> Pair:
+    """Replace the identity of a pair by a creature of the pool, of whose result nothing can be right."""
+    arrays = read_arrays(path.with_suffix(".npz"))
+    return dataclasses.replace(pair, identity=Mesh(arrays["vertices"].astype(float), arrays["faces"].astype(int)))
+
+
+@app.command()
+def fit(pairs: Path) -> None:
+    """Fit the coefficients; print them, and how well they warn, each kind of pair being left out in turn."""
+    rows = json.loads(pairs.read_text())
+    features = np.array([[list(Confidence(**mesh).features().values()) for mesh in row["meshes"]] for row in rows])
+    pmd = np.array([row["pmd_e4"] for row in rows])
+    error = np.array([row["error"] for row in rows])
+    kinds = np.array([row["kind"] for row in rows])
+    left_out = np.empty(len(rows))
+    for kind in np.unique(kinds):
+        out = kinds == kind
+        left_out[out] = expected(fitted(features[~out], error[~out]), features[out])
+    names = list(Confidence(**rows[0]["meshes"][0]).features())
+    print(json.dumps(dict(zip(["constant", *names], fitted(features, error).round(4).tolist(), strict=True)), indent=2))
+    ratio = np.exp(np.quantile(np.abs(np.log(left_out / error)), [0.5, 0.9]))
+    print(f"expected error within a factor of {ratio[0]:.2f} (half of the pairs), {ratio[1]:.2f} (nine of ten)")
+    bad, good = pmd > BAD, pmd < GOOD
+    for share in (1.0, 0.99, 0.97, 0.95, 0.9):
+        limit = np.quantile(left_out[bad], 1 - share, method="lower")
+        warned = left_out >= limit
+        shares = f"{warned[bad].mean():.1%} of bad results warned about, {warned[good].mean():.1%} of good"
+        print(f"limit {limit:.4f}: {shares}")
+    for kind in np.unique(kinds):
+        of = kinds == kind
+        print(f"{kind:36s} error {np.median(error[of]):.4f}, expected {np.median(left_out[of]):.4f}")
+
+
+def fitted(features: Float[np.ndarray, "P 2 F"], error: Float[np.ndarray, " P"]) -> Float[np.ndarray, " C"]:
+    """Fit constant and coefficients by least squares on the logarithm, robustly."""
+
+    def residual(coefficients: np.ndarray) -> np.ndarray:
+        return np.append(np.log(expected(coefficients, features) / error), RIDGE * coefficients[1:])
+
+    start = np.append(np.log(np.median(error) / 2), np.zeros(features.shape[-1]))
+    return least_squares(residual, start, loss="soft_l1").x
+
+
+def expected(coefficients: Float[np.ndarray, " C"], features: Float[np.ndarray, "P 2 F"]) -> Float[np.ndarray, " P"]:
+    """Add up the contributions of both meshes of each pair."""
+    return np.exp(coefficients[0] + features @ coefficients[1:]).sum(axis=1)
+
+
+if __name__ == "__main__":
+    app()
