@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from jaxtyping import Float
 from scipy.optimize import least_squares
@@ -26,7 +27,8 @@ from mimesh.bodies.character_pool import read_arrays
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.evaluate.characters import ACROSS
 from mimesh.evaluate.measure import AXES
-from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.metrics import mean_error_mm, pmd_of_pair
+from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.run import find_protocol
 from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
