@@ -1,5 +1,7 @@
 """Whole people are recognised without a note; for halves, missing limbs and chairs the note says why."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,9 +12,9 @@ from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import (
     MAX_ENTROPY,
     MAX_SPREAD,
-    MAX_UNMATCHED_LIMB,
     MAX_UNMATCHED_SURFACE,
     MIN_SHARE,
+    MISSING_LIMB,
     Confidence,
 )
 from mimesh.pipeline import transfer
@@ -65,7 +67,7 @@ def test_whole_person_has_no_note():
 )
 def test_note_names_the_reason(mesh, reason):
     note = notes(mesh)
-    assert "hardly looks like a whole person" in note
+    assert "limbs were not found with certainty" in note
     assert reason in note
 
 
@@ -78,14 +80,44 @@ def test_note_lists_every_reason():
     assert Confidence(2.0, 0.5, {"head": 0.1}).notes("person") == ()
 
 
-def test_unmatched_limb_is_noted_where_surface_is_left_over():
+def fitted(**figures):
+    """A confidence of a person to whom a body was fitted closely, but for some figures."""
     limbs = {"head": 0.1, "left arm": 0.1, "right arm": 0.1, "left leg": 0.2, "right leg": 0.2}
-    (note,) = Confidence(2.0, 0.5, limbs, {"left arm": 0.1}, 0.05).notes("person")
-    assert "no surface where the left arm should be" in note
-    assert Confidence(2.0, 0.5, limbs, {"left arm": 0.1}, 0.0).notes("holed") == ()
-    assert Confidence(2.0, 0.5, limbs, {"left arm": 0.0}, 0.05).notes("dressed") == ()
-    (note,) = Confidence(2.0, 0.5, limbs, {"left arm": 0.5}, 0.0).notes("one arm")
+    sound = {"unmatched_body": dict.fromkeys(MIN_SHARE, 0.0), "fit_distance": 2e-4, "fit_angle": 3.0}
+    return Confidence(2.0, 0.5, limbs, **sound | figures)
+
+
+def test_missing_limb_is_noted_and_a_hole_is_not():
+    assert fitted().notes("person") == ()
+    assert fitted(unmatched_body={"left arm": 0.1}).notes("holed") == ()
+    (note,) = fitted(unmatched_body={"left arm": 0.5}).notes("one arm")
     assert "no whole left arm" in note
+
+
+def test_contradicting_fit_is_noted_with_the_expected_error():
+    lost = fitted(fit_angle=40.0, fit_distance=4e-3)
+    (note,) = lost.notes("person")
+    assert "do not fit together" in note
+    assert f"about {lost.expected_error:.0%} of the height" in note
+    (note,) = fitted(fit_angle=80.0, unmatched_body={"left arm": 0.1}, unmatched_surface=0.05).notes("person")
+    assert "no surface where the left arm should be" in note
+
+
+@pytest.mark.parametrize("figure", ["prediction_spread", "weight_entropy", "fit_distance", "fit_angle"])
+def test_expected_error_grows_with_every_figure(figure):
+    sound = fitted()
+    worse = dataclasses.replace(sound, **{figure: 2 * getattr(sound, figure)})
+    assert worse.expected_error > sound.expected_error
+    assert worse.uncertainty > sound.uncertainty
+
+
+def test_confidence_is_a_half_at_the_threshold_of_the_note():
+    angles = np.linspace(1.0, 90.0, 400)
+    confidences = [fitted(fit_angle=float(angle)) for angle in angles]
+    noted = [bool(confidence.notes("person")) for confidence in confidences]
+    assert noted == [confidence.facts()["confidence"] < 0.5 for confidence in confidences]
+    assert any(noted)
+    assert not all(noted)
 
 
 def test_missing_forearms_are_noted_and_holes_are_not():
@@ -94,21 +126,24 @@ def test_missing_forearms_are_noted_and_holes_are_not():
         trial = noise.pair("val", kind, 0)
         notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
         assert all(words in notes for words in expected)
-        assert bool(expected) == ("whole person" in notes)
+        assert bool(expected) == ("certainty" in notes)
 
 
 def test_sparse_point_cloud_of_a_person_has_no_note():
     points = np.random.default_rng(0).permutation(BODY.vertices)[:300]
     notes = " ".join(transfer(BODY.mesh(), Mesh(points, np.zeros((0, 3), int), name="cloud"), **AXES).notes)
-    assert "whole" not in notes
+    assert "certainty" not in notes
 
 
 def random_confidence(rng):
     """A confidence whose figures lie about their thresholds."""
     near = lambda threshold: float(threshold * rng.uniform(0.3, 1.15))  # noqa: E731
     limbs = {name: near(least) / 0.5 for name, least in MIN_SHARE.items()}
-    unmatched = {name: near(MAX_UNMATCHED_LIMB) for name in MIN_SHARE} if rng.random() < 0.7 else {}
-    return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs, unmatched, near(MAX_UNMATCHED_SURFACE))
+    if rng.random() < 0.3:
+        return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs)
+    unmatched = {name: near(MISSING_LIMB) for name in MIN_SHARE}
+    fit = {"fit_distance": near(2e-3), "fit_angle": near(12.0)}
+    return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs, unmatched, near(MAX_UNMATCHED_SURFACE), **fit)
 
 
 def test_uncertainty_is_above_one_exactly_where_there_is_a_note():

@@ -40,19 +40,17 @@ MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
 EXPECTED_ERROR = {
-    "constant": -6.0,
-    "spread": 0.5,
-    "entropy": 1.0,
-    "contradictions": 0.5,
-    "fit_distance": 0.3,
-    "fit_angle": 0.1,
-    "unmatched_limb": 0.1,
-    "unmatched_surface": 0.1,
-    "incomplete": 0.1,
+    "constant": -9.8839,
+    "spread": 0.7115,
+    "entropy": 0.9339,
+    "contradictions": -2.6828,
+    "fit_distance": 0.5061,
+    "fit_angle": 1.1704,
+    "incomplete": 0.8683,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
 `Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
-MAX_ERROR = 0.012
+MAX_ERROR = 0.019
 """Largest expected error of a mesh without a note."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
@@ -96,15 +94,12 @@ class Confidence:
 
     def features(self) -> dict[str, float]:
         """Compute the figures that the expected error depends on, most of them as logarithms."""
-        unmatched_limb = max(self.unmatched_body.values(), default=0.0)
         return {
             "spread": float(np.log1p(self.prediction_spread)),
             "entropy": self.weight_entropy,
             "contradictions": self.contradictions,
             "fit_distance": float(np.log1p(1e3 * self.fit_distance)),
             "fit_angle": float(np.log1p(self.fit_angle)),
-            "unmatched_limb": float(np.log1p(100 * unmatched_limb)),
-            "unmatched_surface": float(np.log1p(100 * self.unmatched_surface)),
             "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
         }
 
@@ -125,13 +120,21 @@ class Confidence:
         return float(np.exp(EXPECTED_ERROR["constant"] + logarithm))
 
     @property
-    def uncertainty(self) -> float:
-        """The expected error over MAX_ERROR; without a fit the largest ratio of one of the figures to its threshold.
+    def missing_limb(self) -> float:
+        """Largest unmatched share of a limb of the fitted body over MISSING_LIMB.
 
-        Above 1 there is a note for the user.
+        A limb that the mesh lacks is predicted somewhere, and all predictions of it may agree.
+        """
+        return max(self.unmatched_body.values(), default=0.0) / MISSING_LIMB
+
+    @property
+    def uncertainty(self) -> float:
+        """The larger ratio of expected error and missing limb to their thresholds; above 1 there is a note.
+
+        Without a fit it is the largest ratio of the other figures to theirs.
         """
         if self.fitted:
-            return self.expected_error / MAX_ERROR
+            return max(self.expected_error / MAX_ERROR, self.missing_limb)
         incomplete = max(self._incompleteness(limb) for limb in MIN_SHARE)
         return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, incomplete)
 
