@@ -31,6 +31,7 @@ from mimesh.evaluate.measure import AXES
 from mimesh.evaluate.metrics import mean_error_mm, pmd_of_pair
 from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.run import find_protocol
+from mimesh.methods.base import SkinnedDrive
 from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
 from mimesh.pipeline.result import Timer
@@ -65,7 +66,8 @@ def collect(
         for name, make in bar:
             pair = make()
             prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, MotionOptions())
-            meshes = [dataclasses.asdict(confidence) for confidence in prepared.drive.confidence]
+            assert isinstance(prepared.drive, SkinnedDrive)
+            meshes = [dataclasses.asdict(confidence) for confidence in prepared.drive.confidence or ()]
             pmd, error = NONSENSE if name == CREATURES else _errors(play(prepared, Timer()).vertices[0], pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
