@@ -16,6 +16,7 @@ from mimesh.methods.confidence import (
     MIN_SHARE,
     MISSING_LIMB,
     Confidence,
+    largest_flexion,
 )
 from mimesh.pipeline import transfer
 
@@ -109,6 +110,16 @@ def test_expected_error_grows_with_every_figure(figure):
     worse = dataclasses.replace(sound, **{figure: 2 * getattr(sound, figure)})
     assert worse.expected_error > sound.expected_error
     assert worse.uncertainty > sound.uncertainty
+
+
+def test_flexion_is_that_of_the_joint_that_is_bent_most():
+    names = ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
+    angle = np.radians(160.0)
+    straight = [[0.1, 1, 0], [0.1, 0.5, 0], [0.1, 0, 0]]
+    folded = [[-0.1, 1, 0], [-0.1, 0.5, 0], [-0.1, 0.5 - 0.4 * np.cos(angle), -0.4 * np.sin(angle)]]
+    assert largest_flexion(np.array([[0, 1, 0], *straight, *folded]), names) == pytest.approx(160.0)
+    assert largest_flexion(np.array([[0, 1, 0], *straight, *straight]), names) == pytest.approx(0.0, abs=1e-5)
+    assert largest_flexion(np.zeros((1, 3)), ("Hips",)) == 0.0
 
 
 def test_confidence_is_a_half_at_the_threshold_of_the_note():
