@@ -41,7 +41,7 @@ SHIPPED_BODY = ("human-npt", "human-wide", "contact", "dressed", "noise", "cross
 """Protocols of the shipped body: COUNT pairs of each kind."""
 CHARACTERS = {"val": 72, "train": 36}
 """Pairs of each kind of the pool's splits. The network has been trained on `train`, where it errs less: fewer of it."""
-COUNT, PEOPLE = 10, 24
+COUNT, PEOPLE = 12, 24
 CREATURES, NONSENSE = "creatures", (500.0, 0.15)
 """Animals and things as identities, and the PMD x1e4 and the error that they count as."""
 BAD, GOOD = 50.0, 10.0
