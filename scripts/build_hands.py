@@ -102,19 +102,17 @@ def regress(body: RiggedBody, people: np.ndarray, fingers: np.ndarray) -> tuple[
 
 def make_hands(body: RiggedBody, joints, components, shares, labels) -> Hands:
     """Put the arrays together: shares of the joints of both hands, and axes from the mean joints and fingertips."""
-    by_side, flexion, abduction = [], [], []
-    for s, side in enumerate(SIDES):
+    by_side = []
+    for side in SIDES:
         share = shares[:, [labels.index(name) for name in (f"{side}Hand", *finger_joints(side))]]
         total = share.sum(axis=1, keepdims=True)
         moved = (total[:, 0] > 1e-3) & (hand_weight(body, side) > 1e-3)
-        share = np.where(moved[:, None], share / np.maximum(total, 1e-9), np.eye(16)[0])
-        by_side.append(share)
-        mine = joints[15 * s : 15 * s + 15]
-        tips = body.vertices[fingertips(body.vertices, share[:, 1:], mine)]
-        axes = bend_axes(body.joints[body.joint(f"{side}Hand")], mine, tips, left=s == 0)
-        flexion.append(axes[0])
-        abduction.append(axes[1])
-    return Hands(joints, components, np.stack(by_side), np.concatenate(flexion), np.concatenate(abduction))
+        by_side.append(np.where(moved[:, None], share / np.maximum(total, 1e-9), np.eye(16)[0]))
+    tips = body.vertices[fingertips(body.vertices, by_side[0][:, 1:], joints[:15])]
+    axes = bend_axes(body.joints[body.joint("LeftHand")], joints[:15], tips)
+    # The mirror image of a rotation at x = 0 is about the axis with y and z negated.
+    flexion, abduction = (np.concatenate([axis, axis * (1, -1, -1)]) for axis in axes)
+    return Hands(joints, components, np.stack(by_side), flexion, abduction)
 
 
 def parse_args() -> argparse.Namespace:

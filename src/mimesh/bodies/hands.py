@@ -15,13 +15,15 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.geometry import unit_vectors
+from ..core.geometry import rotate_between, unit_vectors
 from .body_model import RiggedBody, load_body
 from .character_limbs import SIDES
 from .joint_names import FINGER_STUBS, finger_joints, with_finger_joints
 
 HAND_PARENTS = (-1, *(parent for k in range(5) for parent in (0, 3 * k + 1, 3 * k + 2)))
 """Parents within one hand: the hand, then three joints for each of five fingers."""
+STORED = ("joints", "joint_components", "flexion", "abduction")
+"""Arrays that are stored as they are."""
 TIP_SHARE = 0.5
 """Weight of a finger's last joint from which on a vertex can be the fingertip."""
 
@@ -55,11 +57,8 @@ def load_hands() -> Hands:
             rows = np.zeros((len(data[f"vertices{s}"]), 16))
             np.put_along_axis(rows, data[f"joints{s}"].astype(int), data[f"shares{s}"].astype(np.float64), axis=1)
             shares[s, data[f"vertices{s}"]] = rows / rows.sum(axis=1, keepdims=True)
-        return Hands(
-            *(data[name].astype(np.float64) for name in ("joints", "joint_components")),
-            shares,
-            *(data[name].astype(np.float64) for name in ("flexion", "abduction")),
-        )
+        given = {name: data[name].astype(np.float64) for name in STORED}
+        return Hands(shares=shares, **given)
 
 
 def save_hands(path: Path, hands: Hands, influences: int) -> None:
@@ -71,7 +70,7 @@ def save_hands(path: Path, hands: Hands, influences: int) -> None:
         arrays[f"vertices{s}"] = moved.astype(np.uint16)
         arrays[f"joints{s}"] = strongest.astype(np.uint8)
         arrays[f"shares{s}"] = np.take_along_axis(hands.shares[s, moved], strongest, axis=1).astype(np.float16)
-    for name in ("joints", "joint_components", "flexion", "abduction"):
+    for name in STORED:
         arrays[name] = getattr(hands, name).astype(np.float32)
     np.savez_compressed(path, **arrays)
 
@@ -113,32 +112,29 @@ def hand_joints(joint_names: tuple[str, ...], side: str) -> list[int]:
 
 
 def bend_axes(
-    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"], left: bool
+    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]
 ) -> tuple[Float[np.ndarray, "15 3"], Float[np.ndarray, "15 3"]]:
-    """Compute axes of flexion and abduction from the joints of a hand at rest.
+    """Compute axes of flexion and abduction from the joints of a left hand at rest.
 
     Fingers bend towards the palm's normal, and spread in the plane of the palm. The thumb bends across the palm,
     towards the first joint of the little finger.
     """
-    normal = palm_frame(wrist, joints, left)[:, 1] * -1
+    normal = palm_frame(wrist, joints)[:, 1] * -1
     chain = np.concatenate([joints.reshape(5, 3, 3), tips[:, None]], axis=1)
     bones = unit_vectors(np.diff(chain, axis=1))
     goal = np.tile(normal, (5, 3, 1))
     goal[0] = joints[12] - joints[1]
     flexion = unit_vectors(np.cross(bones, goal))
-    abduction = unit_vectors(np.cross(bones, flexion)) * (-1.0 if left else 1.0)
+    abduction = unit_vectors(np.cross(flexion, bones))
     return flexion.reshape(15, 3), abduction.reshape(15, 3)
 
 
-def palm_frame(
-    wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], left: bool
-) -> Float[np.ndarray, "3 3"]:
-    """Compute the axes of a palm as columns, as in the T-pose: x along the left hand, y off its back, z to the thumb.
+def palm_frame(wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the axes of a left palm as columns, as in the T-pose: x along the hand, y off its back, z to the thumb.
 
-    The frame of a right hand is the mirror image's, so x points to its wrist. Joints are those of `finger_joints`.
+    Joints are those of `finger_joints`.
     """
-    along = joints[[3, 6, 9, 12]].mean(axis=0) - wrist
-    x = unit_vectors(along if left else -along)
+    x = unit_vectors(joints[[3, 6, 9, 12]].mean(axis=0) - wrist)
     across = joints[3] - joints[12]
     z = unit_vectors(across - (across @ x) * x)
     return np.stack([x, np.cross(z, x), z], axis=1)
@@ -155,3 +151,48 @@ def fingertips(
         along = (vertices - joints[last]) @ (joints[last] - joints[last - 1])
         found.append(int(np.where(share >= min(TIP_SHARE, share.max()), along, -np.inf).argmax()))
     return found
+
+
+@cache
+def left_hand_body() -> RiggedBody:
+    """Return the left hand of the shipped body's mean shape: 16 joints, the hand first, and no shape components."""
+    body, hands = load_body(), load_hands()
+    kept = np.flatnonzero(hand_weight(body, "Left") > TIP_SHARE)
+    rank = np.full(len(body.vertices), -1)
+    rank[kept] = np.arange(len(kept))
+    return RiggedBody(
+        name="left hand",
+        vertices=body.vertices[kept],
+        faces=rank[body.faces[(rank[body.faces] >= 0).all(axis=1)]],
+        components=np.zeros((0, len(kept), 3)),
+        joints=np.concatenate([body.joints[[body.joint("LeftHand")]], hands.joints[:15]]),
+        joint_components=np.zeros((0, 16, 3)),
+        weights=hands.shares[0, kept],
+        joint_names=("LeftHand", *finger_joints("Left")),
+        parents=HAND_PARENTS,
+    )
+
+
+def hand_alignment(
+    joints: Float[np.ndarray, "16 3"], tips: Float[np.ndarray, "5 3"]
+) -> tuple[Float[np.ndarray, "16 3 3"], Float[np.ndarray, "16 3"]]:
+    """Compute the rotation of each joint from the shipped body's left hand at rest to another left hand at rest.
+
+    The hand's is that of its palm; a finger joint's is the palm's, then the smallest one to the direction of its bone.
+    Also returns the unit directions of the bones of the other hand, which end at joints and fingertips.
+    """
+    ours = left_hand_body()
+    our_tips = ours.vertices[fingertips(ours.vertices, ours.weights[:, 1:], ours.joints[1:])]
+    bones, our_bones = (_bones(at, ends) for at, ends in ((joints, tips), (ours.joints, our_tips)))
+    palm = palm_frame(joints[0], joints[1:]) @ palm_frame(ours.joints[0], ours.joints[1:]).T
+    turned = our_bones @ palm.T
+    old, new = (np.repeat(directions[1:], 3, axis=0) for directions in (turned, bones))
+    columns = rotate_between(old, new, np.tile(palm.T, (15, 1))).reshape(15, 3, 3)
+    return np.concatenate([palm[None], columns.swapaxes(-1, -2)]), bones
+
+
+def _bones(joints: Float[np.ndarray, "16 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "16 3"]:
+    """Compute unit directions from the hand to its knuckles, and from each finger joint to the next or to the tip."""
+    chain = np.concatenate([joints[1:].reshape(5, 3, 3), tips[:, None]], axis=1)
+    knuckles = joints[[4, 7, 10, 13]].mean(axis=0)
+    return unit_vectors(np.concatenate([knuckles[None] - joints[:1], np.diff(chain, axis=1).reshape(15, 3)]))

@@ -11,7 +11,7 @@ from .terminal import Json, print_json, print_next, require
 
 
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, npt, aniformer or limp.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
     config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
@@ -24,7 +24,7 @@ def train(
         Path | None, typer.Option(help="Checkpoint whose network a new training begins with.", metavar="CHECKPOINT")
     ] = None,
     characters: Annotated[
-        Path | None, typer.Option(help="Folder of rigged characters to train mime on.", metavar="DIR")
+        Path | None, typer.Option(help="Folder of rigged characters to train mime or hands on.", metavar="DIR")
     ] = None,
     json: Json = False,
 ) -> None:

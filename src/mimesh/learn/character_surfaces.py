@@ -104,6 +104,8 @@ class TrainingCharacters:
     """For cards: `makers`, the number of characters of each "maker: pack (licence)", and `sha256` of all arrays."""
     refused: dict[str, int]
     """Number of characters that cannot be used, by reason."""
+    characters: tuple[PoolCharacter, ...] = ()
+    """The characters themselves."""
 
     def described(self) -> str:
         """Say in words whose the characters are and how many cannot be used."""
@@ -131,7 +133,7 @@ class TrainingCharacters:
         for surface in surfaces:
             digest.update(surface.points.round(4).tobytes() + surface.weights.round(4).tobytes())
         facts = {"makers": dict(makers), "sha256": digest.hexdigest()}
-        return cls(surfaces, poses, facts, pool.refusals())
+        return cls(surfaces, poses, facts, pool.refusals(), pool.characters)
 
 
 def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:
