@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import finger_joints
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
@@ -273,12 +275,17 @@ def _joint_motion(
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
-    """Add confidences and foot skate (identity heights a second) to the report; return notes on low confidence."""
+    """Add confidences, hands whose fingers move and foot skate (identity heights a second) to the report.
+
+    Returns notes on low confidence.
+    """
     notes = ()
     if motion.drive.confidence is not None:
         for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
             report[which] |= confidence.facts()
             notes += confidence.notes(name)
+    moved = [side.lower() for side in SIDES if finger_joints(side)[0] in motion.drive.joints]
+    report["fingers"] = moved  # of these hands; elsewhere fingers follow the hand
     speed = foot_skate(motion.track, motion.path, motion.drive.skinned, motion.drive.feet)
     report["foot_skate"] = None if speed is None else speed / height
     return notes

@@ -33,6 +33,7 @@ from ..npt import generator
 from .body_fit import SurfaceSample, fit_body, sampled_body
 from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
+from .hands import FoundFingers, HandPredictor, HandTracker, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .part_tracking import PartTracker
 from .weight_cleanup import clean_weights
@@ -86,6 +87,8 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    hands: HandPredictor | None = None
+    """The network of hands; without one, fingers follow the hand."""
 
     @cached_property
     def network(self) -> JointNetwork:
@@ -107,11 +110,15 @@ class MimeMethod:
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
         feet = self._foot_joints()
+        fingers, trackers = self._find_fingers(identity, rig, driving, keyframes)
+        full, joints, parents = (
+            with_fingers(rig, self.joints, self.parents, fingers) if fingers else (rig, self.joints, self.parents)
+        )
         return SkinnedDrive(
-            joints=self.joints,
-            rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
-            skinned=SkinnedMesh.of(vertices, rig, self.parents),
-            follow=follow,
+            joints=joints,
+            rig=dataclasses.replace(full, weights=full.weights[ranked.group]),
+            skinned=SkinnedMesh.of(vertices, full, parents, len(self.joints)),
+            follow=follow_fingers(follow, trackers),
             # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
             # Heights of the feet's joints over the ground, by which standing feet are recognised and grounded.
@@ -125,6 +132,21 @@ class MimeMethod:
             name=driving.mesh.name,
             confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
         )
+
+    def _find_fingers(
+        self, identity: Mesh, rig: Rig, driving: Clip, keyframes: KeyframePrediction
+    ) -> tuple[list[FoundFingers], list[HandTracker]]:
+        """Find the fingers that both meshes show and that the driving bends otherwise, and how they are tracked."""
+        if self.hands is None:
+            return [], []
+        ranked = canonical_order(identity.vertices)
+        faces = ranked.group[canonical_faces(face_outward(identity).faces, ranked.group)]
+        own = WeightedMesh(ranked.merge(identity.vertices), faces, rig, rig.weights, moves=True)
+        mesh = dataclasses.replace(face_outward(driving.mesh), vertices=driving.vertices[keyframes.reference])
+        shown = self.hands.find(own, WeightedMesh.of_points(mesh, keyframes.consensus, keyframes.points, self.joints))
+        pairs = [(fingers, HandTracker.of(fingers)) for fingers in shown]
+        pairs = [pair for pair in pairs if pair[1].bends_otherwise(pair[0].mine, driving.vertices)]
+        return [fingers for fingers, _ in pairs], [tracker for _, tracker in pairs]
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
