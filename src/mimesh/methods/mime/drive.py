@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
@@ -110,7 +110,9 @@ class MimeMethod:
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
         feet = self._foot_joints()
-        fingers, trackers = self._find_fingers(identity, rig, driving, keyframes)
+        fingers, trackers = self._find_fingers(
+            vertices, ranked.group[face_outward(identity).faces], rig, driving, keyframes
+        )
         full, joints, parents = (
             with_fingers(rig, self.joints, self.parents, fingers) if fingers else (rig, self.joints, self.parents)
         )
@@ -134,14 +136,17 @@ class MimeMethod:
         )
 
     def _find_fingers(
-        self, identity: Mesh, rig: Rig, driving: Clip, keyframes: KeyframePrediction
+        self,
+        vertices: Float[np.ndarray, "W 3"],
+        faces: Int[np.ndarray, "F 3"],
+        rig: Rig,
+        driving: Clip,
+        keyframes: KeyframePrediction,
     ) -> tuple[list[FoundFingers], list[HandTracker]]:
         """Find the fingers that both meshes show and that the driving bends otherwise, and how they are tracked."""
         if self.hands is None:
             return [], []
-        ranked = canonical_order(identity.vertices)
-        faces = ranked.group[canonical_faces(face_outward(identity).faces, ranked.group)]
-        own = WeightedMesh(ranked.merge(identity.vertices), faces, rig, rig.weights, moves=True)
+        own = WeightedMesh(vertices, faces, rig, rig.weights, moves=True)
         mesh = dataclasses.replace(face_outward(driving.mesh), vertices=driving.vertices[keyframes.reference])
         shown = self.hands.find(own, WeightedMesh.of_points(mesh, keyframes.consensus, keyframes.points, self.joints))
         pairs = [(fingers, HandTracker.of(fingers)) for fingers in shown]

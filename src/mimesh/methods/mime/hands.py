@@ -31,7 +31,7 @@ from .part_tracking import PartTracker, mean_rotation
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-HAND_ENSEMBLE = 4
+HAND_ENSEMBLE = 3
 """Predictions for a hand, each from other points."""
 TRACKED_POINTS = 400
 """Points of a hand that are tracked through a clip."""
