@@ -18,7 +18,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
@@ -34,6 +34,7 @@ from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
 from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
+from .hands import FoundFingers, HandPredictor, HandTracker, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
 from .part_tracking import PartTracker
@@ -92,6 +93,8 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    hands: HandPredictor | None = None
+    """The network of hands; without one, fingers follow the hand."""
     identity_targets: JointTargets | None = None
     """Joints of the identity that the user has corrected."""
     driving_targets: JointTargets | None = None
@@ -128,12 +131,16 @@ class MimeMethod:
             follow, keyframes = self._follow(dataclasses.replace(driving, mesh=face_outward(driving.mesh)))
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
-        skinned = SkinnedMesh.of(vertices, rig, self.parents)
+        fingers, trackers = self._find_fingers(
+            vertices, ranked.group[face_outward(identity).faces], rig, driving, keyframes
+        )
+        full, joints, parents = with_fingers(rig, self.joints, self.parents, fingers)
+        skinned = SkinnedMesh.of(vertices, full, parents, len(self.joints))
         return SkinnedDrive(
-            joints=self.joints,
-            rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
+            joints=joints,
+            rig=dataclasses.replace(full, weights=full.weights[ranked.group]),
             skinned=skinned,
-            follow=follow,
+            follow=follow_fingers(follow, trackers),
             # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
             feet=Feet.of(
@@ -148,6 +155,24 @@ class MimeMethod:
             name=driving.mesh.name,
             confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
         )
+
+    def _find_fingers(
+        self,
+        vertices: Float[np.ndarray, "W 3"],
+        faces: Int[np.ndarray, "F 3"],
+        rig: Rig,
+        driving: Clip,
+        keyframes: KeyframePrediction,
+    ) -> tuple[list[FoundFingers], list[HandTracker]]:
+        """Find the fingers that both meshes show and that the driving bends otherwise, and how they are tracked."""
+        if self.hands is None:
+            return [], []
+        own = WeightedMesh(vertices, faces, rig, rig.weights, moves=True)
+        mesh = dataclasses.replace(face_outward(driving.mesh), vertices=driving.vertices[keyframes.reference])
+        shown = self.hands.find(own, WeightedMesh.of_points(mesh, keyframes.consensus, keyframes.points, self.joints))
+        pairs = [(fingers, HandTracker.of(fingers)) for fingers in shown]
+        pairs = [pair for pair in pairs if pair[1].bends_otherwise(pair[0].mine, driving.vertices)]
+        return [fingers for fingers, _ in pairs], [tracker for _, tracker in pairs]
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
