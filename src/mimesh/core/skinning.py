@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from .rig import Rig
+from .rig import Rig, descendant_matrix
 
 
 def blend_matrices(
@@ -94,10 +94,9 @@ def place_joints(
         linear: map of each joint from its own frame to the world: a rotation, also times scales of bones.
         parents: -1 for the root, which comes first; parents come before their children.
     """
-    positions = [root]
-    for bone, parent in zip(bones, parents[1:], strict=True):
-        positions.append(positions[parent] + linear[parent] @ bone)
-    return np.stack(positions)
+    steps = np.concatenate([root[None], (linear[list(parents[1:])] @ bones[..., None])[..., 0]])
+    # Each joint is where the steps of its ancestors and its own lead to: one product instead of a loop.
+    return descendant_matrix(parents).T @ steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,9 +138,9 @@ class SkinnedMesh:
         transforms = np.concatenate([rotation.swapaxes(-1, -2), self.joint_positions(rotation, root)[:, None]], axis=1)
         maps = transforms.reshape(-1, 3).astype(np.float32)
         columns = self.packed.shape[1]
-        vertices = (self.packed @ maps[:columns]).astype(np.float64)
+        vertices = _product(self.packed, maps[:columns])
         if self.rows is not None and self.packed_rows is not None:
-            vertices[self.rows] += self.packed_rows @ maps[columns:]
+            vertices[self.rows] += _product(self.packed_rows, maps[columns:])
         return vertices
 
     def joint_positions(
@@ -151,8 +150,25 @@ class SkinnedMesh:
         return place_joints(root, self.bones, rotation, self.parents)
 
 
-def _packed(vertices, rotation, joints, weights) -> np.ndarray:
+def _packed(
+    vertices: Float[np.ndarray, "V 3"],
+    rotation: Float[np.ndarray, "J 3 3"],
+    joints: Float[np.ndarray, "J 3"],
+    weights: Float[np.ndarray, "V J"],
+) -> np.ndarray:
     """Write vertices in the frames of joints, in homogeneous coordinates, times the weights: (V, 4 J), float32."""
-    local = np.einsum("jkl,vjk->vjl", rotation, vertices[:, None] - joints)
-    packed = np.concatenate([weights[..., None] * local, weights[..., None]], axis=-1)
-    return packed.reshape(len(vertices), -1).astype(np.float32)
+    # The map of each joint from the world to its frame, transposed: x -> (rotation^T (x - joint), 1).
+    maps = np.zeros((len(joints), 4, 4))
+    maps[:, :3, :3], maps[:, 3, 3] = rotation, 1.0
+    maps[:, 3, :3] = -(joints[:, None] @ rotation)[:, 0]
+    homogeneous = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
+    local = homogeneous @ maps.swapaxes(0, 1).reshape(4, -1)
+    return (np.repeat(weights, 4, axis=1) * local).astype(np.float32)
+
+
+def _product(packed: np.ndarray, maps: np.ndarray) -> Float[np.ndarray, "V 3"]:
+    """Multiply (V, K) by (K, 3), column by column: BLAS takes a third of the time of one product with three columns."""
+    product = np.empty((len(packed), 3))
+    for k in range(3):
+        product[:, k] = packed @ maps[:, k]
+    return product
