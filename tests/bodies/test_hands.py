@@ -15,8 +15,8 @@ from mimesh.bodies.finger_poses import (
 )
 from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, load_hands
 from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
+from mimesh.core.geometry import MIRROR
 
-MIRROR = np.array([-1.0, 1.0, 1.0])
 CHAINS = {
     "Mixamo": [[f"mixamorig:LeftHand{finger}{k}" for k in (1, 2, 3, 4)] for finger in FINGERS],
     "Unreal": [

@@ -23,7 +23,7 @@ from ..bodies.finger_poses import finger_rotations, sample_finger_poses
 from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_alignment
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
-from ..core.geometry import nearest_rotation
+from ..core.geometry import MIRROR, angles_between, nearest_rotation
 from ..core.mesh import Mesh
 from ..core.skinning import skinning_transforms
 from .character_poses import pose_character
@@ -32,7 +32,6 @@ from .protocols import Wide
 
 PERSON_HEIGHT_MM = 1700.0
 """Height of the person that distances are given for."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
 LEAST_POINTS = 4
 """Vertices of a joint from which on its rotation is measured."""
 OF_PART = 0.5
@@ -211,7 +210,7 @@ def pose_fingers(
 
 def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[str, Any]:
     """Measure fingers in the frame of the palm: fingertips in mm on a person of 1.7 m, joint rotations in degrees."""
-    scale, distances, angles = PERSON_HEIGHT_MM / pair.height, [], []
+    scale, distances, turns = PERSON_HEIGHT_MM / pair.height, [], []
     for s in range(2):
         palm = pair.part == 1 + 16 * s
         rotation, offset = rigid_motion(result[palm], pair.truth[palm])
@@ -222,12 +221,12 @@ def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[s
             of_joint = pair.part == 2 + 16 * s + k
             if of_joint.sum() >= LEAST_POINTS:
                 turn, _ = rigid_motion(moved[of_joint], pair.truth[of_joint])
-                angles.append(np.degrees(np.arccos(((np.trace(turn) - 1) / 2).clip(-1, 1))))
+                turns.append(turn)
     tips = np.concatenate(distances)
     return {
         "fingertip_mm": float(tips.mean()),
         "fingertip_max_mm": float(tips.max()),
-        "finger_deg": float(np.mean(angles)),
+        "finger_deg": float(angles_between(np.eye(3), np.stack(turns)).mean()),
     }
 
 

@@ -20,7 +20,7 @@ from ..bodies.hands import HAND_PARENTS, fingertips, hand_alignment, hand_weight
 from ..bodies.joint_names import ancestors, finger_joints
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core import geometry, surface_points
-from ..core.geometry import unit_vectors
+from ..core.geometry import MIRROR, unit_vectors
 from ..core.skinning import skin_poses, skinning_transforms
 from .primitives import SHAPES, Shape, sample_primitive
 
@@ -35,7 +35,6 @@ SPREAD = 1.3
 COARSE, FINGER_DETAIL = (0, 0, 300, 170, 120), 2.5
 """Number of clusters of vertices that hands are simplified to in turn (0 leaves them as they are), and how many times
 closer together they are on fingers, which would vanish otherwise."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
 HUMAN, WITHOUT = "human", "without fingers"
 """Groups of hands beside the packs of a pool."""
 

@@ -12,7 +12,8 @@ from .aniformer import AniFormerMethod
 from .base import Method
 from .limp import LIMPMethod
 from .mime.drive import MimeMethod
-from .mime.hands import HandPredictor
+from .mime.hand_network import HandNetwork
+from .mime.hands import HandFinder
 from .npt import NPTMethod
 from .onnx_runtime import import_onnxruntime
 
@@ -76,13 +77,13 @@ def load_network(
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 
-def load_hands(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandPredictor | None:
+def load_hands(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
     """Open the shipped network of hands, for a body with the given joints; None where it is not installed."""
     path = Path(str(resources.files("mimesh") / "zoo" / HANDS))
     if not path.is_file() or not {"LeftHand", "RightHand"} <= set(joints):
         return None
     session = _open_session(path, threads)
-    return HandPredictor(session, _metadata(session, path)["points"], joints, seed)
+    return HandFinder(HandNetwork(session, _metadata(session, path)["points"]), joints, seed)
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:

@@ -7,6 +7,7 @@ import mimesh
 from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
 from mimesh.bodies.hands import body_with_fingers, load_hands
 from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.core.geometry import MIRROR
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import Normalization
 from mimesh.evaluate.fingers import PERSON_HEIGHT_MM, body_parts, finger_metrics, fingers
@@ -15,7 +16,6 @@ from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
 
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
-MIRROR = np.array([-1.0, 1.0, 1.0])
 BODY = body_with_fingers()
 
 

@@ -1,46 +1,41 @@
-"""Fingers: a second, small network finds the joints of hands that show fingers; they are tracked apart from the body.
+"""Fingers: find the hands that show fingers on both meshes, follow them through the clip, and add them to the rig.
 
-A hand is the surface whose skinning weights belong to the hand's joint. Its points, turned to the frame of that joint
-and mirrored for right hands, give the rotation and position of fifteen joints and the share of each in the weights.
-Fingers move where the hands of both meshes show them; all others follow their hand. Only the bend of the fingers
-relative to the palm is transferred, so errors of the hand's own rotation do not bend them.
+A hand is the surface whose skinning weights belong to the hand's joint and its finger stubs. A second, small network
+(`hand_network.py`) finds fifteen joints in it and their shares in these weights. Fingers move where the hands of both
+meshes show them and the driving bends them otherwise than the identity; all others follow their hand. Only the bend of
+the fingers relative to the palm is transferred, so errors of the hand's own rotation do not bend them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ...bodies.character_limbs import SIDES
 from ...bodies.hands import HAND_PARENTS, hand_joints
 from ...bodies.joint_names import finger_joints
-from ...core.geometry import nearest_rotation, vertex_normals
+from ...core.canonical_order import canonical_order
+from ...core.geometry import angles_between, nearest_rotation, vertex_normals
 from ...core.mesh import Mesh
 from ...core.rig import Rig
 from ...core.surface_points import SurfacePoints
 from ..base import Pose
 from ..npt import generator
 from .denoise import NOISY, Denoiser
-from .joint_network import MIRROR, NetworkPoints
-from .part_tracking import PartTracker, mean_rotation
+from .hand_network import HAND_ENSEMBLE, Fingers, Hand, HandNetwork
+from .joint_network import NetworkPoints
+from .part_tracking import PartTracker
 
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
-
-HAND_ENSEMBLE = 3
-"""Predictions for a hand, each from other points."""
 TRACKED_POINTS = 400
 """Points of a hand that are tracked through a clip."""
 HAND_SHARE = 0.5
 """Least mean weight of the hand in a triangle of it."""
 MIN_FACES = 48
 """Triangles below which a hand is taken to have no fingers: each of them has at least a triangle on a few sides."""
-MAX_SPREAD = 20.0
-"""Median angle (degrees) between predictions of a hand and their mean from which on its fingers follow the hand."""
 LEAST_SHARE = 1e-3
 """Weight of the hand from which on a vertex is one of the hand's."""
 TINY = 1e-9
@@ -55,48 +50,8 @@ A hand of which no finger is ever different keeps the joints that it has without
 
 
 @dataclass(frozen=True, eq=False)
-class Hand:
-    """A hand of a mesh in one frame, and what is asked about it."""
-
-    side: str
-    rotation: Float[np.ndarray, "3 3"]
-    """World rotation of the hand's joint."""
-    joint: Float[np.ndarray, " 3"]
-    """Its position."""
-    samples: NetworkPoints
-    """Points of its surface."""
-    queries: NetworkPoints
-    """Points whose weights are asked for."""
-
-    def local(self, points: NetworkPoints) -> NetworkPoints:
-        """Express points in the frame of the hand's joint, as those of a left hand."""
-        mirror = 1.0 if self.side == "Left" else MIRROR
-        return NetworkPoints(
-            (points.points - self.joint) @ self.rotation * mirror, points.normals @ self.rotation * mirror
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class Fingers:
-    """Fingers of a hand: its palm and fifteen joints in the world, and the weights of the points asked for."""
-
-    palm: Float[np.ndarray, "3 3"]
-    """World rotation of the hand as the small network sees it."""
-    rotation: Float[np.ndarray, "15 3 3"]
-    """World rotation of the finger joints."""
-    joints: Float[np.ndarray, "15 3"]
-    shares: Float[np.ndarray, "Q 16"]
-    """Share of the hand and of its fingers in the weight that the hand has."""
-
-    @property
-    def bends(self) -> Float[np.ndarray, "15 3 3"]:
-        """Rotation of each joint relative to the palm."""
-        return self.palm.T @ self.rotation
-
-
-@dataclass(frozen=True, eq=False)
 class WeightedMesh:
-    """A mesh in one frame, whose hands are looked for."""
+    """A mesh in one frame, in which hands are looked for."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -104,14 +59,12 @@ class WeightedMesh:
     """Joints of the body; its weights may be those of other points."""
     weights: Float[np.ndarray, "V J"]
     """Skinning weights of the vertices."""
-    moves: bool
-    """Whether it is moved, so that weights of its vertices are needed; otherwise those of tracked points are."""
 
     @classmethod
     def of_points(cls, mesh: Mesh, rig: Rig, points: Float[np.ndarray, "N 3"], joints: tuple[str, ...]) -> WeightedMesh:
-        """Make it of a driving frame; its vertices around the hands get the weights of the nearest of the rig's points.
+        """Make it of a mesh and a rig whose weights are those of some points of its surface.
 
-        Others get none, which saves time.
+        Vertices around the hands get the weights of the nearest points. Others get none, which saves time.
         """
         from scipy.spatial import KDTree
 
@@ -123,203 +76,230 @@ class WeightedMesh:
         if near.any():
             nearest = KDTree(points).query(mesh.vertices[near], k=NEAREST)[1]
             weights[near] = rig.weights[nearest].mean(axis=1)
-        return cls(mesh.vertices, mesh.faces, rig, weights, moves=False)
+        return cls(mesh.vertices, mesh.faces, rig, weights)
 
 
 @dataclass(frozen=True, eq=False)
-class MeshHand:
-    """A hand with its place in the mesh."""
+class HandPart:
+    """The part of a mesh that is a hand."""
 
-    hand: Hand
-    joint: int
+    hand: int
     """Index of the hand's joint."""
-    base_joint: int
+    base: int
     """Index of the joint that carries the fingers: the base of all fingers, or the hand."""
-    base: Float[np.ndarray, "3 3"]
+    base_rotation: Float[np.ndarray, "3 3"]
     """World rotation of that joint."""
     samples: SurfacePoints
-    asked: Int[np.ndarray, " Q"]
-    """Vertices that belong to the hand."""
+    """Points of its surface."""
+    vertices: Int[np.ndarray, " Q"]
+    """Vertices that the hand moves."""
+    surface: Hand
+
+
+@dataclass(frozen=True, eq=False)
+class FingeredHand:
+    """A hand that shows its fingers."""
+
+    part: HandPart
+    fingers: Fingers
+
+    @cached_property
+    def tracker(self) -> PartTracker:
+        """Tracks the hand, which is the first joint, and its fingers; the queries are the tracked points."""
+        surface = self.part.surface
+        joints = np.concatenate([surface.position[None], self.fingers.joints])
+        return PartTracker.of(surface.queries.points, self.fingers.shares, joints, HAND_PARENTS)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundFingers:
-    """Fingers of a hand that both meshes show."""
+    """The hands of one side of both meshes, which show their fingers."""
 
     side: str
-    own: MeshHand
-    """Of the identity."""
-    other: MeshHand
-    """Of the driving."""
-    mine: Fingers
-    theirs: Fingers
+    identity: FingeredHand
+    """The shares are those of its vertices."""
+    driving: FingeredHand
+    """In the reference frame; the shares are those of its tracked points."""
 
 
 @dataclass(frozen=True, eq=False)
-class HandPredictor:
-    """A loaded network of hands; see `learn.models.hands`."""
+class HandFinder:
+    """Finds hands with fingers."""
 
-    session: InferenceSession
-    points: int
-    """Points of a hand that one prediction takes."""
+    network: HandNetwork
     joints: tuple[str, ...]
-    """Names of all joints of the body's network."""
+    """Names of the joints of the body's network."""
     seed: int = 0
 
-    def find(self, identity: WeightedMesh, driving: WeightedMesh) -> list[FoundFingers]:
-        """Find the hands whose fingers both meshes show, in the order of SIDES."""
-        own, other = (self._hands(mesh) for mesh in (identity, driving))
-        sides = [side for side in own if side in other]
-        fingers = self.predict([one for side in sides for one in (own[side].hand, other[side].hand)])
-        return [
-            FoundFingers(side, own[side], other[side], mine, theirs)
-            for side, mine, theirs in zip(sides, fingers[::2], fingers[1::2], strict=True)
-            if mine and theirs
-        ]
+    def find_moving(
+        self, identity: WeightedMesh, driving: Callable[[], WeightedMesh], frames: Float[np.ndarray, "T U 3"]
+    ) -> list[FoundFingers]:
+        """Find the hands whose fingers both meshes show and the driving bends otherwise in some frame.
 
-    def _hands(self, mesh: WeightedMesh) -> dict[str, MeshHand]:
-        """Cut out the hands of a mesh; those that are coarse, noisy or missing are left out."""
-        found = {}
-        for side in SIDES:
-            mass = mesh.weights[:, hand_joints(self.joints, side)].sum(axis=1)
-            of_hand = mesh.faces[mass[mesh.faces].mean(axis=1) > HAND_SHARE] if len(mesh.faces) else mesh.faces
-            if len(of_hand) < MIN_FACES:
-                continue
-            kept, corners = np.unique(of_hand, return_inverse=True)
-            part = Mesh(mesh.vertices[kept], corners.reshape(-1, 3))
-            denoiser = Denoiser.of(part)
-            if denoiser.folded_share(denoiser.ranked.merge(part.vertices)) >= NOISY:
-                continue
-            count = max(HAND_ENSEMBLE * self.points, TRACKED_POINTS)
-            samples = SurfacePoints.of(part, count, generator(self.seed, 2 + SIDES.index(side)))
-            samples = SurfacePoints(kept[samples.corners], samples.barycentric)
-            points = NetworkPoints.of(samples, mesh.vertices)
-            joint = self.joints.index(f"{side}Hand")
-            asked = np.flatnonzero(mass > LEAST_SHARE)
-            if mesh.moves:
-                near = mesh.faces[(mass > LEAST_SHARE)[mesh.faces].any(axis=1)]
-                queries = NetworkPoints(mesh.vertices[asked], vertex_normals(mesh.vertices, near)[asked])
-            else:
-                queries = points[:TRACKED_POINTS]
-            hand = Hand(side, mesh.rig.rotation[joint], mesh.rig.joints[joint], points, queries)
-            base = f"{side}FingerBase"
-            base_joint = self.joints.index(base) if base in self.joints else joint
-            found[side] = MeshHand(hand, joint, base_joint, mesh.rig.rotation[base_joint], samples, asked)
-        return found
-
-    def predict(self, hands: list[Hand]) -> list[Fingers | None]:
-        """Predict the fingers of hands, all in one run of the network; None for a hand that does not show them."""
-        if not hands:
+        Args:
+            identity: the mesh to move.
+            driving: makes the driving mesh in the reference frame; not called if the identity shows no fingers.
+            frames: of the driving.
+        """
+        mine = self._fingered(identity, SIDES, by_vertex=True)
+        theirs = self._fingered(driving(), tuple(mine), by_vertex=False) if mine else {}
+        found = [FoundFingers(side, mine[side], hand) for side, hand in theirs.items()]
+        if not found:
             return []
-        given = [hand.local(hand.samples) for hand in hands]
-        parts = [
-            NetworkPoints(points.points[k::HAND_ENSEMBLE], points.normals[k::HAND_ENSEMBLE])[: self.points]
-            for points in given
-            for k in range(HAND_ENSEMBLE)
-        ]
-        rotation, joints, _, separate = self._run(parts, [part[:1] for part in parts])
-        rotation, joints = (array.reshape(len(hands), HAND_ENSEMBLE, *array.shape[1:]) for array in (rotation, joints))
-        found: list[Fingers | None] = []
-        for h, hand in enumerate(hands):
-            mean = mean_rotation(rotation[h])
-            spread = _angles(rotation[h] @ mean.swapaxes(-1, -2)).mean(axis=1)
-            shown = separate.reshape(len(hands), -1)[h].mean() > 0 and np.median(spread) < MAX_SPREAD
-            found.append(self._fingers(hand, mean, joints[h], parts[h * HAND_ENSEMBLE]) if shown else None)
-        return found
+        moving = FingerTracker.of(found).bend_otherwise([hand.identity.fingers for hand in found], frames)
+        return [hand for hand, moves in zip(found, moving, strict=True) if moves]
 
-    def _fingers(self, hand: Hand, rotation: Float[np.ndarray, "16 3 3"], joints, part: NetworkPoints) -> Fingers:
-        """Return a hand's joints to the world, and predict the weights that are asked for."""
-        shares = _softmax(self._run([part], [hand.local(hand.queries)])[2][0])
-        mirror = 1.0 if hand.side == "Left" else MIRROR
-        turned = hand.rotation @ (rotation * np.reshape(mirror, (-1, 1)) * mirror)
-        placed = (joints.mean(axis=0) * mirror) @ hand.rotation.T + hand.joint
-        return Fingers(turned[0], turned[1:], placed[1:], shares)
+    def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, FingeredHand]:
+        """Find the hands of a mesh that show fingers; weights are predicted by vertex, or else of tracked points."""
+        hands = {side: hand for side in sides if (hand := self._hand(mesh, side, by_vertex)) is not None}
+        predictions = self.network.predict([hand.surface for hand in hands.values()])
+        return {
+            side: FingeredHand(hand, fingers)
+            for (side, hand), fingers in zip(hands.items(), predictions, strict=True)
+            if fingers is not None
+        }
 
-    def _run(self, points: list[NetworkPoints], queries: list[NetworkPoints]) -> list[np.ndarray]:
-        """Run the network on a batch: rotations, joints, scores and logits."""
-        names = ("points", "normals", "vertices", "vertex_normals")
-        arrays = [
-            np.stack([getattr(part, name) for part in parts])
-            for parts in (points, queries)
-            for name in ("points", "normals")
-        ]
-        given = {name: array.astype(np.float32) for name, array in zip(names, arrays, strict=True)}
-        found = self.session.run(["rotation", "joints", "scores", "separate"], given)
-        return [np.asarray(array).astype(np.float64) for array in found]
+    def _hand(self, mesh: WeightedMesh, side: str, by_vertex: bool) -> HandPart | None:
+        """Cut a hand out of a mesh; None if it is coarse, noisy or missing."""
+        weight = mesh.weights[:, hand_joints(self.joints, side)].sum(axis=1)
+        of_hand = mesh.faces[weight[mesh.faces.T].sum(axis=0) > 3 * HAND_SHARE]
+        if len(of_hand) < MIN_FACES:
+            return None
+        kept, corners = np.unique(of_hand, return_inverse=True)
+        part = Mesh(mesh.vertices[kept], corners.reshape(-1, 3))
+        ranked = canonical_order(part.vertices)
+        if Denoiser.of(part, ranked).folded_share(ranked.merge(part.vertices)) >= NOISY:
+            return None
+        count = max(HAND_ENSEMBLE * self.network.points, TRACKED_POINTS)
+        samples = SurfacePoints.of(part, count, generator(self.seed, 2 + SIDES.index(side)), ranked)
+        samples = SurfacePoints(kept[samples.corners], samples.barycentric)
+        points, moved = NetworkPoints.of(samples, mesh.vertices), weight > LEAST_SHARE
+        queries = _vertices(mesh, moved) if by_vertex else points[:TRACKED_POINTS]
+        hand = self.joints.index(f"{side}Hand")
+        base = self.joints.index(f"{side}FingerBase") if f"{side}FingerBase" in self.joints else hand
+        rotation = mesh.rig.rotation
+        surface = Hand(side, rotation[hand], mesh.rig.joints[hand], points, queries)
+        return HandPart(hand, base, rotation[base], samples, np.flatnonzero(moved), surface)
+
+
+def _vertices(mesh: WeightedMesh, chosen: Bool[np.ndarray, " V"]) -> NetworkPoints:
+    """Return some vertices of a mesh with their normals."""
+    around = mesh.faces[chosen[mesh.faces.T].any(axis=0)]
+    return NetworkPoints(mesh.vertices[chosen], vertex_normals(mesh.vertices, around)[chosen])
 
 
 @dataclass(frozen=True, eq=False)
-class HandTracker:
-    """Fingers of a driving hand, followed through its clip."""
+class FingerTracker:
+    """Fingers of H driving hands, followed through their clip."""
 
-    hand: int
-    """Index of the joint that carries the fingers."""
+    bases: list[int]
+    """Index of the joint that carries the fingers of each hand."""
     samples: SurfacePoints
+    """The tracked points of all hands."""
     tracker: PartTracker
-    fingers: Fingers
-    """In the reference frame."""
-    frame: Float[np.ndarray, "3 3"]
-    """Rotation from the frame of the identity's hand joint to its palm."""
+    palm: Float[np.ndarray, "H 1 3 3"]
+    """World rotation of the palms in the reference frame."""
+    rotation: Float[np.ndarray, "H 15 3 3"]
+    """World rotation of the finger joints in the reference frame."""
+    to_palm: Float[np.ndarray, "H 1 3 3"]
+    """Rotation from the frame of the identity's joint that carries the fingers to its palm."""
 
     @classmethod
-    def of(cls, found: FoundFingers) -> HandTracker:
+    def of(cls, hands: list[FoundFingers]) -> FingerTracker:
         """Prepare tracking from the reference frame."""
-        hand, samples = found.other.hand, found.other.samples
-        kept = SurfacePoints(samples.corners[:TRACKED_POINTS], samples.barycentric[:TRACKED_POINTS])
-        joints = np.concatenate([hand.joint[None], found.theirs.joints])
-        tracker = PartTracker.of(hand.queries.points, found.theirs.shares, joints, HAND_PARENTS)
-        frame = found.own.base.T @ found.mine.palm
-        return cls(found.other.base_joint, kept, tracker, found.theirs, frame)
+        corners, barycentric = (
+            np.concatenate([getattr(hand.driving.part.samples, field)[:TRACKED_POINTS] for hand in hands])
+            for field in ("corners", "barycentric")
+        )
+        return cls(
+            [hand.driving.part.base for hand in hands],
+            SurfacePoints(corners, barycentric),
+            PartTracker.stacked(hand.driving.tracker for hand in hands),
+            np.stack([hand.driving.fingers.palm[None] for hand in hands]),
+            np.stack([hand.driving.fingers.rotation for hand in hands]),
+            np.stack([(hand.identity.part.base_rotation.T @ hand.identity.fingers.palm)[None] for hand in hands]),
+        )
 
-    def follow(self, vertices: Float[np.ndarray, "U 3"], hand: Float[np.ndarray, "3 3"]) -> Pose:
-        """Return rotations of the finger joints for the identity, and their positions in the driving's frame."""
+    def follow(self, vertices: Float[np.ndarray, "U 3"], rotation: Float[np.ndarray, "B 3 3"]) -> Pose:
+        """Return rotations of the finger joints for the identity, and their positions in the driving's frame.
+
+        Args:
+            vertices: the driving in a frame.
+            rotation: of the driving's joints in that frame.
+        """
         bends, positions = self.bends(vertices)
-        return hand @ self.frame @ bends, positions
+        fingers = rotation[self.bases][:, None] @ self.to_palm @ bends
+        return fingers.reshape(-1, 3, 3), positions.reshape(-1, 3)
 
-    def bends(self, vertices: Float[np.ndarray, "U 3"]) -> Pose:
+    def bends(
+        self, vertices: Float[np.ndarray, "U 3"]
+    ) -> tuple[Float[np.ndarray, "H 15 3 3"], Float[np.ndarray, "H 15 3"]]:
         """Return rotations of the finger joints relative to the palm in a frame, and their positions."""
-        motion, positions = self.tracker.follow(self.samples.points(vertices))
-        return (motion[0] @ self.fingers.palm).T @ motion[1:] @ self.fingers.rotation, positions[1:]
+        points = self.samples.points(vertices).reshape(len(self.bases), -1, 3)
+        motion, positions = self.tracker.follow(points)
+        palm = motion[:, :1] @ self.palm
+        return palm.swapaxes(-1, -2) @ motion[:, 1:] @ self.rotation, positions[:, 1:]
 
-    def bends_otherwise(self, identity: Fingers, frames: Float[np.ndarray, "T U 3"]) -> bool:
-        """Tell whether a finger is clearly bent otherwise than the identity's in some frame.
+    def bend_otherwise(self, identity: list[Fingers], frames: Float[np.ndarray, "T U 3"]) -> Bool[np.ndarray, " H"]:
+        """Tell of each hand whether a finger is clearly bent otherwise than the identity's in some frame.
 
         A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
         """
-        angles = []
+        own, largest = np.stack([fingers.bends for fingers in identity]), np.zeros(len(identity))
         for vertices in frames:
             bends = self.bends(vertices)[0]
-            common = nearest_rotation((bends[3:] @ identity.bends[3:].swapaxes(-1, -2)).sum(axis=0))
-            angles.append(finger_angles(np.concatenate([identity.bends[:3], common @ identity.bends[3:]]), bends))
-        return bool(np.max(angles) > DIFFERENT_ABOVE)
+            common = nearest_rotation((bends[:, 3:] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=1))
+            turned = np.concatenate([own[:, :3], common[:, None] @ own[:, 3:]], axis=1)
+            largest = np.maximum(largest, finger_angles(turned, bends).max(axis=1))
+        return largest > DIFFERENT_ABOVE
 
 
 def with_fingers(
     rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: list[FoundFingers]
 ) -> tuple[Rig, tuple[str, ...], tuple[int, ...]]:
-    """Add the fingers of an identity to its rig, joints and parents.
+    """Add the fingers of an identity to its rig, joints and parents; the body's joints stay where they are.
 
     Of the body's joints of a hand, only the hand and the base of all fingers keep weights: those of the palm.
     """
-    weights, rotation, positions = [rig.weights.copy()], [rig.rotation], [rig.joints]
-    for fingers in found:
-        side, hand, first = fingers.side, fingers.own.joint, len(joints)
-        of_hand = hand_joints(joints, side)
-        mass = weights[0][:, of_hand].sum(axis=1)
-        shares = np.tile(np.eye(16)[0], (len(mass), 1))
-        shares[fingers.own.asked] = fingers.mine.shares
-        base = fingers.own.base_joint
-        palm = [hand] if base == hand else [hand, base]  # these two go on sharing the palm
-        kept = weights[0][:, palm] + TINY
-        weights[0][:, of_hand] = 0.0
-        weights[0][:, palm] = (mass * shares[:, 0])[:, None] * kept / kept.sum(axis=1, keepdims=True)
-        weights.append(mass[:, None] * shares[:, 1:])
-        rotation.append(fingers.mine.palm @ settled_bends(fingers.mine.bends, fingers.theirs.bends))
-        positions.append(fingers.mine.joints)
-        joints += finger_joints(side)
-        parents += tuple(base if parent == 0 else first + parent - 1 for parent in HAND_PARENTS[1:])
-    arrays = (np.concatenate(rotation), np.concatenate(positions), np.concatenate(weights, axis=1))
-    return Rig(*arrays), joints, parents
+    rotation, positions, weights = [rig.rotation], [rig.joints], [rig.weights.copy() if found else rig.weights]
+    for hand in found:
+        part, fingers = hand.identity.part, hand.identity.fingers
+        of_hand, palm = hand_joints(joints, hand.side), list(dict.fromkeys([part.hand, part.base]))
+        weights.append(_divided_weights(weights[0], of_hand, palm, part.vertices, fingers.shares))
+        rotation.append(fingers.palm @ settled_bends(fingers.bends, hand.driving.fingers.bends))
+        positions.append(fingers.joints)
+        parents += tuple(part.base if parent == 0 else len(joints) + parent - 1 for parent in HAND_PARENTS[1:])
+        joints += finger_joints(hand.side)
+    return Rig(np.concatenate(rotation), np.concatenate(positions), np.concatenate(weights, axis=1)), joints, parents
+
+
+def _divided_weights(
+    weights: Float[np.ndarray, "V J"],
+    of_hand: list[int],
+    palm: list[int],
+    vertices: Int[np.ndarray, " Q"],
+    shares: Float[np.ndarray, "Q 16"],
+) -> Float[np.ndarray, "V 15"]:
+    """Return the weights of the fingers of a hand, and leave the rest of the hand's to the joints of its palm.
+
+    Args:
+        weights: of the body's joints; changed in place.
+        of_hand: all joints of the body's hand.
+        palm: those that go on sharing the palm.
+        vertices: whose shares are known; the rest of what the hand moves belongs to the palm.
+        shares: of the palm and of the fingers in the weight that the hand has.
+    """
+    rows = np.flatnonzero(weights[:, of_hand].any(axis=1))
+    all_shares = np.zeros((len(rows), 16))
+    all_shares[:, 0] = 1.0
+    all_shares[np.searchsorted(rows, vertices)] = shares
+    mass = weights[rows][:, of_hand].sum(axis=1, keepdims=True)
+    kept = weights[rows][:, palm] + TINY
+    weights[rows[:, None], of_hand] = 0.0
+    weights[rows[:, None], palm] = mass * all_shares[:, :1] * kept / kept.sum(axis=1, keepdims=True)
+    fingers = np.zeros((len(weights), 15))
+    fingers[rows] = mass * all_shares[:, 1:]
+    return fingers
 
 
 def settled_bends(
@@ -329,41 +309,30 @@ def settled_bends(
 
     Small differences are mostly errors of the predictions; fingers without a difference follow the hand exactly.
     """
-    share = (
-        ((finger_angles(own, driving) - SAME_BELOW) / (DIFFERENT_ABOVE - SAME_BELOW))
-        .clip(0, 1)
-        .repeat(3)[:, None, None]
-    )
-    return nearest_rotation(share * own + (1 - share) * driving)
+    share = ((finger_angles(own, driving) - SAME_BELOW) / (DIFFERENT_ABOVE - SAME_BELOW)).clip(0, 1)
+    of_joint = share.repeat(3)[:, None, None]
+    return nearest_rotation(of_joint * own + (1 - of_joint) * driving)
 
 
-def finger_angles(own: Float[np.ndarray, "15 3 3"], driving: Float[np.ndarray, "15 3 3"]) -> Float[np.ndarray, " 5"]:
+def finger_angles(
+    own: Float[np.ndarray, "*H 15 3 3"], driving: Float[np.ndarray, "*H 15 3 3"]
+) -> Float[np.ndarray, "*H 5"]:
     """Return the angle between the bends of each finger of two hands (degrees), the mean over its joints."""
-    return _angles(own @ driving.swapaxes(-1, -2)).reshape(5, 3).mean(axis=1)
+    angles = angles_between(own, driving)
+    return angles.reshape(*angles.shape[:-1], 5, 3).mean(axis=-1)
 
 
 def follow_fingers(
-    follow: Callable[[Float[np.ndarray, "U 3"]], Pose], hands: list[HandTracker]
+    follow: Callable[[Float[np.ndarray, "U 3"]], Pose], hands: list[FoundFingers]
 ) -> Callable[[Float[np.ndarray, "U 3"]], Pose]:
     """Extend the function that finds the pose of a frame by fingers; without any it stays as it is."""
     if not hands:
         return follow
+    tracker = FingerTracker.of(hands)
 
     def follow_all(vertices: Float[np.ndarray, "U 3"]) -> Pose:
         rotation, positions = follow(vertices)
-        found = [(rotation, positions), *(hand.follow(vertices, rotation[hand.hand]) for hand in hands)]
-        rotations, places = zip(*found, strict=True)
-        return np.concatenate(rotations), np.concatenate(places)
+        fingers, places = tracker.follow(vertices, rotation)
+        return np.concatenate([rotation, fingers]), np.concatenate([positions, places])
 
     return follow_all
-
-
-def _angles(rotation: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B"]:
-    """Return the angles of rotations in degrees."""
-    cosine = (np.trace(rotation, axis1=-2, axis2=-1) - 1) / 2
-    return np.degrees(np.arccos(cosine.clip(-1, 1)))
-
-
-def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
-    weights = np.exp(scores - scores.max(axis=1, keepdims=True))
-    return weights / weights.sum(axis=1, keepdims=True)
