@@ -12,9 +12,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
+from typing import TypeVar
 
 from ..core.errors import InputError
 
+T = TypeVar("T")
 PARTS = {
     "HipJoint": "hipjoint",
     "Leg": "lowerleg lowleg downleg shin calf tibia knee leg",
@@ -83,6 +85,12 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
 def finger_joints(side: str) -> tuple[str, ...]:
     """List the names of the fifteen finger joints of a side, Left or Right: LeftHandThumb1, ..., LeftHandPinky3."""
     return tuple(f"{side}Hand{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
+
+
+def without_fingers(positions: dict[str, T]) -> dict[str, T]:
+    """Leave out the finger joints of a figure."""
+    fingers = {*finger_joints("Left"), *finger_joints("Right")}
+    return {name: value for name, value in positions.items() if name not in fingers}
 
 
 def with_finger_joints(joint_names: tuple[str, ...]) -> tuple[str, ...]:

@@ -37,7 +37,8 @@ def interpolate(
     values: Float[np.ndarray, "*T V C"], corners: Int[np.ndarray, "N 3"], barycentric: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "*T N C"]:
     """Interpolate values of vertices (positions, skinning weights) at points of triangles given by their corners."""
-    return (np.take(values, corners, axis=-2) * barycentric[:, :, None]).sum(axis=-2)
+    # A product and a sum over the corners give the same bits and take three times as long.
+    return np.einsum("...nkc,nk->...nc", np.take(values, corners, axis=-2), barycentric)
 
 
 def at_barycentric(

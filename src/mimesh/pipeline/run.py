@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.character_limbs import SIDES
-from ..bodies.joint_names import finger_joints
+from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
@@ -271,7 +271,7 @@ def play(
     skeleton = driving_joints = None
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
-        driving_joints = dict(zip(motion.drive.joints, positions, strict=True))
+        driving_joints = without_fingers(dict(zip(motion.drive.joints, positions, strict=True)))
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":

@@ -147,3 +147,40 @@ def test_small_differences_of_bends_are_settled_and_large_ones_stay():
     near, far = (driving @ rotvec_to_rotmat(np.radians(a) * axis) for a in (0.9 * SAME_BELOW, 1.1 * DIFFERENT_ABOVE))
     assert np.allclose(settled_bends(near, driving), driving)
     assert np.allclose(settled_bends(far, driving), far)
+
+
+def test_corrected_joints_stay_where_they_are_put_and_the_others_can_be_passed_back():
+    identity, driving = mesh(1), mesh(2, "fist")
+    plain = mimesh.transfer(identity, driving, **AXES)
+    assert plain.joints is not None
+    assert plain.driving_joints is not None
+    known = [{name: found[name] + [0.0, 0.02, 0.01] for name in ("LeftHand", "RightForeArm", "LeftFingerBase")}
+             for found in (plain.joints, plain.driving_joints)]  # fmt: skip
+    result = mimesh.transfer(identity, driving, **AXES, joints=known[0], driving_joints=known[1])
+    assert result.report["fingers"] == ["left", "right"]
+    for found, positions in ((result.joints, known[0]), (result.driving_joints, known[1])):
+        assert found is not None
+        for name, position in positions.items():
+            np.testing.assert_allclose(found[name], position, atol=1e-6)
+    again = mimesh.transfer(identity, driving, **AXES, joints=plain.joints, driving_joints=plain.driving_joints)
+    assert again.report["fingers"] == ["left", "right"]
+    assert np.abs(again.vertices - plain.vertices).max() < 0.05
+
+
+def test_planted_feet_are_those_without_fingers():
+    """Soles and the correction of the legs are the same to rounding, whether fingers move or not."""
+    left = np.tile(np.eye(3), (55, 1, 1))
+    frames = []
+    for t in range(12):
+        rotmat = pose("fist") if t % 2 else left.copy()
+        for side, sign in (("Left", 1.0), ("Right", -1.0)):
+            rotmat[BODY.joint(f"{side}UpLeg")] = rotvec_to_rotmat(np.array([0.3 * sign * np.sin(t / 2), 0.0, 0.0]))
+        frames.append(BODY.posed(person(2), rotmat))
+    clip = Clip(Mesh(frames[0], BODY.faces, name="walk"), np.stack(frames), 15.0)
+    moved, rigid = (mimesh.animate(mesh(1), clip, model, **AXES) for model in ("mime", "mime-rigid-fingers"))
+    assert moved.report["fingers"] == ["left", "right"]
+    feet = BODY.weights[:, [BODY.joint(f"{side}{part}") for side in ("Left", "Right") for part in ("Foot", "ToeBase")]]
+    on_foot = feet.sum(axis=1) > 0.9
+    apart = moved.clip.vertices[:, on_foot] - rigid.clip.vertices[:, on_foot]
+    # The first frame's bounding box, which has fingers in it, says where the whole result stands.
+    assert np.abs(apart - apart[0, 0]).max() < 1e-5

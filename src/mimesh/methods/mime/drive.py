@@ -135,7 +135,7 @@ class MimeMethod:
         body = WeightedMesh(vertices, ranked.group[identity.faces], rig, rig.weights)
         fingers = self._moving_fingers(body, driving, keyframes)
         full_rig, joints, parents = with_fingers(rig, self.joints, self.parents, fingers)
-        skinned = SkinnedMesh.of(vertices, full_rig, parents, len(self.joints))
+        skinned = SkinnedMesh.of(vertices, full_rig, parents)
         return SkinnedDrive(
             joints=joints,
             rig=dataclasses.replace(full_rig, weights=full_rig.weights.take(ranked.group, axis=0)),
