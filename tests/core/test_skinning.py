@@ -74,6 +74,13 @@ def test_a_packed_mesh_in_its_own_pose_is_the_mesh():
     np.testing.assert_allclose(skinned.posed(ROTATION, POSITIONS[0]), POSED, rtol=0, atol=2e-6)
 
 
+def test_a_part_of_a_packed_mesh_is_its_vertices_in_any_order():
+    rig = Rig(np.tile(np.eye(3), (len(JOINTS), 1, 1)), JOINTS, BODY.weights)
+    skinned, chosen = SkinnedMesh.of(VERTICES, rig, BODY.parents), np.array([7, 3, 3, len(VERTICES) - 1, 0])
+    posed = skinned.part(chosen).posed(ROTATION, POSITIONS[0])
+    np.testing.assert_allclose(posed, skinned.posed(ROTATION, POSITIONS[0])[chosen], rtol=0, atol=1e-6)
+
+
 def test_points_of_body_parameters_are_the_skinned_points():
     parameters = BodyParameters(1.0, ROOT, SHAPE, ROTVEC)
     assert_equal(posed_and_pullback(BODY, to_vector(parameters))[0], POSED)

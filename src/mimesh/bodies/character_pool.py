@@ -14,7 +14,7 @@ import re
 import zipfile
 from collections import Counter
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
+from .joint_names import named_fingers
 from .skinned_character import SkinnedCharacter
 
 ARRAYS = {
@@ -105,6 +106,11 @@ class PoolCharacter:
     def leg(self) -> float:
         """Height of the hips above the lowest vertex at rest: the unit in which figures of all sizes move."""
         return float(self.limbs["Trunk"].start[1] - self.rig.mesh.vertices[:, 1].min())
+
+    @cached_property
+    def fingers(self) -> dict[str, int]:
+        """Joint of each finger joint that the character has, LeftHandThumb1 to RightHandPinky3."""
+        return named_fingers(*self.rig.skeleton, self.joints)
 
     def clip_transforms(self, clip: str, frame: int) -> Float[np.ndarray, "K 4 4"]:
         """Compute each joint's transform from rest to a frame of a clip, for `SkinnedCharacter.skinned`."""

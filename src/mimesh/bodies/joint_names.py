@@ -3,6 +3,8 @@
 The name of a limb joint contains a side and a part, in either order and many spellings: LeftUpLeg, mixamorig:LeftUpLeg,
 L_Thigh, thigh.L, J_Bip_L_UpperLeg, "Bip01 L Thigh". Trunk joints are found from the hierarchy, whatever their names:
 the trunk is the chain from the hips to the common ancestor of both arms, the neck the chain from there to the head.
+Finger joints are found among those below a hand: LeftHandIndex1, index_01_l, L_Index1, leftIndexProximal, f_index.01.L,
+finger2-1.L (five fingers counted from 1), "Bip01 L Finger1" (counted from 0), LThumb.
 """
 
 from __future__ import annotations
@@ -10,9 +12,11 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable
+from typing import TypeVar
 
 from ..core.errors import InputError
 
+T = TypeVar("T")
 PARTS = {
     "HipJoint": "hipjoint",
     "Leg": "lowerleg lowleg downleg shin calf tibia knee leg",
@@ -30,6 +34,17 @@ A name is used once, and rows are matched from the top. So the meaning of an amb
 `leg` is the shin if there is a thigh, and the thigh if there is a knee; `shoulder` is the upper arm if there are a
 collar and an elbow, and the collar if there is an arm.
 """
+FINGERS = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+"""Fingers of a hand in the order of their joints, three each."""
+FINGER_STUBS = ("FingerBase", "HandFinger1", "Thumb")
+"""Joints that stand for all fingers in the list of 31: with finger joints, the hand takes their weights."""
+FINGER_WORDS = {
+    **{"thumb": 0, "index": 1, "pointer": 1, "fore": 1, "middle": 2, "mid": 2, "ring": 3},
+    **{"pinky": 4, "pinkie": 4, "little": 4, "pink": 4, "small": 4},
+}
+"""Words for a finger, and its place in FINGERS."""
+NO_PHALANX = {"palm", "metacarpal", "carpal", "end", "tip", "nub", "base", "meta"}
+"""Words of joints below a hand that are none of a finger's three; a thumb's first one may be called metacarpal."""
 HIPS = ("hips", "hip", "pelvis")
 """Words for the root of trunk and legs."""
 SIDES = {"left": "Left", "l": "Left", "right": "Right", "r": "Right"}
@@ -39,6 +54,7 @@ _LIMB = re.compile(f"(left|right|l|r)({_WORDS})(?:01)?|({_WORDS})(?:01)?(left|ri
 OTHER_SIDE = {"Left": "Right", "Right": "Left", "L": "R", "R": "L"}
 """Sides in the names of the shipped body's joints, and those that mirror them."""
 _SIDE = re.compile("Left|Right|[LR](?=[A-Z])")
+_FINGER_PARTS = re.compile("|".join(sorted({*FINGER_WORDS, *NO_PHALANX, "finger"}, key=len, reverse=True)) + r"|\d+")
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
 SHOWN = 12
 """Largest number of joint names that an error quotes."""
@@ -47,9 +63,9 @@ SHOWN = 12
 def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
     """Find the index of the joint that corresponds to each joint of the shipped body; joints not found are left out.
 
-    `parents` come before their children, -1 for roots. Fingers are not mapped. If two joints have one name, the first
-    is taken. Of a trunk longer than the shipped body's the first, the middle and the last joint are taken; a shorter
-    one is mapped to the last joints.
+    `parents` come before their children, -1 for roots. Fingers are found by `named_fingers`. If two joints have
+    one name, the first is taken. Of a trunk longer than the shipped body's the first, the middle and the last joint are
+    taken; a shorter one is mapped to the last joints.
     """
     plain = plain_names(joint_names)
     found = _limbs(plain)
@@ -63,6 +79,46 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
         spread = [trunk[0], trunk[len(trunk) // 2], trunk[-1]] if len(trunk) > 2 else trunk
         found |= dict(zip(("LowerBack", "Spine", "Spine1")[3 - len(spread) :], spread, strict=True))
         found |= _head(plain, parents, chest[0])
+    return found
+
+
+def finger_joints(side: str) -> tuple[str, ...]:
+    """List the names of the fifteen finger joints of a side, Left or Right: LeftHandThumb1, ..., LeftHandPinky3."""
+    return tuple(f"{side}Hand{finger}{k}" for finger in FINGERS for k in (1, 2, 3))
+
+
+def without_fingers(positions: dict[str, T]) -> dict[str, T]:
+    """Leave out the finger joints of a figure."""
+    fingers = {*finger_joints("Left"), *finger_joints("Right")}
+    return {name: value for name, value in positions.items() if name not in fingers}
+
+
+def with_finger_joints(joint_names: tuple[str, ...]) -> tuple[str, ...]:
+    """List the joints of a figure with fingers: the shipped body's without finger stubs, then thirty of fingers."""
+    stubs = {side + stub for side in ("Left", "Right", "L", "R") for stub in FINGER_STUBS}
+    kept = tuple(name for name in joint_names if name not in stubs)
+    return kept + finger_joints("Left") + finger_joints("Right")
+
+
+def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands: dict[str, int]) -> dict[str, int]:
+    """Find the index of each finger joint below the given hands ({"LeftHand": index, ...}); others are left out.
+
+    A finger's joints are those of one finger by name, from the hand outwards; the first three that are no metacarpal
+    and no end count. So the numbers in names, from 0, 1 or none, do not matter.
+    """
+    found = {}
+    for side in ("Left", "Right"):
+        if f"{side}Hand" not in hands:
+            continue
+        hand = hands[f"{side}Hand"]
+        below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
+        words = {j: _FINGER_PARTS.findall(joint_names[j].split(":")[-1].lower()) for j in below}
+        first = 0 if any(_finger_number(parts) == 0 for parts in words.values()) else 1
+        for number, finger in enumerate(FINGERS):
+            chain = [j for j in below if _finger(words[j], first) == number]
+            # Parents come first, so the chain is in order; a second chain of the same finger is no part of the first.
+            chain = [j for j in chain if j == chain[0] or chain[0] in ancestors(parents, j)]
+            found |= {f"{side}Hand{finger}{k}": j for k, j in enumerate(chain[:3], 1)}
     return found
 
 
@@ -107,6 +163,23 @@ def other_side(name: str) -> str:
     """Swap left and right in the name of a joint of the shipped body: LeftArm, LHipJoint; other names stay."""
     side = _SIDE.match(name)
     return name if side is None else OTHER_SIDE[side[0]] + name[side.end() :]
+
+
+def _finger_number(parts: list[str]) -> int | None:
+    """Read the number of a finger that is called by one: the first digit after the word `finger`."""
+    if "finger" not in parts or any(word in FINGER_WORDS for word in parts):
+        return None
+    digits = [word for word in parts[parts.index("finger") :] if word.isdigit()]
+    return int(digits[0][0]) if digits else None
+
+
+def _finger(parts: list[str], first: int) -> int | None:
+    """Give the place in FINGERS of a joint by the words of its name; None if it is no joint of a finger."""
+    named = next((FINGER_WORDS[word] for word in parts if word in FINGER_WORDS), None)
+    number = _finger_number(parts)
+    place = number - first if named is None and number is not None else named
+    other = NO_PHALANX.intersection(parts) - ({"metacarpal"} if place == 0 else set())
+    return None if other else place
 
 
 def _common(words: list[list[str]], end: int) -> str | None:

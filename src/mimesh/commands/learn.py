@@ -11,7 +11,7 @@ from .terminal import Json, print_json, print_next, progress, require
 
 
 def train(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, npt, aniformer or limp.")],
+    model: Annotated[str, typer.Argument(metavar="MODEL", help="What to train: mime, hands, npt, aniformer or limp.")],
     config: Annotated[str, typer.Option(help="small, paper, or the path of a YAML file.")] = "small",
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Folder for checkpoints and logs.")] = None,
     resume: Annotated[Path | None, typer.Option(help="Folder of a training to continue exactly.")] = None,
@@ -25,7 +25,7 @@ def train(
     ] = None,
     characters: Annotated[
         Path | None,
-        typer.Option(help="Folder of rigged .glb, .gltf, .vrm or of a pool to train mime on.", metavar="DIR"),
+        typer.Option(help="Folder of rigged .glb, .gltf, .vrm or of a pool to train mime or hands on.", metavar="DIR"),
     ] = None,
     clips: Annotated[
         Path | None, typer.Option(help="Folder of .glb, .bvh or AMASS motions to train mime on.", metavar="DIR")

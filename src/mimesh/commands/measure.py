@@ -13,7 +13,7 @@ Protocol = Annotated[
     str,
     typer.Argument(
         metavar="PROTOCOL",
-        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters or "
+        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers or "
         "clips-aniformer.",
     ),
 ]
@@ -26,8 +26,8 @@ Figures = Annotated[
 Data = Annotated[
     Path | None,
     typer.Option(
-        help="Folder: rigged characters for cross-body, a pool of them for characters, motions for clips-aniformer, "
-        "test garments for dressed.",
+        help="Folder: rigged characters for cross-body, a pool of them for characters and fingers, motions for "
+        "clips-aniformer, test garments for dressed.",
         metavar="DIR",
     ),
 ]

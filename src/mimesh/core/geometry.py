@@ -12,6 +12,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import SuperLU
 
+MIRROR = np.array([-1.0, 1.0, 1.0])
+"""Factors on coordinates for the reflection at the plane x = 0."""
+
 
 def face_vectors(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
     """Compute the cross product of two edges of each face: its normal times twice its area."""
@@ -199,6 +202,19 @@ def rotate_between(
     safe = np.where(opposite, 1.0, 1.0 + cosine)
     turned = vectors * cosine + np.cross(axis, vectors) + axis * (axis * vectors).sum(-1, keepdims=True) / safe
     return np.where(opposite, -vectors, turned)
+
+
+def angles_between(
+    first: Float[np.ndarray, "*#B 3 3"], second: Float[np.ndarray, "*#B 3 3"]
+) -> Float[np.ndarray, "*C"]:
+    """Compute the angles (degrees) between corresponding rotations."""
+    cosine = (np.einsum("...ab,...ab->...", first, second) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def mirrored_rotations(rotation: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
+    """Reflect rotations at the plane x = 0: F R F for the reflection F = diag(MIRROR)."""
+    return rotation * MIRROR[:, None] * MIRROR
 
 
 def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:

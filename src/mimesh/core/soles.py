@@ -39,7 +39,7 @@ class Feet:
     driving: SurfacePoints
     """The F * C * M points of the driving's surface whose means are its contact points."""
     identity: SkinnedMesh
-    """The identity's F * C contact points."""
+    """The F * C * M points of the identity whose means are its contact points."""
 
     @classmethod
     def of(
@@ -69,13 +69,11 @@ class Feet:
         if not both:
             return None
         points = np.concatenate([other.ravel() for _, _, other in both])
-        # Skinning is linear in `packed`: the mean of its rows is the mean of the points in every pose.
-        packed = np.concatenate([skinned.packed[mine].mean(axis=1) for _, mine, _ in both])
         return cls(
             tuple(leg for leg, _, _ in both),
             driving_leg,
             SurfacePoints(surface.corners[points], surface.barycentric[points]),
-            SkinnedMesh(skinned.parents, skinned.bones, packed),
+            skinned.part(np.concatenate([mine.ravel() for _, mine, _ in both])),
         )
 
     def driving_soles(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "F C 3"]:
@@ -87,7 +85,8 @@ class Feet:
     ) -> Float[np.ndarray, "T F C 3"]:
         """Return the identity's contact points in all frames."""
         at_origin = np.stack([self.identity.posed(frame, np.zeros(3)) for frame in rotation])
-        return at_origin.reshape(len(rotation), len(self.legs), -1, 3) + root[:, None, None]
+        soles = at_origin.reshape(len(rotation), len(self.legs), -1, MEAN_OF, 3).mean(axis=3)
+        return soles + root[:, None, None]
 
 
 def find_soles(

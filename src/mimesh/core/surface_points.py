@@ -37,7 +37,8 @@ def interpolate(
     values: Float[np.ndarray, "*T V C"], corners: Int[np.ndarray, "N 3"], barycentric: Float[np.ndarray, "N 3"]
 ) -> Float[np.ndarray, "*T N C"]:
     """Interpolate values of vertices (positions, skinning weights) at points of triangles given by their corners."""
-    return (np.take(values, corners, axis=-2) * barycentric[:, :, None]).sum(axis=-2)
+    # A product and a sum over the corners give the same bits and take three times as long.
+    return np.einsum("...nkc,nk->...nc", np.take(values, corners, axis=-2), barycentric)
 
 
 def at_barycentric(
@@ -60,9 +61,14 @@ class SurfacePoints:
     """Weights of the corners, rows sum to 1."""
 
     @classmethod
-    def of(cls, mesh: Mesh, count: int, rng: np.random.Generator) -> SurfacePoints:
-        """Draw `count` points, uniform by area; the order of vertices and faces has no influence."""
-        ranked = canonical_order(mesh.vertices)
+    def of(
+        cls, mesh: Mesh, count: int, rng: np.random.Generator, ranked: CanonicalOrder | None = None
+    ) -> SurfacePoints:
+        """Draw `count` points, uniform by area; the order of vertices and faces has no influence.
+
+        `ranked` is the canonical order of the vertices where it is known, which saves a third of the time.
+        """
+        ranked = canonical_order(mesh.vertices) if ranked is None else ranked
         if len(mesh.faces) == 0:
             available = len(ranked)
             enough = available >= count

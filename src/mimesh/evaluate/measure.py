@@ -25,6 +25,7 @@ from ..methods.find import find_method, weights_path
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
 from .clip_protocols import ClipPair, on_template
+from .fingers import FingerPair, finger_metrics
 from .limb_calibration import LimbedCharacter
 from .limb_metrics import limb_metrics
 from .metrics import (
@@ -61,6 +62,7 @@ TRAINED_ON = {
     "wide": "random people and poses",
     "clips80": "16 people x 80 motions",
     "clips": "random people and motions",
+    "hands": "random hands",
 }
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
@@ -214,6 +216,15 @@ def measure_characters(pair: CharacterPair, method: str | Method, **options: Any
     metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height) if pair.truth_known else {}
     identity, driving = (LimbedCharacter(c.rig, c.limbs) for c in (pair.identity_character, pair.driving_character))
     return metrics | limb_metrics(identity, driving, result, pair.driving.vertices) | facts
+
+
+def measure_fingers(pair: FingerPair, method: str | Method, **options: Any) -> dict[str, Any]:
+    """Measure a method on a pair of people with fingers: vertices as `measure`, and fingers in the palm's frame."""
+    result, facts = timed(run_on_pair, pair, method, options)
+    if result is None:
+        return facts
+    metrics = shape_metrics(result, pair.truth, pair.identity.faces, pair.height)
+    return metrics | finger_metrics(result, pair) | facts
 
 
 def timed(

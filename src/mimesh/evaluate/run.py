@@ -18,19 +18,20 @@ from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, TABLE_MODELS, WITHOUT_FIT, check_weights, find_method, weights_path
+from ..methods.find import MODELS, TABLE_MODELS, WITHOUT, check_weights, find_method, weights_path
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
+from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
-from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip
+from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip, measure_fingers
 from .pairs import Pair
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
 from .summary import summary
 
-FOLDERS = ("cross-body", "characters", "clips-aniformer")
+FOLDERS = ("cross-body", "characters", "clips-aniformer", "fingers")
 """Names of the protocols that read a folder."""
 
 
@@ -131,6 +132,8 @@ def measurement_of(protocol: Protocol) -> Callable[..., dict[str, Any]]:
     """Return the function that measures a method on one pair of a protocol."""
     if isinstance(protocol, ClipsAniformer):
         return measure_clip
+    if isinstance(protocol, FingerGestures):
+        return measure_fingers
     return measure_characters if isinstance(protocol, Characters) else measure
 
 
@@ -225,6 +228,8 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         return characters(data)
     if name == "clips-aniformer":
         return clips_aniformer(data)
+    if name == "fingers":
+        return fingers(data)
     if name == DRESSED.name and data is not None:
         return with_test_garments(data)
     if name not in PROTOCOLS:
@@ -258,9 +263,7 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
     names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *TABLE_MODELS, *WITHOUT_FIT) and not (
-        method.endswith(".onnx") and Path(method).is_file()
-    ):
+    if method not in (*names, *TABLE_MODELS, *WITHOUT) and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_weights(method)
 

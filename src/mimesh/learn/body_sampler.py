@@ -30,9 +30,10 @@ from .bodies import TorchBody, rotvec_to_rotmat
 class DataConfig:
     """What training meshes are made of."""
 
-    kind: Literal["table6", "wide", "clips80", "clips"] = "table6"
+    kind: Literal["table6", "wide", "clips80", "clips", "hands"] = "table6"
     """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
-    of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions."""
+    of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions.
+    `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -46,9 +47,9 @@ class DataConfig:
     contacts: float = 0.0
     """`wide`: share of people whose body parts touch each other."""
     characters: float = 0.0
-    """`mime`, `wide`: share of every batch that are characters of a folder and people of primitives."""
+    """`mime` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of primitives."""
     leave_out: tuple[str, ...] = ()
-    """`mime`, `wide`: packs of the folder of characters that are not trained on."""
+    """`mime` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0

@@ -27,6 +27,8 @@ DATA = {
     "clips80": "16 people x 80 motions of 30 frames: seconds of the shipped motions, walks and splines",
     "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
     "between poses within the joint limits; headings",
+    "hands": "hands of random people of the shipped body and of characters, fingers in random gestures; mittens, "
+    "blocks and hands without fingers",
 }
 """Descriptions of `DataConfig.kind` for the card."""
 INT8_STEPS = 127

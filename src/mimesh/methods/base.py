@@ -144,7 +144,7 @@ class SkinnedDrive:
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Return the identity's vertices for world rotations of the joints and a position of the root joint."""
-        return self.skinned.posed(rotation, root)[self.group]
+        return self.skinned.posed(rotation, root).take(self.group, axis=0)
 
     def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
         return (self.follow(vertices) for vertices in check_size(frames, self.name))

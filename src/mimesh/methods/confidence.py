@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..core.geometry import angles_between
 from ..core.rig import descendants
 
 LIMBS = {
@@ -216,8 +217,7 @@ def largest_flexion(joints: Float[np.ndarray, "J 3"], names: tuple[str, ...]) ->
 
 def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3 3"]) -> float:
     """Return the mean angle (degrees) between corresponding rotations."""
-    cosine = (np.einsum("jab,jab->j", first, second) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
-    return float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+    return float(angles_between(first, second).mean())
 
 
 def _listed(article: str, limbs: list[str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,8 @@ from .aniformer import AniFormerMethod
 from .base import Method
 from .limp import LIMPMethod
 from .mime.drive import MimeMethod
+from .mime.hand_network import HandNetwork
+from .mime.hands import HandFinder
 from .npt import NPTMethod
 from .onnx_runtime import import_onnxruntime
 
@@ -22,8 +25,11 @@ METADATA = {
     "aniformer": {"head": ("frames", "regression"), "target_scale": ("identity", "truth")},
     "limp": {"target_scale": ("identity", "truth")},
     "mime": {},
+    "hands": {},
 }
 """Model -> keys of its metadata, with the values that are allowed."""
+HANDS = "hands.onnx"
+"""File of the network of hands, which mime uses beside its own."""
 MIME_KEYS = ("joints", "parents", "legs", "points")
 """Further keys for mime, with any value."""
 MAX_WINDOW = 64
@@ -31,7 +37,14 @@ MAX_WINDOW = 64
 
 
 def load_network(
-    path: Path, *, name: str, ensemble: int = 1, seed: int = 0, threads: int = 2, fits: bool = True
+    path: Path,
+    *,
+    name: str,
+    ensemble: int = 1,
+    seed: int = 0,
+    threads: int = 2,
+    fits: bool = True,
+    fingers: bool = True,
 ) -> Method:
     """Open an ONNX file written by `mimesh export`.
 
@@ -42,6 +55,7 @@ def load_network(
         seed: see `find_method`.
         threads: of onnxruntime.
         fits: whether mime fits a body to the meshes, starting from its predictions (see `mime/body_fit.py`).
+        fingers: whether mime moves the fingers of hands that show them (see `mime/hands.py`).
 
     Raises:
         InputError: no such file, not an ONNX network, or one without valid metadata.
@@ -54,10 +68,22 @@ def load_network(
         return AniFormerMethod(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
     if card["model"] == "limp":
         return LIMPMethod(name, session, card["vertices"], card["target_scale"])
+    if card["model"] == "hands":
+        raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
-        return MimeMethod(name, session, joints, parents, legs, card["points"], fits, seed)
+        hands = load_hands(joints, threads, seed) if fingers else None
+        return MimeMethod(name, session, joints, parents, legs, card["points"], fits, seed, hands=hands)
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
+
+
+def load_hands(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
+    """Open the shipped network of hands, for a body with the given joints; None where it is not installed."""
+    path = Path(str(resources.files("mimesh") / "zoo" / HANDS))
+    if not path.is_file() or not {"LeftHand", "RightHand"} <= set(joints):
+        return None
+    session = _open_session(path, threads)
+    return HandFinder(HandNetwork(session, _metadata(session, path)["points"]), joints, seed)
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:

@@ -40,7 +40,7 @@ def check_size(frames: Iterable[Float[np.ndarray, "U 3"]], name: str) -> Iterato
         InputError: all vertices of a frame are at one point.
     """
     for t, vertices in enumerate(frames):
-        if not np.ptp(vertices, axis=0).any():
+        if not (vertices != vertices[0]).any():
             raise InputError(
                 f"{name}: expected some size in frame {t} of those taken, found all vertices at one point; "
                 "repair that frame, or end the clip before it with --stop"

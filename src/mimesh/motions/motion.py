@@ -18,6 +18,7 @@ from ..bodies.joint_names import other_side
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
+from ..core.geometry import MIRROR, mirrored_rotations
 from ..core.mesh import Clip
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
@@ -64,12 +65,10 @@ def window(motion: Motion, start: float, stop: float, name: str | None = None) -
 
 def mirror(motion: Motion) -> Motion:
     """Reflect a motion at the plane x = 0, which exchanges left and right."""
-    flip = np.array([-1.0, 1.0, 1.0])
     index = {name: j for j, name in enumerate(motion.joint_names)}
     swap = [index.get(other_side(name), j) for name, j in index.items()]
-    # F R F for the reflection F = diag(flip).
-    rotmat = motion.rotmat[:, swap] * flip[:, None] * flip
-    return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * flip)
+    rotmat = mirrored_rotations(motion.rotmat[:, swap])
+    return dataclasses.replace(motion, name=f"{motion.name}-mirrored", rotmat=rotmat, root=motion.root * MIRROR)
 
 
 def resample(motion: Motion, fps: float) -> Motion:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
@@ -62,9 +63,12 @@ class _Playable(Protocol):
 
     @property
     def joints(self) -> dict[str, Float[np.ndarray, " 3"]] | None:
-        """Joint -> position found on the identity, in the axes, unit and position of its file; None without joints."""
+        """Joint -> position found on the identity, in the axes, unit and position of its file; None without joints.
+
+        Those of fingers are left out: all others can be corrected and passed to `transfer`.
+        """
         rig = self.skeleton
-        return None if rig is None else dict(zip(rig.names, rig.rig.joints, strict=True))
+        return None if rig is None else without_fingers(dict(zip(rig.names, rig.rig.joints, strict=True)))
 
     def panels(self) -> list[Panel] | None:
         """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""

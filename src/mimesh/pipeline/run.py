@@ -13,6 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.character_limbs import SIDES
+from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
@@ -269,7 +271,7 @@ def play(
     skeleton = driving_joints = None
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
-        driving_joints = dict(zip(motion.drive.joints, positions, strict=True))
+        driving_joints = without_fingers(dict(zip(motion.drive.joints, positions, strict=True)))
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":
@@ -303,12 +305,17 @@ def _joint_motion(
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
-    """Add confidences and foot skates (identity heights a second) to the report; return notes on low confidence."""
+    """Add confidences, foot skates (identity heights a second) and the hands whose fingers move to the report.
+
+    Returns notes on low confidence.
+    """
     notes = ()
     if motion.drive.confidence is not None:
         for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
             report[which] |= confidence.facts()
             notes += confidence.notes(name)
+    moved = [side.lower() for side in SIDES if finger_joints(side)[0] in motion.drive.joints]
+    report["fingers"] = moved  # of these hands; elsewhere fingers follow the hand
     speeds = foot_skate(motion.posed, motion.track, motion.drive.feet, motion.scale)
     for key, speed in zip(("foot_skate", "foot_skate_driving"), speeds or (None, None), strict=True):
         report[key] = None if speed is None else speed / height

@@ -16,7 +16,7 @@ SHARED = ("train", "validation", "export", "checkpoint", "config", "optimizers",
 
 @pytest.mark.parametrize("network", NETWORKS)
 def test_a_task_makes_the_network_of_its_configuration(network):
-    config = load_config("table", network)
+    config = load_config("small" if network == "hands" else "table", network)
     kind = find_task(network)
     assert isinstance(config, kind.config_type)
     task = kind(config, torch.device("cpu"))
@@ -27,7 +27,9 @@ def test_a_task_makes_the_network_of_its_configuration(network):
 
 
 def test_an_unknown_network_is_refused_with_those_there_are():
-    with pytest.raises(InputError, match=r"gpt: expected a model that can be trained \(npt, aniformer, limp, mime\)"):
+    with pytest.raises(
+        InputError, match=r"gpt: expected a model that can be trained \(npt, aniformer, limp, mime, hands\)"
+    ):
         find_task("gpt")
 
 

@@ -124,7 +124,7 @@ class MimeNetwork(nn.Module):
         scale = (points - centre).square().sum(-1, keepdim=True).mean(1, keepdim=True).sqrt()
         x = (points - centre) / scale
         features = self._point_features(x, normals)
-        tokens = self.tokens.expand(len(x), -1, -1)
+        tokens = self.tokens.expand(x.shape[0], -1, -1)
         for block in self.blocks:
             tokens = block(tokens, features)
         # The first estimate is relative to the body at rest, each later one to the frame before it.

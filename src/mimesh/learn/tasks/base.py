@@ -65,7 +65,7 @@ class TrainConfig:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
-        if self.data.characters and self.network != "mime":
+        if self.data.characters and self.network not in ("mime", "hands"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
         for name in ("low_poly", "scans"):
             share = getattr(self.data, name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ...core.errors import InputError
 from .base import Task
 
-NETWORKS = ("npt", "aniformer", "limp", "mime")
+NETWORKS = ("npt", "aniformer", "limp", "mime", "hands")
 
 
 def find_task(network: str) -> type[Task]:
@@ -30,4 +30,8 @@ def find_task(network: str) -> type[Task]:
         from .mime import MimeTask
 
         return MimeTask
+    if network == "hands":
+        from .hands import HandsTask
+
+        return HandsTask
     raise InputError(f"{network}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")

@@ -41,9 +41,9 @@ class Denoiser:
     """Pairs of faces that share an edge; none for a point cloud."""
 
     @classmethod
-    def of(cls, mesh: Mesh) -> Denoiser:
-        """Make the denoiser for all frames of a mesh."""
-        ranked = canonical_order(mesh.vertices)
+    def of(cls, mesh: Mesh, ranked: CanonicalOrder | None = None) -> Denoiser:
+        """Make the denoiser for all frames of a mesh; `ranked` is the canonical order of its vertices, if known."""
+        ranked = canonical_order(mesh.vertices) if ranked is None else ranked
         faces = ranked.group[mesh.faces]
         return cls(ranked, faces, _adjacent_faces(faces) if len(faces) else np.zeros((0, 2), np.int64))
 

@@ -34,6 +34,7 @@ from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
 from .consensus import agreeing, consensus
 from .denoise import Denoiser, face_outward
+from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
 from .part_tracking import PartTracker
@@ -92,6 +93,8 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    hands: HandFinder | None = None
+    """Finds hands that show fingers; without it fingers follow the hand."""
     identity_targets: JointTargets | None = None
     """Joints of the identity that the user has corrected."""
     driving_targets: JointTargets | None = None
@@ -121,19 +124,23 @@ class MimeMethod:
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
         """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
+        identity, driving = face_outward(identity), dataclasses.replace(driving, mesh=face_outward(driving.mesh))
         ranked = canonical_order(identity.vertices)
         # The two meshes are independent: the identity is prepared in a second thread.
         with ThreadPoolExecutor(1) as executor:
-            identity_rig = executor.submit(self._rig, face_outward(identity))
-            follow, keyframes = self._follow(dataclasses.replace(driving, mesh=face_outward(driving.mesh)))
+            identity_rig = executor.submit(self._rig, identity)
+            follow, keyframes = self._follow(driving)
             rig, confidence = identity_rig.result()
         vertices = ranked.merge(identity.vertices)
-        skinned = SkinnedMesh.of(vertices, rig, self.parents)
+        body = WeightedMesh(vertices, ranked.group[identity.faces], rig, rig.weights)
+        fingers = self._moving_fingers(body, driving, keyframes)
+        full_rig, joints, parents = with_fingers(rig, self.joints, self.parents, fingers)
+        skinned = SkinnedMesh.of(vertices, full_rig, parents)
         return SkinnedDrive(
-            joints=self.joints,
-            rig=dataclasses.replace(rig, weights=rig.weights[ranked.group]),
+            joints=joints,
+            rig=dataclasses.replace(full_rig, weights=full_rig.weights.take(ranked.group, axis=0)),
             skinned=skinned,
-            follow=follow,
+            follow=follow_fingers(follow, fingers),
             # Steps scale with the length of the legs.
             stride=leg_length(rig.joints, self.legs) / keyframes.leg,
             feet=Feet.of(
@@ -148,6 +155,19 @@ class MimeMethod:
             name=driving.mesh.name,
             confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
         )
+
+    def _moving_fingers(
+        self, identity: WeightedMesh, driving: Clip, keyframes: KeyframePrediction
+    ) -> list[FoundFingers]:
+        """Find the hands of which both meshes show the fingers, and the driving bends them otherwise."""
+        if self.hands is None:
+            return []
+
+        def reference() -> WeightedMesh:
+            mesh = dataclasses.replace(driving.mesh, vertices=driving.vertices[keyframes.reference])
+            return WeightedMesh.of_points(mesh, keyframes.consensus, keyframes.points, self.joints)
+
+        return self.hands.find_moving(identity, reference, driving.vertices)
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import other_side
+from ...core.geometry import MIRROR, mirrored_rotations
 from ...core.rig import Rig
 from ...core.surface_points import SurfacePoints
 from ..npt import batch_of_one
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
 
 CHUNK = 16_384
 """Vertices whose weights are predicted in one run of the network; bounds the memory."""
-MIRROR = np.array([-1.0, 1.0, 1.0])
-"""Factors on coordinates for the reflection at the plane x = 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +74,7 @@ class JointNetwork:
         """
         if mirrored:
             rig = self.predict(samples.mirrored(), queries and queries.mirrored())
-            rotation = rig.rotation[self._other_sides] * MIRROR[:, None] * MIRROR
+            rotation = mirrored_rotations(rig.rotation[self._other_sides])
             return Rig(rotation, rig.joints[self._other_sides] * MIRROR, rig.weights[:, self._other_sides])
         given = {"points": batch_of_one(samples.points), "normals": batch_of_one(samples.normals)}
         at = queries or NetworkPoints(*np.zeros((2, 1, 3)))  # the network takes no empty input
@@ -86,7 +85,7 @@ class JointNetwork:
             found = self.session.run(["rotation", "joints", "scores"], given)
             outputs.append([np.asarray(array)[0].astype(np.float64) for array in found])
         rotation, joints, _ = outputs[-1]  # the same for all chunks: they do not depend on the queries
-        weights = [_softmax(scores) for _, _, scores in outputs] if queries else [np.zeros((0, len(joints)))]
+        weights = [softmax(scores) for _, _, scores in outputs] if queries else [np.zeros((0, len(joints)))]
         return Rig(rotation, joints, np.concatenate(weights))
 
     @cached_property
@@ -96,8 +95,8 @@ class JointNetwork:
         return [index.get(other_side(name), j) for name, j in index.items()]
 
 
-def _softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
-    """Skinning weights from scores; subtracting the largest score first keeps the exponentials finite."""
+def softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:
+    """Compute skinning weights from scores; subtracting the largest score first keeps the exponentials finite."""
     weights = np.exp(scores - scores.max(axis=1, keepdims=True))
     weights /= weights.sum(axis=1, keepdims=True)
     return weights

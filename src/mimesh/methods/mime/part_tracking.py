@@ -7,6 +7,8 @@ matrix is the same in every frame. It is factored once and then multiplied with 
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,17 +30,18 @@ class PartTracker:
     """Skinned points at rest, and the linear operators that give the motion of their joints.
 
     The affine map of a joint is 4 rows of `maps`, (K, 3) with K = 4 J: the linear part (3 x 3, transposed), the offset.
+    Surfaces with as many points and joints as each other (two hands) can be tracked at once, along leading axes.
     """
 
-    blend: Float[np.ndarray, "N K"]
+    blend: Float[np.ndarray, "*B N K"]
     """Linear blend skinning: from maps to points."""
-    solve: Float[np.ndarray, "K N"]
+    solve: Float[np.ndarray, "*B K N"]
     """Regularized least squares: from points to maps."""
-    joints: Float[np.ndarray, "J 3"]
+    joints: Float[np.ndarray, "*B J 3"]
     """Positions of the joints at rest."""
-    mean: Float[np.ndarray, "J 3"]
+    mean: Float[np.ndarray, "*B J 3"]
     """Mean of each joint's points at rest, weighted by the square of their skinning weights."""
-    covariance: Float[np.ndarray, "J 3 3"]
+    covariance: Float[np.ndarray, "*B J 3 3"]
     """Covariance of each joint's points, weighted alike."""
 
     @classmethod
@@ -68,28 +71,37 @@ class PartTracker:
         covariance = (point_shares.T @ products).reshape(joint_count, 3, 3) - mean[:, :, None] * mean[:, None]
         return cls(blend, solve, joints, mean, covariance + MIN_EXTENT * size * np.eye(3))
 
-    def follow(self, points: Float[np.ndarray, "N 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+    @classmethod
+    def stacked(cls, trackers: Iterable[PartTracker]) -> PartTracker:
+        """Stack trackers of surfaces with as many points and joints: in every frame one call instead of several."""
+        fields = [field.name for field in dataclasses.fields(cls)]
+        trackers = list(trackers)
+        return cls(**{name: np.stack([getattr(tracker, name) for tracker in trackers]) for name in fields})
+
+    def follow(
+        self, points: Float[np.ndarray, "*B N 3"]
+    ) -> tuple[Float[np.ndarray, "*B J 3 3"], Float[np.ndarray, "*B J 3"]]:
         """Return the rotation of every joint from rest to a frame, in the world, and its position in that frame.
 
         It is solved twice. The regularizer draws each joint's map towards its parent's, which makes every bend too
         small. So the maps of the first solve are made rigid, and the second solve finds only the correction that they
         lack: what is regularized then is that small correction, not the whole motion. (docs/LOG.md, "Clips": errors.)
         """
-        centre = points.mean(axis=0)
+        centre = points.mean(axis=-2, keepdims=True)
         points = points - centre
         maps = self._rigid(self.solve @ points)
         maps = maps + self.solve @ (points - self.blend @ maps)
         return self._rotations(maps), _apply(maps, self.joints) + centre
 
-    def _rotations(self, maps: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "J 3 3"]:
+    def _rotations(self, maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 3 3"]:
         """Return the rotation that moves each joint's points nearest to where its map moves them (Kabsch 1976)."""
-        return nearest_rotation(maps.reshape(-1, 4, 3)[:, :3].swapaxes(-1, -2) @ self.covariance)
+        return nearest_rotation(_by_joint(maps)[..., :3, :].swapaxes(-1, -2) @ self.covariance)
 
-    def _rigid(self, maps: Float[np.ndarray, "K 3"]) -> Float[np.ndarray, "K 3"]:
+    def _rigid(self, maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B K 3"]:
         """Remove stretch and shear from all maps; the mean of each joint's points is moved as before."""
         rotation = self._rotations(maps)
         offset = _apply(maps, self.mean) - (rotation @ self.mean[..., None])[..., 0]
-        return np.concatenate([rotation.swapaxes(-1, -2), offset[:, None]], axis=1).reshape(-1, 3)
+        return np.concatenate([rotation.swapaxes(-1, -2), offset[..., None, :]], axis=-2).reshape(maps.shape)
 
 
 def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:
@@ -122,11 +134,15 @@ def _regularizer(
     return rows.reshape(-1, 4 * len(joints))
 
 
-def _apply(maps: Float[np.ndarray, "K 3"], points: Float[np.ndarray, "J 3"]) -> Float[np.ndarray, "J 3"]:
+def _by_joint(maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 4 3"]:
+    return maps.reshape(*maps.shape[:-2], -1, 4, 3)
+
+
+def _apply(maps: Float[np.ndarray, "*B K 3"], points: Float[np.ndarray, "*B J 3"]) -> Float[np.ndarray, "*B J 3"]:
     """Apply the map of each joint to one point."""
-    return (_homogeneous(points)[:, None] @ maps.reshape(-1, 4, 3))[:, 0]
+    return (_homogeneous(points)[..., None, :] @ _by_joint(maps))[..., 0, :]
 
 
-def _homogeneous(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 4"]:
+def _homogeneous(points: Float[np.ndarray, "*B N 3"]) -> Float[np.ndarray, "*B N 4"]:
     """Append a coordinate of 1."""
-    return np.concatenate([points, np.ones((len(points), 1))], axis=1)
+    return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

