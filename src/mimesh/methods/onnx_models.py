@@ -12,7 +12,7 @@ from .aniformer import AniFormerMethod
 from .base import Method
 from .limp import LIMPMethod
 from .mime.drive import MimeMethod
-from .mime.hand_network import HandNetwork
+from .mime.hand_network import FingerNetwork
 from .mime.hands import HandFinder
 from .npt import NPTMethod
 from .onnx_runtime import import_onnxruntime
@@ -83,7 +83,7 @@ def load_hands(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> Hand
     if not path.is_file() or not {"LeftHand", "RightHand"} <= set(joints):
         return None
     session = _open_session(path, threads)
-    return HandFinder(HandNetwork(session, _metadata(session, path)["points"]), joints, seed)
+    return HandFinder(FingerNetwork(session, _metadata(session, path)["points"]), joints, seed)
 
 
 def _open_session(path: Path, threads: int) -> InferenceSession:

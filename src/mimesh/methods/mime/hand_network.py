@@ -81,7 +81,7 @@ class Fingers:
 
 
 @dataclass(frozen=True, eq=False)
-class HandNetwork:
+class FingerNetwork:
     """A loaded network."""
 
     session: InferenceSession

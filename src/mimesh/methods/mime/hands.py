@@ -26,7 +26,7 @@ from ...core.surface_points import SurfacePoints
 from ..base import Pose
 from ..npt import generator
 from .denoise import NOISY, Denoiser
-from .hand_network import HAND_ENSEMBLE, Fingers, Hand, HandNetwork
+from .hand_network import HAND_ENSEMBLE, Fingers, Hand, FingerNetwork
 from .joint_network import NetworkPoints
 from .part_tracking import PartTracker
 
@@ -126,7 +126,7 @@ class FoundFingers:
 class HandFinder:
     """Finds hands with fingers."""
 
-    network: HandNetwork
+    network: FingerNetwork
     joints: tuple[str, ...]
     """Names of the joints of the body's network."""
     seed: int = 0
