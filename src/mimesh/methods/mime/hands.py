@@ -26,7 +26,7 @@ from ...core.surface_points import SurfacePoints
 from ..base import Pose
 from ..npt import generator
 from .denoise import NOISY, Denoiser
-from .hand_network import HAND_ENSEMBLE, Fingers, Hand, FingerNetwork
+from .hand_network import HAND_ENSEMBLE, FingerNetwork, Fingers, Hand
 from .joint_network import NetworkPoints
 from .part_tracking import PartTracker
 
