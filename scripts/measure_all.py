@@ -2,8 +2,8 @@
 
     python scripts/measure_all.py [--characters DIR] [--people DIR] [--clips DIR] [--garments DIR] [PROTOCOL ...]
 
-Run it in the root of a checkout, which contains `ablations/`. characters is measured if --characters is a pool of
-rigged characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of motions, and
+Run it in the root of a checkout, which contains `ablations/`. characters and fingers are measured if --characters is a
+pool of rigged characters, cross-body if --people is a folder of them, clips-aniformer if --clips is a folder of motions, and
 dressed in test garments too if --garments is their folder. Existing reports are replaced. Several of these can run at
 the same time, on different protocols.
 """
@@ -25,6 +25,8 @@ METHODS = (
     *("deformation-transfer-dense", "deformation-transfer-13", "skeleton"),
 )
 """Methods that are measured on every protocol."""
+FINGER_METHODS = ("identity", "mime", "mime-rigid-fingers")
+"""Methods that are measured on fingers: the others know no fingers."""
 SLOW = ("skeleton",)
 """Left out on clips: they need seconds per frame."""
 
@@ -33,13 +35,13 @@ def main() -> None:
     """Measure one protocol after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*PROTOCOLS, *FOLDERS)))
-    parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters")
+    parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters and fingers")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
     parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
     folders = {"characters": args.characters, "cross-body": args.people, "clips-aniformer": args.clips}
-    folders["dressed"] = args.garments
+    folders |= {"dressed": args.garments, "fingers": args.characters}
     for name in args.protocols or (*PROTOCOLS, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
@@ -50,6 +52,8 @@ def main() -> None:
 
 def methods(protocol: str) -> list[str]:
     """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
+    if protocol == "fingers":
+        return list(FINGER_METHODS)
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
     left_out = SLOW if protocol == "clips-aniformer" else ()
     return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
