@@ -13,6 +13,7 @@ from safetensors.torch import save_file
 from trainings import TINY, losses
 
 from mimesh.bodies import load_body
+from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.learn import checkpoint
@@ -116,6 +117,39 @@ def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):
         torch.testing.assert_close(again.ema[name], value, rtol=0, atol=0)
         torch.testing.assert_close(value, run.model.state_dict()[name], rtol=1e-3, atol=1e-6)
     assert losses(again, 2) == pytest.approx(losses(run, 2), rel=0.05)
+
+
+def test_average_of_checkpoints_is_that_of_their_networks(tmp_path):
+    states = []
+    for seed in (1, 2):
+        run = TrainingRun.start(dataclasses.replace(TINY, seed=seed, precision="fp32"), tmp_path / "none")
+        losses(run, seed)
+        run.save(tmp_path / f"{seed}.safetensors")
+        states.append(checkpoint.load(tmp_path / f"{seed}.safetensors"))
+    average = checkpoint.average(states, [3.0, 1.0])
+    for name, value in average.weights().items():
+        torch.testing.assert_close(value, 0.75 * states[0].weights()[name] + 0.25 * states[1].weights()[name])
+    assert [part["share"] for part in average.averaged] == [0.75, 0.25]
+    assert [part["pairs"] for part in average.averaged] == [state.spent()["pairs"] for state in states]
+    checkpoint.save(tmp_path / "average.safetensors", average)
+    model, again = checkpoint.load_model(tmp_path / "average.safetensors")
+    assert again.averaged == average.averaged
+    for name, value in model.state_dict().items():
+        torch.testing.assert_close(value, average.weights()[name])
+    alone = checkpoint.average(states[:1], [0.3])
+    for name, value in alone.weights().items():
+        torch.testing.assert_close(value, states[0].weights()[name])
+
+
+def test_other_networks_are_not_averaged(tmp_path):
+    runs = [TrainingRun.start(config, tmp_path / "none") for config in (TINY, dataclasses.replace(TINY, seed=3))]
+    runs[0].save(tmp_path / "first.safetensors")
+    runs[1].save(tmp_path / "second.safetensors")
+    first, second = (checkpoint.load(tmp_path / f"{name}.safetensors") for name in ("first", "second"))
+    model = dataclasses.replace(second.config.model, encoder=(8, 16, 24))
+    other = dataclasses.replace(second, config=dataclasses.replace(second.config, model=model))
+    with pytest.raises(InputError, match="expected checkpoints of one network"):
+        checkpoint.average([first, other], [1.0, 1.0])
 
 
 @torch.no_grad()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,18 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "changes")
+POSITION = (
+    "step",
+    "seconds",
+    "best",
+    "metrics",
+    "before",
+    "validated",
+    "precision",
+    "characters",
+    "changes",
+    "averaged",
+)
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -46,7 +58,9 @@ class Checkpoint:
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
-    """What was changed where the training was resumed: `pairs` until then, and the new values by their keys."""
+    """What was changed where the training was resumed: `after_pairs`, and the new values by their keys."""
+    averaged: tuple[dict[str, Any], ...] = ()
+    """The checkpoints whose networks were averaged to this one: `share`, time and pairs of each (`average`)."""
 
     def spent(self) -> dict[str, int]:
         """Give the time and the pairs of this training so far."""
@@ -90,7 +104,7 @@ def load(path: Path) -> Checkpoint:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
     config = config_from(json.loads(header["config"]), str(path))
     position = json.loads(header["state"])
-    position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
+    position |= {key: tuple(position.get(key, ())) for key in ("before", "changes", "averaged")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)
@@ -116,6 +130,30 @@ def save_compact(path: Path, out: Path, weights_only: bool = False, average: boo
             tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
     with whole_file(out) as temporary:
         save_file(tensors, temporary, metadata=metadata)
+
+
+def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Checkpoint:
+    """Average the networks of trainings that began with one another, in proportion to `shares`.
+
+    What they learned in different ways cancels less than their errors do (Wortsman et al. 2022, "Model soups" and
+    "Robust fine-tuning"). Everything else is that of the first; the result has no optimizer state.
+
+    Raises:
+        InputError: the checkpoints do not hold the same network.
+    """
+    first, weights = checkpoints[0], [checkpoint.weights() for checkpoint in checkpoints]
+    if any(checkpoint.config.model != first.config.model for checkpoint in checkpoints):
+        raise InputError("average: expected checkpoints of one network, found others; leave out those that differ")
+    total = sum(shares)
+    tensors = {
+        f"model.{name}": sum(share / total * w[name] for share, w in zip(shares, weights, strict=True))
+        for name in weights[0]
+    }
+    averaged = tuple(
+        {"share": round(share / total, 4), **checkpoint.spent()}
+        for share, checkpoint in zip(shares, checkpoints, strict=True)
+    )
+    return dataclasses.replace(first, tensors=tensors, metrics={}, averaged=averaged)
 
 
 def read_header(path: Path) -> dict[str, Any]:

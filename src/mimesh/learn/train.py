@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +32,8 @@ from .validation import Validation
 
 ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
 """Makes a progress bar with a title."""
-RESUMABLE = ("data.low_poly", "data.scans")
-"""Keys that may change where a training is resumed: augmentations, which neither network nor schedule depend on."""
+RESUMABLE = ("pairs", "decay", "learning_rate", "data.characters", "data.contacts", "data.low_poly", "data.scans")
+"""Keys that may change where a training is resumed: schedule and mixture of the data, not the network."""
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 SAVE_SECONDS = 60.0
@@ -347,11 +347,11 @@ def changes_at_resume(
     state: checkpoint.Checkpoint, config: TrainConfig, pool: TrainingCharacters | None
 ) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
-    before, now = (dataclasses.asdict(data) for data in (state.config.data, config.data))
-    changed: dict[str, Any] = {f"data.{key}": now[key] for key in now if now[key] != before[key]}
+    values = {key: attrgetter(key) for key in RESUMABLE}
+    changed: dict[str, Any] = {key: get(config) for key, get in values.items() if get(config) != get(state.config)}
     if pool and pool.clips and "clips" not in state.characters:
         changed["clips"] = pool.clips.facts["makers"]
-    return [{"pairs": state.step * config.batch, **changed}] if changed else []
+    return [{"after_pairs": state.step * config.batch, **changed}] if changed else []
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:

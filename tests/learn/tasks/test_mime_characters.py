@@ -183,14 +183,14 @@ def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, cli
     train_command("mime", "small", None, out, 0.001, changes, None, pool, clips)
     state = checkpoint.load(out / "last.safetensors")
     assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
-    assert [set(change) for change in state.changes] == [{"pairs", "data.low_poly", "data.scans", "clips"}]
+    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips"}]
     assert state.characters["sha256"] == before.characters["sha256"]
     assert list(state.characters["clips"]["makers"].values()) == [1]
     with pytest.raises(InputError, match="expected the characters and clips of the training so far"):
         train_command("mime", "small", None, out, 0.001, [], None, pool)
     train_command("mime", "small", None, out, 0.001, [], None, pool, clips)
     assert checkpoint.load(out / "last.safetensors").changes == state.changes
-    with pytest.raises(InputError, match=r"--set seed=1: expected no changes with --resume but --set data.low_poly"):
+    with pytest.raises(InputError, match=r"--set seed=1: expected no changes with --resume but --set pairs, decay"):
         train_command("mime", "small", None, out, 0.001, ["seed=1"], None, pool, clips)
     with pytest.raises(InputError, match=r"--leave-out toys: expected no changes with --resume"):
         train_command("mime", "small", None, out, 0.001, [], None, pool, clips, ["toys"])
