@@ -215,9 +215,18 @@ def test_keyboard_theme_and_narrow_windows_work(fresh, monkeypatch):
 
 
 def joint_place(page, name, panel="identity"):
-    """Return the place of a joint's handle in the window."""
-    box = page.locator(f".panel-{panel} circle[aria-label^='{name} of']").bounding_box()
-    return np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+    """Return the place of a joint's handle in the window, once it has not moved for a third of a second.
+
+    Handles are made anew, and are not there for a moment, when a new result is shown.
+    """
+    handle, boxes = page.locator(f".panel-{panel} circle[aria-label^='{name} of']"), []
+    for _ in range(200):
+        boxes.append(handle.bounding_box() if handle.count() else None)
+        if len(boxes) > 3 and boxes[-1] and all(box == boxes[-1] for box in boxes[-4:]):
+            box = boxes[-1]
+            return np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+        page.wait_for_timeout(100)
+    raise AssertionError(f"{name} keeps moving: {boxes[-4:]}")
 
 
 def test_joints_are_dragged_moved_by_keys_and_reset(fresh, files, studio):

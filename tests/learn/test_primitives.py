@@ -64,3 +64,16 @@ def test_people_differ():
     assert not np.allclose(one.points, other.points)
     again = primitive_person(BODY, np.random.default_rng(0))
     np.testing.assert_array_equal(one.points, again.points)
+
+
+def test_figures_of_blocks_are_boxes_with_short_limbs():
+    people = [primitive_person(BODY, np.random.default_rng(seed)) for seed in range(60)]
+    arm, forearm, hips, head = (BODY.joint(name) for name in ("LeftArm", "LeftForeArm", "Hips", "Head"))
+    length = np.array([np.linalg.norm(person.joints[forearm] - person.joints[arm]) for person in people])
+    short = length < 0.999 * np.linalg.norm(BODY.joints[forearm] - BODY.joints[arm])
+    assert 0.2 < short.mean() < 0.6
+    for person, is_short in zip(people, short, strict=True):
+        # Trunk and head stay where they are; a box has six directions of normals, each limb in its own frame.
+        np.testing.assert_allclose(person.joints[head] - person.joints[hips], BODY.joints[head] - BODY.joints[hips])
+        of_head = person.normals[person.weights[:, head] > 0.5]
+        assert not is_short or len(np.unique(of_head.round(6), axis=0)) <= 6

@@ -21,8 +21,8 @@ from .character_surfaces import POINTS, CharacterSurface, carriers
 
 Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]
 SHAPES: tuple[Shape, ...] = ("box", "ellipsoid", "cylinder", "cone", "disc")
-PEOPLE = 96
-"""Number of people of primitives beside the characters of a folder."""
+PEOPLE, BLOCK_FIGURES = 256, 0.4
+"""Number of people of primitives beside the characters of a folder, and the share of figures of blocks among them."""
 PACK = "primitives"
 """Name under which people of primitives are sampled beside the packs of a pool."""
 LIMBS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand", "Hand"), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot", "Foot")}
@@ -79,13 +79,15 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     Arms rest anywhere between a T-pose and hanging; some people have limbs of one joint, a stiff trunk, no hands or no
     feet. Lengths are varied later, as those of all characters.
     """
-    has = _random_joints(body, rng)
+    style = _Style.random(rng)
+    has = _random_joints(body, style, rng)
     carrier = carriers(has, body)
-    alignment, joints = _rest(body, lowered=rng.uniform(0, 1.4) * (rng.random() < 0.7))
+    alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
     parts = [
-        *_limbs(body, joints, has, rng),
-        *_ends(body, joints, alignment, has, rng),
-        *_trunk(body, joints, has, rng),
+        *_limbs(body, joints, has, style, rng),
+        *_ends(body, joints, alignment, has, style, rng),
+        *_trunk(body, joints, has, style, rng),
+        *_head(body, joints, style, rng),
     ]
     area = np.array([part.area for part in parts])
     which = rng.choice(len(parts), POINTS, p=area / area.sum())
@@ -102,6 +104,38 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
         carrier=carrier,
         placed=np.array([name in has for name in body.joint_names]),
     )
+
+
+@dataclass(frozen=True)
+class _Style:
+    """What the primitives of a person have in common."""
+
+    shapes: tuple[Shape, ...]
+    """Shapes that limbs, trunk and head are drawn from."""
+    girth: float
+    """Half of the width of an arm (metres)."""
+    head: Float[np.ndarray, " 3"]
+    """Half of the size of the head (metres)."""
+    one_joint: float
+    """Probability of arms of one joint, and of such legs."""
+    pieces: int
+    """Number of boxes on the head: hair, ears, horns, hats."""
+    limb_length: float
+    """Length of arms and legs beside the body's."""
+
+    @classmethod
+    def random(cls, rng: np.random.Generator) -> _Style:
+        """Draw a figure of blocks, or a person of mixed primitives."""
+        if rng.random() < BLOCK_FIGURES:
+            head = np.exp(rng.uniform(*np.log((0.1, 0.22))) + rng.normal(0, 0.1, 3))
+            girth, limb_length = np.exp(rng.uniform(*np.log(((0.04, 0.35), (0.1, 1.0)))))
+            return cls(("box",), girth, head, 0.7, int(rng.integers(5)), limb_length)
+        large = np.exp(rng.uniform(-0.1, 1.1) * (rng.random() < 0.5) + rng.normal(0, 0.15, 3))
+        return cls(SHAPES[:3], 0.05 * np.exp(rng.normal(0, 0.4)), np.array([0.08, 0.12, 0.1]) * large, 0.3, 0, 1.0)
+
+    def shape(self, rng: np.random.Generator) -> Shape:
+        """Draw one of the shapes."""
+        return self.shapes[rng.integers(len(self.shapes))]
 
 
 @dataclass(frozen=True)
@@ -128,7 +162,7 @@ class _Part:
         return self.centre + points @ self.axes.T, normals @ self.axes.T
 
 
-def _random_joints(body: RiggedBody, rng: np.random.Generator) -> set[str]:
+def _random_joints(body: RiggedBody, style: _Style, rng: np.random.Generator) -> set[str]:
     """Draw which of the body's joints a person has."""
     has = {name for name in body.joint_names if not name.endswith(DETAILS)}
     drop = [
@@ -140,7 +174,8 @@ def _random_joints(body: RiggedBody, rng: np.random.Generator) -> set[str]:
         ("Spine1",),
         ("Neck",),
     ]
-    for parts, share in zip(drop, (0.3, 0.3, 0.2, 0.2, 0.5, 0.3, 0.5), strict=True):
+    shares = (style.one_joint, style.one_joint, 0.2, 0.2, 0.5, 0.3, 0.5)
+    for parts, share in zip(drop, shares, strict=True):
         if rng.random() < share:
             has -= {
                 name
@@ -150,20 +185,28 @@ def _random_joints(body: RiggedBody, rng: np.random.Generator) -> set[str]:
     return has
 
 
-def _rest(body: RiggedBody, lowered: float) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
-    """Compute rotations and positions of the body's joints with arms lowered by an angle (radians)."""
+def _rest(
+    body: RiggedBody, lowered: float, limb_length: float
+) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]:
+    """Compute rotations and positions of the body's joints with arms lowered by an angle (radians), limbs scaled."""
     local = np.zeros((len(body.parents), 3))
     local[body.joint("LeftArm"), 2], local[body.joint("RightArm"), 2] = -lowered, lowered
-    rotation, translation = body.skinning_transforms(body.joints, rotvec_to_rotmat(local))
-    return rotation, np.einsum("jkl,jl->jk", rotation, body.joints) + translation
+    joints = body.joints.copy()
+    for j, parent in enumerate(body.parents):
+        if j:
+            of_limb = body.joint_names[parent].endswith(tuple(LIMBS))
+            joints[j] = joints[parent] + (limb_length if of_limb else 1.0) * (body.joints[j] - body.joints[parent])
+    rotation, translation = body.skinning_transforms(joints, rotvec_to_rotmat(local))
+    return rotation, np.einsum("jkl,jl->jk", rotation, joints) + translation
 
 
-def _limbs(body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], rng: np.random.Generator) -> list[_Part]:
+def _limbs(
+    body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
+) -> list[_Part]:
     """Make a primitive for each limb joint, as long as its bone; left and right are alike."""
-    girth, shape = 0.05 * np.exp(rng.normal(0, 0.4)), SHAPES[rng.integers(3)]
-    parts = []
+    shape, parts = style.shape(rng), []
     for part, (tail, last) in LIMBS.items():
-        width = girth * (1.4 if part.endswith("Leg") else 1.0) * np.exp(rng.normal(0, 0.2, 2))
+        width = style.girth * (1.4 if part.endswith("Leg") else 1.0) * np.exp(rng.normal(0, 0.2, 2))
         overlap = rng.uniform(0.8, 1.15)
         for side in SIDES:
             if side + part in has:
@@ -181,6 +224,7 @@ def _ends(
     joints: Float[np.ndarray, "J 3"],
     alignment: Float[np.ndarray, "J 3 3"],
     has: set[str],
+    style: _Style,
     rng: np.random.Generator,
 ) -> list[_Part]:
     """Make hands and feet; left and right are alike."""
@@ -189,7 +233,7 @@ def _ends(
         ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
         ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
     ):
-        shape, scale = SHAPES[rng.integers(2)], np.exp(rng.normal(0, 0.35, 3))
+        shape, scale = style.shapes[rng.integers(min(2, len(style.shapes)))], np.exp(rng.normal(0, 0.35, 3))
         for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
             if side + part in has:
                 j = body.joint(side + part)
@@ -198,13 +242,15 @@ def _ends(
     return parts
 
 
-def _trunk(body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], rng: np.random.Generator) -> list[_Part]:
-    """Make the trunk, of one or two primitives, and the head."""
-    hips, head, chest = (body.joint(name) for name in ("Hips", "Head", "Spine1"))
+def _trunk(
+    body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
+) -> list[_Part]:
+    """Make the trunk, of one or two primitives."""
+    hips, chest = body.joint("Hips"), body.joint("Spine1")
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
     legs = (joints[body.joint("LeftUpLeg")] + joints[body.joint("RightUpLeg")]) / 2
     width = np.ptp(joints[[body.joint("LeftArm"), body.joint("RightArm")], 0]) / 2 * rng.uniform(0.6, 1.1)
-    depth, shape = 0.11 * np.exp(rng.normal(0, 0.3)), SHAPES[rng.integers(3)]
+    depth, shape = 0.11 * np.exp(rng.normal(0, 0.3)), style.shape(rng)
     cuts = [(hips, legs - [0, 0.06, 0], shoulders)]
     if "Spine1" in has:
         middle = legs + rng.uniform(0.3, 0.6) * (shoulders - legs)
@@ -213,6 +259,18 @@ def _trunk(body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], rn
     for joint, low, high in cuts:
         half = np.array([width * rng.uniform(0.7, 1.0), (high - low)[1] / 2, depth])
         parts.append(_Part(shape, joint, (low + high) / 2, np.eye(3), half))
-    size = np.array([0.08, 0.12, 0.1]) * np.exp(rng.uniform(-0.1, 1.1) * (rng.random() < 0.5) + rng.normal(0, 0.15, 3))
+    return parts
+
+
+def _head(body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator) -> list[_Part]:
+    """Make the head and the boxes on it, half of which come in pairs, left and right."""
+    head, size = body.joint("Head"), style.head
     centre = joints[head] + [0, 0.8 * size[1], 0.02]
-    return [*parts, _Part(SHAPES[rng.integers(3)], head, centre, np.eye(3), size)]
+    parts = [_Part(style.shape(rng), head, centre, np.eye(3), size)]
+    for _ in range(style.pieces):
+        # Somewhere on the head's surface: hair, ears, horns, hats and noses are there.
+        direction = rng.normal(size=3)
+        place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.9, 3)
+        for side in (1.0, -1.0) if rng.random() < 0.5 else (1.0,):
+            parts.append(_Part("box", head, centre + place * [side, 1, 1], np.eye(3), half))
+    return parts
