@@ -28,10 +28,12 @@ from mimesh.core.geometry import closest_on_mesh, nearest_rotation
 
 INFLUENCES = 4
 """Largest number of the hand's joints that move a vertex."""
-
-
 ROUNDS = 16
 """Rounds of matching the body to the mean of the people that are drawn here."""
+RIGID = 0.999
+"""Weight of a hand and its finger stubs from which on a vertex moves with the hand alone."""
+LEAST = 1e-3
+"""Weight of a hand below which a vertex is none of its."""
 
 
 def main() -> None:
@@ -55,14 +57,20 @@ def main() -> None:
     corners = faces[chosen]
     transferred = np.einsum("pvkc,vk->pvc", people[:, corners], barycentric)
     joints, components = regress(body, transferred, fingers)
-    shares = np.einsum("vkj,vk->vj", dense_weights(fingered)[corners], barycentric)
-    hands = make_hands(body, joints, components, shares, labels)
+    weights = np.einsum("vkj,vk->vj", dense_weights(fingered)[corners], barycentric)
+    hands = make_hands(body, joints, components, weights, labels)
     save_hands(args.output, hands, INFLUENCES)
     print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
 
 
-def posed_people(model, fingered, columns, count, seed):
-    """Draw people in the T-pose: vertices (P, V, 3), and finger joints (P, 30, 3), which move with the hand."""
+def posed_people(
+    model: anny.Anny, fingered: anny.Anny, columns: list[int], count: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Draw people in the T-pose: vertices (P, V, 3), and finger joints (P, 30, 3), which move with the hand.
+
+    Args:
+        columns: of the finger joints among those of `fingered`.
+    """
     names, parents = tuple(model.bone_labels), tuple(model.bone_parents)
     people, joints = sample_people(model, count, np.random.default_rng(seed))
     same, found = sample_people(fingered, count, np.random.default_rng(seed))
@@ -73,11 +81,12 @@ def posed_people(model, fingered, columns, count, seed):
         people[i], _ = t_pose(rest, joints[i], weights, names, parents)
         for s, side in enumerate(SIDES):
             # The vertices that only the hand and its finger stubs move have a rigid motion: the hand's.
-            carried = weights[:, hand_joints(names, side)].sum(axis=1) > 0.999
+            carried = weights[:, hand_joints(names, side)].sum(axis=1) > RIGID
             before, after = rest[carried], people[i][carried]
-            rotation = nearest_rotation((after - after.mean(axis=0)).T @ (before - before.mean(axis=0)))
+            centre, goal = before.mean(axis=0), after.mean(axis=0)
+            rotation = nearest_rotation((after - goal).T @ (before - centre))
             mine = slice(15 * s, 15 * s + 15)
-            fingers[i, mine] = (found[i][columns[mine]] - before.mean(axis=0)) @ rotation.T + after.mean(axis=0)
+            fingers[i, mine] = (found[i][columns[mine]] - centre) @ rotation.T + goal
     return people, fingers
 
 
@@ -100,13 +109,22 @@ def regress(body: RiggedBody, people: np.ndarray, fingers: np.ndarray) -> tuple[
     return found[0].reshape(-1, 3), found[1:].reshape(-1, *fingers.shape[1:])
 
 
-def make_hands(body: RiggedBody, joints, components, shares, labels) -> Hands:
-    """Put the arrays together: shares of the joints of both hands, and axes from the mean joints and fingertips."""
+def make_hands(
+    body: RiggedBody, joints: np.ndarray, components: np.ndarray, weights: np.ndarray, labels: list[str]
+) -> Hands:
+    """Put the arrays together: shares of the joints of both hands, and axes from the mean joints and fingertips.
+
+    Args:
+        joints: mean positions of the finger joints (30, 3).
+        components: their displacements for each shape coefficient (K, 30, 3).
+        weights: of all joints of the rig with fingers at the body's vertices (V, R).
+        labels: names of these joints.
+    """
     by_side = []
     for side in SIDES:
-        share = shares[:, [labels.index(name) for name in (f"{side}Hand", *finger_joints(side))]]
+        share = weights[:, [labels.index(name) for name in (f"{side}Hand", *finger_joints(side))]]
         total = share.sum(axis=1, keepdims=True)
-        moved = (total[:, 0] > 1e-3) & (hand_weight(body, side) > 1e-3)
+        moved = (total[:, 0] > LEAST) & (hand_weight(body, side) > LEAST)
         by_side.append(np.where(moved[:, None], share / np.maximum(total, 1e-9), np.eye(16)[0]))
     tips = body.vertices[fingertips(body.vertices, by_side[0][:, 1:], joints[:15])]
     axes = bend_axes(body.joints[body.joint("LeftHand")], joints[:15], tips)

@@ -15,20 +15,25 @@ from .sampling import rotvec_to_rotmat
 FLEXION = ((-15, 25), (-10, 55), (-15, 80)) + 4 * ((-20, 90), (0, 100), (0, 75))
 """Least and largest flexion of each joint (degrees), thumb first: American Academy of Orthopaedic Surgeons, "Joint
 Motion" (1965), with half of its extension of knuckles (45), which few hands reach without help."""
-ABDUCTION = (-20, 30), *2 * ((0, 0),), *(4 * ((-15, 20), (0, 0), (0, 0)))
+ABDUCTION = ((-20, 30), (0, 0), (0, 0)) + 4 * ((-15, 20), (0, 0), (0, 0))
 """The same for abduction; AAOS has 20 degrees for knuckles, and 70 for the thumb from the palm, of which the rest pose
 has about half."""
 END_RATIO = 2 / 3
 """Flexion of the last joint of a finger over that of the joint before (Rijpkema and Girard 1991)."""
-CURLED, STRAIGHT, RELAXED = (80.0, 95.0), (0.0, 3.0), (20.0, 28.0)
+CLOSED, STRAIGHT, RELAXED = np.array([(80.0, 95.0), (0.0, 3.0), (20.0, 28.0)])
 """Flexion of knuckle and middle joint (degrees) of a closed, a straight and a relaxed finger."""
-THUMB_IN, THUMB_OUT, THUMB_RELAXED = (20.0, 40.0, 50.0), (-12.0, -8.0, -10.0), (3.0, 8.0, 12.0)
-"""Flexion of the thumb's three joints (degrees): across the palm, stretched out and relaxed."""
-SPREAD = (25.0, 14.0, 2.0, -9.0, -15.0)
-"""Abduction of the first joint of each finger (degrees) in a spread hand; positive towards the thumb's side."""
+THUMB_IN, THUMB_OUT, THUMB_RELAXED = np.array([(20.0, 40.0, 50.0), (-12.0, -8.0, -10.0), (3.0, 8.0, 12.0)])
+"""The same of the thumb's three joints: across the palm, stretched out and relaxed."""
+SPREAD, NO_SPREAD = np.array([25.0, 14.0, 2.0, -9.0, -15.0]), np.zeros(5)
+"""Abduction of the first joint of each finger (degrees) in a spread hand and at rest; positive towards the thumb."""
+GRASP, GRASP_SPREAD = ((15, 15), (65, 70)), 0.6
+"""Least and largest flexion of knuckle and middle joint in a grasp (degrees), and its largest share of SPREAD."""
+FREE, FREE_SPREAD = 95, 10
+"""Largest flexion of knuckles and middle joints, and largest abduction either way, of free fingers (degrees)."""
 GESTURES = ("relaxed", "fist", "grasp", "spread", "point", "thumb up", "flat", "free")
+"""All are drawn equally often; the joints of a free hand are bent independently."""
 NOISE = 6.0
-"""Standard deviation of every angle that a gesture has not fixed at zero (degrees)."""
+"""Standard deviation of what is added to every angle (degrees); joints that cannot bend sideways stay at zero."""
 BLENDED = 0.4
 """Share of poses that are a mixture of two gestures."""
 
@@ -42,28 +47,42 @@ def sample_finger_poses(count: int, rng: np.random.Generator) -> Float[np.ndarra
 
 def gestures(which: Int[np.ndarray, " N"], rng: np.random.Generator) -> Float[np.ndarray, "N 15 2"]:
     """Make angles (degrees) of the gestures with the given places in GESTURES."""
-    closed = np.empty((len(which), 5, 2))  # knuckle and middle joint of each finger; the thumb's are ignored
-    thumb, spread = np.empty((len(which), 3)), np.zeros((len(which), 5))
-    for k, gesture in enumerate(which):
-        name = GESTURES[gesture]
-        closed[k], thumb[k] = RELAXED, THUMB_RELAXED
-        if name in ("fist", "point", "thumb up"):
-            closed[k], thumb[k] = CURLED, THUMB_OUT if name == "thumb up" else THUMB_IN
-        if name == "point":
-            closed[k, 1] = STRAIGHT
-        if name in ("spread", "flat"):
-            closed[k], thumb[k] = STRAIGHT, THUMB_OUT if name == "spread" else THUMB_RELAXED
-            spread[k] = SPREAD if name == "spread" else 0.0
-        if name == "grasp":  # all fingers around one thing
-            closed[k], thumb[k] = rng.uniform((15, 15), (65, 70)), rng.uniform(0, 1) * np.array(THUMB_IN)
-            spread[k] = rng.uniform(0, 0.6) * np.array(SPREAD)
-        if name == "free":
-            closed[k], thumb[k] = rng.uniform(0, 95, (5, 2)), rng.uniform(*np.array(FLEXION[:3]).T)
-            spread[k] = rng.uniform(-1, 1, 5) * 10
-    angles = np.zeros((len(which), 5, 3, 2))
-    angles[:, :, :2, 0], angles[:, :, 2, 0] = closed, END_RATIO * closed[:, :, 1]
-    angles[:, 0, :, 0], angles[:, :, 0, 1] = thumb, spread
+    angles = np.zeros((len(which), 5, 3, 2))  # finger, its joint, flexion and abduction
+    for hand, gesture in zip(angles, which, strict=True):
+        fingers, thumb, spread = _gesture(GESTURES[gesture], rng)
+        hand[1:, :2, 0], hand[0, :, 0], hand[:, 0, 1] = fingers, thumb, spread
+    angles[:, 1:, 2, 0] = END_RATIO * angles[:, 1:, 1, 0]
     return angles.reshape(-1, 15, 2)
+
+
+def _gesture(
+    name: str, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, "*F 2"], Float[np.ndarray, "3"], Float[np.ndarray, "5"]]:
+    """Make a gesture of GESTURES, as angles (degrees).
+
+    Returns:
+        Flexion of knuckle and middle joint of the four fingers (4, 2) or of each of them (2,), flexion of the thumb's
+        joints (3,), and abduction of the first joint of each finger (5,).
+    """
+    match name:
+        case "relaxed":
+            return RELAXED, THUMB_RELAXED, NO_SPREAD
+        case "fist":
+            return CLOSED, THUMB_IN, NO_SPREAD
+        case "thumb up":
+            return CLOSED, THUMB_OUT, NO_SPREAD
+        case "point":
+            return np.stack([STRAIGHT, CLOSED, CLOSED, CLOSED]), THUMB_IN, NO_SPREAD
+        case "flat":
+            return STRAIGHT, THUMB_RELAXED, NO_SPREAD
+        case "spread":
+            return STRAIGHT, THUMB_OUT, SPREAD
+        case "grasp":  # all fingers around one thing
+            fingers, thumb = rng.uniform(*GRASP), rng.uniform(0, 1) * THUMB_IN
+            return fingers, thumb, rng.uniform(0, GRASP_SPREAD) * SPREAD
+        case _:  # free: the first row of five is the thumb's, whose joints have limits of their own
+            fingers, thumb = rng.uniform(0, FREE, (5, 2))[1:], rng.uniform(*np.array(FLEXION[:3]).T)
+            return fingers, thumb, rng.uniform(-1, 1, 5) * FREE_SPREAD
 
 
 def within_limits(angles: Float[np.ndarray, "*N 15 2"]) -> Float[np.ndarray, "*N 15 2"]:

@@ -25,7 +25,9 @@ HAND_PARENTS = (-1, *(parent for k in range(5) for parent in (0, 3 * k + 1, 3 * 
 STORED = ("joints", "joint_components", "flexion", "abduction")
 """Arrays that are stored as they are."""
 TIP_SHARE = 0.5
-"""Weight of a finger's last joint from which on a vertex can be the fingertip."""
+"""Share of a finger's last joint from which on a vertex can be the fingertip."""
+OF_HAND = 0.5
+"""Weight of the hand and its finger stubs from which on a vertex belongs to the hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +42,9 @@ class Hands:
     """Share of the hand and of its 15 joints in the weight of a side's hand, rows sum to 1; where there is none: the
     hand's."""
     flexion: Float[np.ndarray, "30 3"]
-    """Unit axis of each joint: a positive angle bends the finger towards the palm."""
+    """Unit axis of each joint, in the world at rest: a positive angle bends the finger towards the palm."""
     abduction: Float[np.ndarray, "30 3"]
-    """Unit axis across it: a positive angle turns the finger towards the thumb's side."""
+    """Unit axis across it: a positive angle turns the finger towards the thumb."""
 
 
 @cache
@@ -62,7 +64,11 @@ def load_hands() -> Hands:
 
 
 def save_hands(path: Path, hands: Hands, influences: int) -> None:
-    """Write a compact `.npz` with the largest `influences` shares of each vertex that not the hand alone moves."""
+    """Write a compact `.npz` with the largest shares of each vertex that a finger joint moves.
+
+    Args:
+        influences: number of shares of a vertex.
+    """
     arrays = {}
     for s in range(2):
         moved = np.flatnonzero(hands.shares[s, :, 0] < 1.0)
@@ -82,14 +88,11 @@ def body_with_fingers() -> RiggedBody:
     names = with_finger_joints(body.joint_names)
     kept = [body.joint(name) for name in names[:-30]]
     weights = np.concatenate([body.weights[:, kept], np.zeros((len(body.vertices), 30))], axis=1)
-    for s, side in enumerate(SIDES):
-        split = hand_weight(body, side)[:, None] * hands.shares[s]
-        weights[:, names.index(f"{side}Hand")] = split[:, 0]
-        weights[:, names.index(finger_joints(side)[0]) :][:, :15] = split[:, 1:]
     parents = [names.index(body.joint_names[body.parents[j]]) if body.parents[j] >= 0 else -1 for j in kept]
-    for side in SIDES:
-        first, hand = names.index(finger_joints(side)[0]), names.index(f"{side}Hand")
-        parents += [hand if parent == 0 else first + parent - 1 for parent in HAND_PARENTS[1:]]
+    for s, side in enumerate(SIDES):
+        columns = [names.index(name) for name in (f"{side}Hand", *finger_joints(side))]
+        weights[:, columns] = hand_weight(body, side)[:, None] * hands.shares[s]
+        parents += [columns[parent] for parent in HAND_PARENTS[1:]]
     return dataclasses.replace(
         body,
         joints=np.concatenate([body.joints[kept], hands.joints]),
@@ -114,15 +117,13 @@ def hand_joints(joint_names: tuple[str, ...], side: str) -> list[int]:
 def bend_axes(
     wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]
 ) -> tuple[Float[np.ndarray, "15 3"], Float[np.ndarray, "15 3"]]:
-    """Compute axes of flexion and abduction from the joints of a left hand at rest.
+    """Compute unit axes of flexion and abduction from the joints and fingertips of a left hand at rest.
 
     Fingers bend towards the palm's normal, and spread in the plane of the palm. The thumb bends across the palm,
     towards the first joint of the little finger.
     """
-    normal = palm_frame(wrist, joints)[:, 1] * -1
-    chain = np.concatenate([joints.reshape(5, 3, 3), tips[:, None]], axis=1)
-    bones = unit_vectors(np.diff(chain, axis=1))
-    goal = np.tile(normal, (5, 3, 1))
+    bones = unit_vectors(_phalanges(joints, tips))
+    goal = np.tile(-palm_frame(wrist, joints)[:, 1], (5, 3, 1))
     goal[0] = joints[12] - joints[1]
     flexion = unit_vectors(np.cross(bones, goal))
     abduction = unit_vectors(np.cross(flexion, bones))
@@ -132,7 +133,7 @@ def bend_axes(
 def palm_frame(wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"]) -> Float[np.ndarray, "3 3"]:
     """Compute the axes of a left palm as columns, as in the T-pose: x along the hand, y off its back, z to the thumb.
 
-    Joints are those of `finger_joints`.
+    Joints are those of `finger_joints`: rows 3, 6, 9 and 12 are the knuckles, from the index to the little finger.
     """
     x = unit_vectors(joints[[3, 6, 9, 12]].mean(axis=0) - wrist)
     across = joints[3] - joints[12]
@@ -143,7 +144,11 @@ def palm_frame(wrist: Float[np.ndarray, " 3"], joints: Float[np.ndarray, "15 3"]
 def fingertips(
     vertices: Float[np.ndarray, "V 3"], weights: Float[np.ndarray, "V 15"], joints: Float[np.ndarray, "15 3"]
 ) -> list[int]:
-    """Find the vertex at the end of each finger: the farthest along its last bone among those of its last joint."""
+    """Find the vertex at the end of each finger: the farthest along its last bone among those of its last joint.
+
+    Args:
+        weights: of the finger joints, or their shares in the weight of the hand.
+    """
     found = []
     for finger in range(5):
         last = 3 * finger + 2
@@ -157,7 +162,7 @@ def fingertips(
 def left_hand_body() -> RiggedBody:
     """Return the left hand of the shipped body's mean shape: 16 joints, the hand first, and no shape components."""
     body, hands = load_body(), load_hands()
-    kept = np.flatnonzero(hand_weight(body, "Left") > TIP_SHARE)
+    kept = np.flatnonzero(hand_weight(body, "Left") > OF_HAND)
     rank = np.full(len(body.vertices), -1)
     rank[kept] = np.arange(len(kept))
     return RiggedBody(
@@ -185,14 +190,19 @@ def hand_alignment(
     our_tips = ours.vertices[fingertips(ours.vertices, ours.weights[:, 1:], ours.joints[1:])]
     bones, our_bones = (_bones(at, ends) for at, ends in ((joints, tips), (ours.joints, our_tips)))
     palm = palm_frame(joints[0], joints[1:]) @ palm_frame(ours.joints[0], ours.joints[1:]).T
-    turned = our_bones @ palm.T
-    old, new = (np.repeat(directions[1:], 3, axis=0) for directions in (turned, bones))
+    # Each column of the palm's rotation, a row of its transpose, is rotated as the bone of each finger joint is.
+    old, new = (np.repeat(directions[1:], 3, axis=0) for directions in (our_bones @ palm.T, bones))
     columns = rotate_between(old, new, np.tile(palm.T, (15, 1))).reshape(15, 3, 3)
     return np.concatenate([palm[None], columns.swapaxes(-1, -2)]), bones
 
 
 def _bones(joints: Float[np.ndarray, "16 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "16 3"]:
     """Compute unit directions from the hand to its knuckles, and from each finger joint to the next or to the tip."""
-    chain = np.concatenate([joints[1:].reshape(5, 3, 3), tips[:, None]], axis=1)
     knuckles = joints[[4, 7, 10, 13]].mean(axis=0)
-    return unit_vectors(np.concatenate([knuckles[None] - joints[:1], np.diff(chain, axis=1).reshape(15, 3)]))
+    fingers = _phalanges(joints[1:], tips).reshape(15, 3)
+    return unit_vectors(np.concatenate([knuckles[None] - joints[:1], fingers]))
+
+
+def _phalanges(joints: Float[np.ndarray, "15 3"], tips: Float[np.ndarray, "5 3"]) -> Float[np.ndarray, "5 3 3"]:
+    """Compute the vectors from each joint of each finger to the next one or to the fingertip."""
+    return np.diff(np.concatenate([joints.reshape(5, 3, 3), tips[:, None]], axis=1), axis=1)

@@ -76,6 +76,17 @@ class SkinnedCharacter:
         moved = (influences[..., :3] @ self.points[..., None])[..., :3, 0] + influences[..., :3, 3]
         return (self.weights[..., None] * moved).sum(axis=1)
 
+    def summed_weights(self, column: Int[np.ndarray, " K"], count: int) -> Float[np.ndarray, "V C"]:
+        """Add up the weights of the joints that have one column.
+
+        Args:
+            column: of each joint; the last entry is that of the world.
+            count: number of columns.
+        """
+        weights = np.zeros((len(self.weights), count))
+        np.add.at(weights, (np.arange(len(weights))[:, None], column[self.joint_of]), self.weights)
+        return weights
+
     def permuted(self, order: Int[np.ndarray, " V"]) -> SkinnedCharacter:
         """Reorder the vertices with their weights: new vertex k is old vertex `order[k]`."""
         mesh = permute_vertices(self.mesh, order)

@@ -21,18 +21,19 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import PoolCharacter, read_pool
 from ..bodies.finger_poses import finger_rotations, sample_finger_poses
 from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_alignment
-from ..bodies.joint_names import ancestors, finger_joints
+from ..bodies.joint_names import finger_joints
+from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.geometry import MIRROR, angles_between, nearest_rotation
-from ..core.mesh import Mesh
+from ..core.rig import descendants
 from ..core.skinning import skinning_transforms
 from .character_poses import pose_character
-from .pairs import Pair, Person, human, random_orders, reorder_vertices
+from .pairs import Pair, Person, Pose, human, random_orders, reorder_vertices
 from .protocols import Wide
 
 PERSON_HEIGHT_MM = 1700.0
-"""Height of the person that distances are given for."""
-LEAST_POINTS = 4
+"""Height of the person that distances are given for (mm)."""
+LEAST_VERTICES = 4
 """Vertices of a joint from which on its rotation is measured."""
 OF_PART = 0.5
 """Weight from which on a vertex belongs to a palm or a finger joint."""
@@ -40,10 +41,11 @@ OF_PART = 0.5
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FingerPair(Pair):
-    """A pair of people with fingers."""
+    """A pair of people, or of characters, with fingers."""
 
     part: Int[np.ndarray, " V"]
-    """Of each vertex of the identity: 0 for none, then palm and joints of the left hand, and those of the right one."""
+    """Of each vertex of the identity: 0 for none, 1 for the palm of the left hand, 2 to 16 for its finger joints, then
+    17 to 32 for those of the right hand."""
     tips: Int[np.ndarray, "10"]
     """Vertices at the fingertips, of the left hand first."""
 
@@ -68,30 +70,26 @@ class FingerGestures(Wide):
             )
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> FingerPair:
+        """Generate pair `i` with the vertices in the order of the body, or of the characters' files."""
         if kind == "characters":
             assert self.data is not None
             return self._characters(fingered_characters(self.data, split), split, i, rng)
         body = body_with_fingers()
-        people = self.sample_people(body, body, split, kind, i)
-        poses = (self.sample_rest_pose(split, kind, i, rng), self.sample_driving_pose(split, "table6", i, rng))
-        gestured = (kind == "gesture", kind != "still")
-        rotmats = [
-            with_gesture(pose.rotmat, draw_gesture(rng) if moved else None)
-            for pose, moved in zip(poses, gestured, strict=True)
-        ]
-        identity, driving, truth = (
-            person.posed_vertices(rotmat)
-            for person, rotmat in ((people[0], rotmats[0]), (people[1], rotmats[1]), (people[0], rotmats[1]))
+        person, other = self.sample_people(body, body, split, kind, i)
+        rest, pose = self.sample_rest_pose(split, kind, i, rng), self.sample_driving_pose(split, "table6", i, rng)
+        rest, pose = (
+            Pose(with_gesture(given.rotmat, draw_gesture(rng) if moves else None), given.label)
+            for given, moves in ((rest, kind == "gesture"), (pose, kind != "still"))
         )
-        aligned = driving if people[1].body is people[0].body else None
-        part, tips = body_parts(people[0])
+        driving = other.posed_mesh(pose)
+        part, tips = body_parts(person)
         return FingerPair(
-            identity=Mesh(identity, body.faces, name=f"id{people[0].label}_{poses[0].label}"),
-            driving=Mesh(driving, body.faces, name=f"id{people[1].label}_{poses[1].label}"),
-            truth=truth,
-            height=float(np.ptp(body.shaped(people[0].shape)[0][:, 1])),
-            aligned=aligned,
-            groups=(people[0].label, people[1].label),
+            identity=person.posed_mesh(rest),
+            driving=driving,
+            truth=person.posed_vertices(pose.rotmat),
+            height=float(np.ptp(body.shaped(person.shape)[0][:, 1])),
+            aligned=driving.vertices,
+            groups=(person.label, other.label),
             part=part,
             tips=tips,
         )
@@ -105,7 +103,7 @@ class FingerGestures(Wide):
         assert isinstance(shuffled, FingerPair)
         return dataclasses.replace(shuffled, part=pair.part[orders[0]], tips=np.argsort(orders[0])[pair.tips])
 
-    def _characters(self, pool: tuple[PoolCharacter, ...], split: str, i: int, rng) -> FingerPair:
+    def _characters(self, pool: tuple[PoolCharacter, ...], split: str, i: int, rng: np.random.Generator) -> FingerPair:
         """Make a pair of two characters; the driving one has a pose of Table 6 and a gesture."""
         first, second = (pool[k] for k in rng.choice(len(pool), 2, replace=False))
         pose, gesture = self.sample_driving_pose(split, "table6", i, rng).rotmat, draw_gesture(rng)
@@ -138,7 +136,7 @@ def fingered_characters(data: Path, split: str) -> tuple[PoolCharacter, ...]:
 
 
 def draw_gesture(rng: np.random.Generator) -> Float[np.ndarray, "2 15 3 3"]:
-    """Draw local rotations of the joints of both hands."""
+    """Draw a gesture of the shipped body: local rotations of the finger joints of the left and the right hand."""
     angles = sample_finger_poses(2, rng)
     return np.stack([finger_rotations(angles[s], left=s == 0) for s in range(2)])
 
@@ -146,7 +144,7 @@ def draw_gesture(rng: np.random.Generator) -> Float[np.ndarray, "2 15 3 3"]:
 def with_gesture(
     rotmat: Float[np.ndarray, "31 3 3"], gesture: Float[np.ndarray, "2 15 3 3"] | None
 ) -> Float[np.ndarray, "55 3 3"]:
-    """Give a pose of the shipped body to the body with fingers."""
+    """Turn local rotations of the shipped body into those of the body with fingers, which are at rest by default."""
     names = body_with_fingers().joint_names
     fingers = np.tile(np.eye(3), (30, 1, 1)) if gesture is None else gesture.reshape(30, 3, 3)
     return np.concatenate([rotmat[[human().joint(name) for name in names[:-30]]], fingers])
@@ -163,11 +161,13 @@ def character_parts(character: PoolCharacter) -> tuple[Int[np.ndarray, " V"], In
     """Do the same for a character."""
     rig = character.rig
     columns = [j for side in SIDES for j in _joints(character, side)]
-    weights = np.stack([(rig.weights * (rig.joint_of == j)).sum(axis=1) for j in columns], axis=1)
-    return _parts(weights, rig.mesh.vertices, rig.joints[columns])
+    return _parts(_joint_weights(rig, columns), rig.mesh.vertices, rig.joints[columns])
 
 
-def _parts(weights: Float[np.ndarray, "V 32"], vertices, joints: Float[np.ndarray, "32 3"]):
+def _parts(
+    weights: Float[np.ndarray, "V 32"], vertices: Float[np.ndarray, "V 3"], joints: Float[np.ndarray, "32 3"]
+) -> tuple[Int[np.ndarray, " V"], Int[np.ndarray, "10"]]:
+    """Do it from the weights and positions of the joints of both hands, palms first."""
     part = np.where(weights.max(axis=1) > OF_PART, 1 + weights.argmax(axis=1), 0)
     tips = [tip for s in (0, 16) for tip in fingertips(vertices, weights[:, s + 1 : s + 16], joints[s + 1 : s + 16])]
     return part, np.array(tips)
@@ -178,34 +178,57 @@ def _joints(character: PoolCharacter, side: str) -> list[int]:
     return [character.joints[f"{side}Hand"], *(character.fingers[name] for name in finger_joints(side))]
 
 
+def _joint_weights(rig: SkinnedCharacter, joints: list[int]) -> Float[np.ndarray, "V C"]:
+    """Return the weights of some joints of a character."""
+    column = np.full(len(rig.parents) + 1, len(joints))  # of all others, and of the world
+    column[joints] = np.arange(len(joints))
+    return rig.summed_weights(column, len(joints) + 1)[:, :-1]
+
+
 def pose_fingers(
     character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"], gesture: Float[np.ndarray, "2 15 3 3"]
 ) -> Float[np.ndarray, "K 4 4"]:
-    """Give the fingers of a posed character a gesture of the shipped body."""
+    """Give the fingers of a posed character a gesture of the shipped body; ends of fingers follow the last joint.
+
+    Args:
+        transforms: of each joint from rest to the pose, as `pose_character` returns them.
+        gesture: as `draw_gesture` returns it.
+    """
     rig, posed = character.rig, transforms.copy()
-    for s, side in enumerate(SIDES):
-        mirror = np.ones(3) if side == "Left" else MIRROR
-        columns = _joints(character, side)
-        weights = np.stack([(rig.weights * (rig.joint_of == j)).sum(axis=1) for j in columns[1:]], axis=1)
-        rest = rig.joints[columns] * mirror
-        tips = rig.mesh.vertices[fingertips(rig.mesh.vertices, weights, rig.joints[columns[1:]])] * mirror
-        alignment, _ = hand_alignment(rest, tips)
-        hand = transforms[columns[0], :3, :3] * mirror[:, None] * mirror @ alignment[0]
-        local = np.concatenate([hand[None], gesture[s] * mirror[:, None] * mirror])
-        world, _ = skinning_transforms(rest, local, HAND_PARENTS)
-        turned = world @ alignment.swapaxes(-1, -2) * mirror[:, None] * mirror
-        for k, joint in enumerate(columns[1:], 1):
-            parent = posed[columns[HAND_PARENTS[k]]]
+    for side, local in zip(SIDES, gesture, strict=True):
+        joints = _joints(character, side)
+        rotations = _hand_rotations(character, side, transforms[joints[0], :3, :3], local)
+        for k, joint in enumerate(joints[1:], 1):
+            # The joint is where its parent moves it, and turns its surface about itself.
+            parent, at_rest = posed[joints[HAND_PARENTS[k]]], rig.joints[joint]
+            place = parent[:3, :3] @ at_rest + parent[:3, 3]
             posed[joint] = np.eye(4)
-            posed[joint, :3, :3] = turned[k]
-            place = parent[:3, :3] @ rig.joints[joint] + parent[:3, 3]
-            posed[joint, :3, 3] = place - turned[k] @ rig.joints[joint]
-        below = set(columns[1:])
-        for j in range(len(rig.parents)):  # ends of fingers follow the last joint
-            above = next((k for k in ancestors(rig.parents, j)[1:] if k in below), None)
-            if above is not None and j not in below:
-                posed[j] = posed[above]
+            posed[joint, :3, :3], posed[joint, :3, 3] = rotations[k], place - rotations[k] @ at_rest
+        for j in descendants(joints[1:], rig.parents):
+            if j not in joints:
+                posed[j] = posed[rig.parents[j]]
     return posed
+
+
+def _hand_rotations(
+    character: PoolCharacter, side: str, hand: Float[np.ndarray, "3 3"], gesture: Float[np.ndarray, "15 3 3"]
+) -> Float[np.ndarray, "16 3 3"]:
+    """Compute the world rotation from rest of each joint of a character's hand in a gesture.
+
+    Args:
+        hand: rotation of the hand from rest.
+        gesture: local rotations of the finger joints of the shipped body.
+    """
+    rig, joints = character.rig, _joints(character, side)
+    mirror = np.ones(3) if side == "Left" else MIRROR
+    flip = mirror[:, None] * mirror  # a right hand is posed as the left hand that is its mirror image
+    vertices, rest = rig.mesh.vertices, rig.joints[joints]
+    tips = vertices[fingertips(vertices, _joint_weights(rig, joints[1:]), rest[1:])]
+    alignment, _ = hand_alignment(rest * mirror, tips * mirror)
+    # A rotation from the shipped body's hand at rest is that from this hand at rest times the alignment.
+    local = np.concatenate([((hand * flip) @ alignment[0])[None], gesture * flip])
+    world, _ = skinning_transforms(rest * mirror, local, HAND_PARENTS)
+    return (world @ alignment.swapaxes(-1, -2)) * flip
 
 
 def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[str, Any]:
@@ -219,7 +242,7 @@ def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[s
         distances.append(scale * np.linalg.norm(moved[tips] - pair.truth[tips], axis=1))
         for k in range(15):
             of_joint = pair.part == 2 + 16 * s + k
-            if of_joint.sum() >= LEAST_POINTS:
+            if of_joint.sum() >= LEAST_VERTICES:
                 turn, _ = rigid_motion(moved[of_joint], pair.truth[of_joint])
                 turns.append(turn)
     tips = np.concatenate(distances)

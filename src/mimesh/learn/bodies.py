@@ -116,6 +116,30 @@ def scaled_joints(
     return torch.stack(position, 1), turned @ scaling, turned @ inverse
 
 
+def skinned_surface(
+    points: Float[Tensor, "B N 3"],
+    normals: Float[Tensor, "B N 3"],
+    weights: Float[Tensor, "B N J"],
+    joints: tuple[Float[Tensor, "B J 3"], Float[Tensor, "B J 3"]],
+    linear: Float[Tensor, "B J 3 3"],
+    normal_map: Float[Tensor, "B J 3 3"],
+) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"]]:
+    """Skin points and unit normals linearly by the joints' linear maps, such as those of `scaled_joints`.
+
+    Args:
+        joints: positions at rest, and where the maps leave them.
+        linear: map of each joint's points, about the joint.
+        normal_map: map of its normals.
+    """
+    rest, position = joints
+    offset = position - (linear @ rest[..., None])[..., 0]
+    # Of each joint the 7 columns of both maps and the offset are blended together, in one matrix product.
+    maps = torch.cat([linear, offset[..., None], normal_map], -1)
+    blended = (weights @ maps.flatten(2)).unflatten(2, (3, 7))
+    moved = (blended[..., :3] @ points[..., None])[..., 0] + blended[..., 3]
+    return moved, nn.functional.normalize((blended[..., 4:] @ normals[..., None])[..., 0], dim=-1)
+
+
 def world_rotations(local: Float[Tensor, "B J 3 3"], parents: tuple[int, ...]) -> Float[Tensor, "B J 3 3"]:
     """Multiply local rotations along the skeleton."""
     world = [local[:, 0]]

@@ -216,8 +216,7 @@ def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray
     target = np.full(len(rig.parents) + 1, body.joint("Hips"))  # the last entry is the world
     for j, parent in enumerate(rig.parents):
         target[j] = body.joint(names[j]) if j in names else target[parent]
-    weights = np.zeros((len(rig.weights), len(body.parents)))
-    np.add.at(weights, (np.arange(len(weights))[:, None], target[rig.joint_of]), rig.weights)
+    weights = rig.summed_weights(target, len(body.parents))
     return weights / weights.sum(axis=1, keepdims=True)
 
 

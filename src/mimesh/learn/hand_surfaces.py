@@ -6,6 +6,7 @@ hands, whole or of the four fingers) and hands without fingers are what the netw
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -17,7 +18,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import PoolCharacter
 from ..bodies.finger_poses import finger_rotations, sample_finger_poses
 from ..bodies.hands import HAND_PARENTS, fingertips, hand_alignment, hand_weight, load_hands
-from ..bodies.joint_names import ancestors, finger_joints
+from ..bodies.joint_names import finger_joints
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core import geometry, surface_points
 from ..core.geometry import MIRROR, unit_vectors
@@ -30,13 +31,24 @@ NEAR_HAND = 0.05
 """Least weight of the hand and its fingers in a vertex of a hand: a bit of the forearm belongs to it."""
 PEOPLE, MITTENS, BLOCKS, STUMPS = 48, 48, 40, 16
 """Number of hands of the shipped body, and of each kind of hand without fingers made from them or of primitives."""
-SPREAD = 1.3
-"""Standard deviation of the shape coefficients."""
-COARSE, FINGER_DETAIL = (0, 0, 300, 170, 120), 2.5
-"""Number of clusters of vertices that hands are simplified to in turn (0 leaves them as they are), and how many times
-closer together they are on fingers, which would vanish otherwise."""
+SHAPE_SPREAD, LARGEST_SHAPE = 1.3, 2.5
+"""Standard deviation of people's shape coefficients, and their largest absolute value (standard deviations of the body
+model)."""
+CLUSTERS = (0, 0, 300, 170, 120)
+"""Clusters of vertices that hands are simplified to in turn; 0 leaves them as they are."""
+FINGER_DETAIL = 2.5
+"""How many times closer together clusters are on fingers, which would vanish otherwise."""
+OF_THUMB, OF_FINGERS = 0.5, 0.3
+"""Weight of the thumb, and of the four fingers together, from which on a vertex belongs to them in a mitten."""
+BLOCK, BLOCK_ASPECT = 0.04, (2.0, 1.0, 1.2)
+"""Half of the usual thickness of a block (metres), and its size along the hand, through the palm and across it in units
+of that."""
+BLOCK_SPREAD, BLOCK_TURN = 0.35, 0.3
+"""Standard deviation of the logarithm of its size, and of the components of its rotation vector (radians)."""
 HUMAN, WITHOUT = "human", "without fingers"
 """Groups of hands beside the packs of a pool."""
+HAND_COLUMN = 1
+"""Column of the hand in the 17 columns of weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +56,7 @@ class HandSurface:
     """A left hand at rest, in metres or the unit of its file."""
 
     group: str
-    """Its pack, HUMAN or WITHOUT; groups take turns in training."""
+    """Hands are drawn by group: the pack of a character, HUMAN, or WITHOUT, with the pack of hands of characters."""
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     weights: Float[np.ndarray, "N 17"]
@@ -53,14 +65,14 @@ class HandSurface:
     alignment: Float[np.ndarray, "16 3 3"]
     """Rotation of each joint from the shipped body's hand at rest to this one."""
     bones: Float[np.ndarray, "16 3"]
-    """Unit direction of each joint's bone."""
+    """Unit direction of each joint's bone at rest."""
     separate: bool
     """Whether it shows separate fingers, so that joints and weights are known."""
 
 
 @dataclass(frozen=True, eq=False)
 class HandMesh:
-    """The part of a mesh around a left hand at rest."""
+    """The part of a mesh around a left hand at rest; for units and columns see `HandSurface`."""
 
     vertices: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "F 3"]
@@ -68,8 +80,15 @@ class HandMesh:
     joints: Float[np.ndarray, "16 3"]
 
     @classmethod
-    def cut(cls, vertices, faces, weights, joints, left: bool) -> HandMesh:
-        """Cut a hand out of a character; a right hand is mirrored."""
+    def cut(
+        cls,
+        vertices: Float[np.ndarray, "V 3"],
+        faces: Int[np.ndarray, "F 3"],
+        weights: Float[np.ndarray, "V 17"],
+        joints: Float[np.ndarray, "16 3"],
+        left: bool,
+    ) -> HandMesh:
+        """Cut a hand out of a whole mesh: the triangles near it; a right hand is mirrored."""
         near = weights[:, 1:].sum(axis=1) > NEAR_HAND
         faces = faces[near[faces].all(axis=1)]
         kept, flat = np.unique(faces, return_inverse=True)
@@ -78,7 +97,10 @@ class HandMesh:
         return cls(vertices[kept] * mirror, faces if left else faces[:, ::-1], weights[kept], joints * mirror)
 
     def simplified(self, clusters: int) -> HandMesh:
-        """Merge the vertices around so many of them, those of one joint only, so that fingers stay apart."""
+        """Merge vertices into clusters around far apart ones; 0 or too many clusters leave the mesh as it is.
+
+        Only vertices with the same strongest joint are merged, so that fingers stay apart.
+        """
         if not 0 < clusters < len(self.vertices):
             return self
         strongest = self.weights.argmax(axis=1)
@@ -88,26 +110,29 @@ class HandMesh:
         distance[strongest[:, None] != strongest[seeds]] = np.inf
         cluster = distance.argmin(axis=1)
         count = np.bincount(cluster, minlength=len(seeds))[:, None]
-        merged = [np.zeros((len(seeds), array.shape[1])) for array in (self.vertices, self.weights)]
-        for total, array in zip(merged, (self.vertices, self.weights), strict=True):
+        means = []
+        for array in (self.vertices, self.weights):
+            total = np.zeros((len(seeds), array.shape[1]))
             np.add.at(total, cluster, array)
-            total /= count
+            means.append(total / count)
         faces = cluster[self.faces]
         distinct = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
-        return HandMesh(merged[0], faces[distinct], merged[1], self.joints)
+        return HandMesh(means[0], faces[distinct], means[1], self.joints)
 
     def tips(self) -> Float[np.ndarray, "5 3"]:
         """Find the fingertips."""
         return self.vertices[fingertips(self.vertices, self.weights[:, 2:], self.joints[1:])]
 
     def surface(self, group: str, rng: np.random.Generator, clusters: int = 0) -> HandSurface:
-        """Sample a hand with fingers."""
-        mesh, (alignment, bones) = self.simplified(clusters), hand_alignment(self.joints, self.tips())
-        points, normals, weights = mesh.sample(rng)
+        """Sample a hand with fingers, simplified to a number of clusters."""
+        alignment, bones = hand_alignment(self.joints, self.tips())
+        points, normals, weights = self.simplified(clusters).sample(rng)
         return HandSurface(group, points, normals, weights, self.joints, alignment, bones, True)
 
-    def sample(self, rng: np.random.Generator):
-        """Draw points, with normals and weights."""
+    def sample(
+        self, rng: np.random.Generator
+    ) -> tuple[Float[np.ndarray, "N 3"], Float[np.ndarray, "N 3"], Float[np.ndarray, "N 17"]]:
+        """Draw points, even by area, with normals and weights."""
         face, share = surface_points.sample_surface(self.vertices, self.faces, POINTS, rng)
         normals = geometry.face_normals(self.vertices, self.faces)[face]
         points, weights = (
@@ -119,7 +144,7 @@ class HandMesh:
 def farthest_points(
     points: Float[np.ndarray, "N 3"], count: int, first: Int[np.ndarray, " S"]
 ) -> Int[np.ndarray, " C"]:
-    """Choose points that are far from each other, one after the other, beginning with some."""
+    """Choose points, each the farthest from those before it, beginning with given ones."""
     chosen = list(first)
     distance = np.linalg.norm(points[:, None] - points[chosen], axis=-1).min(axis=1)
     while len(chosen) < count:
@@ -133,7 +158,7 @@ def hands_of_people(body: RiggedBody, rng: np.random.Generator, count: int = PEO
     hands, hand = load_hands(), body.joint("LeftHand")
     total = hand_weight(body, "Left")
     weights = np.concatenate([1 - total[:, None], total[:, None] * hands.shares[0]], axis=1)
-    shapes = (SPREAD * rng.normal(size=(count, len(body.components)))).clip(-2.5, 2.5)
+    shapes = (SHAPE_SPREAD * rng.normal(size=(count, len(body.components)))).clip(-LARGEST_SHAPE, LARGEST_SHAPE)
     found = []
     for shape in shapes:
         vertices, joints = body.shaped(shape)
@@ -142,26 +167,25 @@ def hands_of_people(body: RiggedBody, rng: np.random.Generator, count: int = PEO
     return found
 
 
-def hands_of_character(character: PoolCharacter, body: RiggedBody) -> list[tuple[HandMesh, bool]]:
+def hands_of_character(character: PoolCharacter) -> list[tuple[HandMesh, bool]]:
     """Cut out both hands of a character as left hands, and tell whether each has fifteen finger joints.
 
-    A hand without joints is the surface that its hand, or else the end of its forearm, moves.
+    Without them all finger joints are at the hand, whose surface is all that the hand and joints below it move.
     """
     rig, found = character.rig, []
     for side in SIDES:
         if f"{side}Hand" not in character.joints:
             continue
         hand = character.joints[f"{side}Hand"]
-        names = finger_joints(side)
-        fingers = [character.fingers[name] for name in names if name in character.fingers]
-        whole = len(fingers) == len(names)
-        column = np.zeros(len(rig.parents) + 1, int)  # the last entry is the world
-        for j in range(len(rig.parents)):
-            own = next((k for k in ancestors(rig.parents, j) if k in fingers or k == hand), None)
-            column[j] = 0 if own is None else 2 + fingers.index(own) if whole and own in fingers else 1
-        weights = np.zeros((len(rig.weights), 17))
-        np.add.at(weights, (np.arange(len(weights))[:, None], column[rig.joint_of]), rig.weights)
+        fingers = [character.fingers[name] for name in finger_joints(side) if name in character.fingers]
+        whole = len(fingers) == 15
+        column_of = {hand: HAND_COLUMN} | ({joint: 2 + k for k, joint in enumerate(fingers)} if whole else {})
+        # Other joints count as their nearest ancestor among these, or as the forearm's, column 0, as the world does.
+        column = np.zeros(len(rig.parents) + 1, int)
+        for j, parent in enumerate(rig.parents):
+            column[j] = column_of.get(j, column[parent] if parent >= 0 else 0)
         joints = rig.joints[[hand, *(fingers if whole else [hand] * 15)]]
+        weights = rig.summed_weights(column, 17)
         mesh = HandMesh.cut(rig.mesh.vertices, rig.mesh.faces, weights, joints, left=side == "Left")
         if len(mesh.faces):
             found.append((mesh, whole))
@@ -169,28 +193,39 @@ def hands_of_character(character: PoolCharacter, body: RiggedBody) -> list[tuple
 
 
 def training_hands(body: RiggedBody, characters: Iterable[PoolCharacter], seed: int = 0) -> list[HandSurface]:
-    """Make all hands of a training: of people, of characters, and without fingers."""
+    """Make all hands of a training: of people, of characters, and without fingers.
+
+    Args:
+        body: the shipped body.
+    """
     rng = np.random.default_rng(seed)
     people = hands_of_people(body, rng)
-    surfaces = [hand.surface(HUMAN, rng, COARSE[k % len(COARSE)]) for k, hand in enumerate(people)]
+    surfaces = [hand.surface(HUMAN, rng, CLUSTERS[k % len(CLUSTERS)]) for k, hand in enumerate(people)]
     for character in characters:
-        for mesh, whole in hands_of_character(character, body):
-            clusters = COARSE[rng.integers(len(COARSE))]
-            pack = character.meta.pack
+        pack = character.meta.pack
+        for mesh, whole in hands_of_character(character):
+            clusters = CLUSTERS[rng.integers(len(CLUSTERS))]
             surfaces.append(
-                mesh.surface(pack, rng, clusters) if whole else _without(*mesh.sample(rng), f"{WITHOUT}, {pack}")
+                mesh.surface(pack, rng, clusters) if whole else _fingerless(*mesh.sample(rng), f"{WITHOUT}, {pack}")
             )
     return surfaces + mittens(people, rng) + stumps(people, rng) + blocks(rng)
 
 
-def _without(points, normals, weights, group: str = WITHOUT) -> HandSurface:
-    """Make a hand without fingers; its joints do not matter."""
+def _fingerless(
+    points: Float[np.ndarray, "N 3"],
+    normals: Float[np.ndarray, "N 3"],
+    weights: Float[np.ndarray, "N 17"] | None = None,
+    group: str = WITHOUT,
+) -> HandSurface:
+    """Make a hand without fingers, by default without a forearm; its joints do not matter."""
+    weights = np.tile(np.eye(17)[HAND_COLUMN], (len(points), 1)) if weights is None else weights
     eye = np.tile(np.eye(3), (16, 1, 1))
     return HandSurface(group, points, normals, weights, np.tile(points.mean(axis=0), (16, 1)), eye, eye[:, 0], False)
 
 
 def posed_hand(hand: HandMesh, local: Float[np.ndarray, "15 3 3"]) -> Float[np.ndarray, "V 3"]:
-    """Pose the fingers of a hand of the shipped body."""
+    """Pose the fingers of a hand of the shipped body by local rotations: its vertices."""
+    # The forearm, of the first column of weights, is a joint above the hand; both stay at rest.
     rotmat = np.concatenate([np.tile(np.eye(3), (2, 1, 1)), local])
     parents = (-1, 0, *(1 + parent for parent in HAND_PARENTS[1:]))
     joints = np.concatenate([hand.joints[:1], hand.joints])
@@ -198,28 +233,31 @@ def posed_hand(hand: HandMesh, local: Float[np.ndarray, "15 3 3"]) -> Float[np.n
 
 
 def mittens(people: list[HandMesh], rng: np.random.Generator) -> list[HandSurface]:
-    """Make mittens: convex hulls of posed hands, in every second one the thumb apart from the four fingers."""
+    """Make mittens: unions of convex hulls of parts of posed hands, which are cut in three ways in turn."""
     found = []
     for k in range(MITTENS):
         hand = people[k % len(people)]
         vertices = posed_hand(hand, finger_rotations(sample_finger_poses(1, rng)[0], left=True))
         thumb, fingers = hand.weights[:, 2:5].sum(axis=1), hand.weights[:, 5:].sum(axis=1)
-        parts = [vertices[thumb < 0.5], vertices[fingers < 0.3]] if k % 2 else [vertices]
-        if k % 3 == 2:  # a mitten of which only the fingers are merged, the palm being as it is
-            parts = [vertices[fingers > 0.3], vertices[fingers < 0.3]]
+        if k % 3 == 2:  # the four fingers apart from palm and thumb
+            parts = [vertices[fingers > OF_FINGERS], vertices[fingers < OF_FINGERS]]
+        elif k % 2:  # thumb and fingers apart, both with the palm
+            parts = [vertices[thumb < OF_THUMB], vertices[fingers < OF_FINGERS]]
+        else:
+            parts = [vertices]
         found.append(_hulls(parts, rng))
     return found
 
 
-def _hulls(parts: list[np.ndarray], rng: np.random.Generator) -> HandSurface:
-    """Sample the surface of the union of convex hulls: the points of each that are in no other."""
+def _hulls(parts: list[Float[np.ndarray, "_ 3"]], rng: np.random.Generator) -> HandSurface:
+    """Make a hand of the union of convex hulls: of points of each that are in no other."""
     from scipy.spatial import ConvexHull
 
     hulls = [ConvexHull(part) for part in parts]
     total = sum(hull.area for hull in hulls)
     points, normals = [], []
     for hull in hulls:
-        count = round(3 * POINTS * hull.area / total)
+        count = round(3 * POINTS * hull.area / total)  # more than needed, as those in other hulls are left out
         face, share = surface_points.sample_surface(hull.points, hull.simplices, count, rng)
         on = surface_points.at_barycentric(hull.points, hull.simplices, face, share)
         inside = [
@@ -231,35 +269,33 @@ def _hulls(parts: list[np.ndarray], rng: np.random.Generator) -> HandSurface:
         points.append(on[outside])
         normals.append(hull.equations[face[outside], :3])
     chosen = rng.integers(sum(map(len, points)), size=POINTS)
-    weights = np.tile(np.eye(17)[1], (POINTS, 1))
-    return _without(np.concatenate(points)[chosen], np.concatenate(normals)[chosen], weights)
+    return _fingerless(np.concatenate(points)[chosen], np.concatenate(normals)[chosen])
 
 
 def stumps(people: list[HandMesh], rng: np.random.Generator) -> list[HandSurface]:
-    """Make hands that end at the knuckles, or at some of the first joints."""
+    """Make hands whose fingers end at the first joints (the knuckles) or, every other one, at the second joints."""
     found = []
     for k in range(STUMPS):
         hand = people[k % len(people)]
-        last = (hand.weights[:, 2:].reshape(-1, 5, 3)[:, :, k % 2 :]).sum(axis=(1, 2)) < 0.5
-        faces = hand.faces[last[hand.faces].all(axis=1)]
-        points, normals, weights = HandMesh(hand.vertices, faces, hand.weights, hand.joints).sample(rng)
+        beyond = hand.weights[:, 2:].reshape(-1, 5, 3)[:, :, k % 2 :].sum(axis=(1, 2))
+        faces = hand.faces[(beyond < 0.5)[hand.faces].all(axis=1)]
+        points, normals, weights = dataclasses.replace(hand, faces=faces).sample(rng)
         weights = np.concatenate([weights[:, :1], 1 - weights[:, :1], np.zeros((POINTS, 15))], axis=1)
-        found.append(_without(points, normals, weights))
+        found.append(_fingerless(points, normals, weights))
     return found
 
 
 def blocks(rng: np.random.Generator) -> list[HandSurface]:
-    """Make hands of boxes, balls, cylinders and cones, some with a thumb of another one."""
+    """Make hands of boxes, balls, cylinders and cones, half of them with a thumb: an ellipsoid on the front."""
     found: list[HandSurface] = []
     shapes: list[Shape] = [shape for shape in SHAPES if shape != "disc"]
     for _ in range(BLOCKS):
-        half = 0.04 * np.exp(rng.normal(0, 0.35, 3)) * (2.0, 1.0, 1.2)
+        half = BLOCK * np.exp(rng.normal(0, BLOCK_SPREAD, 3)) * BLOCK_ASPECT
         points, normals = sample_primitive(shapes[rng.integers(len(shapes))], half, POINTS, rng)
         if rng.random() < 0.5:
             thumb, thumb_normals = sample_primitive("ellipsoid", half * (0.5, 0.4, 0.4), POINTS // 6, rng)
             thumb += half * (rng.uniform(-0.5, 0.5), 0.0, 1.2)
             points[: len(thumb)], normals[: len(thumb)] = thumb, thumb_normals
-        turn = rotvec_to_rotmat(rng.normal(0, 0.3, (1, 3)))[0]
-        weights = np.tile(np.eye(17)[1], (POINTS, 1))
-        found.append(_without(points @ turn.T, unit_vectors(normals) @ turn.T, weights))
+        turn = rotvec_to_rotmat(rng.normal(0, BLOCK_TURN, (1, 3)))[0]
+        found.append(_fingerless(points @ turn.T, unit_vectors(normals) @ turn.T))
     return found

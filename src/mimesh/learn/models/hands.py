@@ -33,8 +33,11 @@ class HandNetwork(MimeNetwork):
         normals: Float[Tensor, "B N 3"],
         vertices: Float[Tensor, "B V 3"],
         vertex_normals: Float[Tensor, "B V 3"],
-    ) -> tuple[Prediction, Float[Tensor, " B"], Float[Tensor, "B V J"]]:
-        """Predict the joints of hands, the logit of separate fingers, and scores of any points of the same hands."""
+    ) -> tuple[Prediction, Float[Tensor, " B"], Float[Tensor, "B V 16"]]:
+        """Predict the joints of hands, the logit of separate fingers, and scores of any points of the same hands.
+
+        The logits of skinning weights (scores) are those of the hand and its 15 finger joints.
+        """
         prediction = self.predict_joints(points, normals)
         return prediction, self.predict_separate(prediction), self.predict_weights(prediction, vertices, vertex_normals)
 

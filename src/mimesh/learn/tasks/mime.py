@@ -215,7 +215,7 @@ def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) 
     moved = model.skin(batch.identity.points[:, half], scores, own, other, batch.truth.joints[:, 0])
     loss = pseudo_huber(pmd(moved, batch), RECONSTRUCTION_KNEE).mean()
     for prediction, true in ((own, batch.identity), (other, batch.driving)):
-        rotation, joints = _joint_errors(prediction, true)
+        rotation, joints = joint_errors(prediction, (true.rotation, true.turning), (true.joints, true.placed))
         loss = loss + weights.rotation * rotation / 2 + weights.joints * joints / 2
     entropy = -(batch.identity.weights[:, half] * scores.log_softmax(-1)).sum(-1).mean()
     return loss + weights.weights * entropy
@@ -233,18 +233,28 @@ def pmd(result: Float[Tensor, "B N 3"], batch: SurfaceBatch) -> Float[Tensor, " 
     return (result - batch.truth.points[:, : result.shape[1]]).square().sum(-1).mean(1) / radius.square()
 
 
-def _joint_errors(prediction: Prediction, true: PosedSurface) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-    """Compute errors of rotations and of joint positions, mean over the estimates and the joints that are known."""
-    rotation = [(found - true.rotation).square().sum((-1, -2)) for found in prediction.rotations]
-    joints = [((found - true.joints) / prediction.scale).square().sum(-1) for found in prediction.positions]
+def joint_errors(
+    prediction: Prediction,
+    rotation: tuple[Float[Tensor, "B J 3 3"], Bool[Tensor, "B #J"]],
+    joints: tuple[Float[Tensor, "B J 3"], Bool[Tensor, "B #J"]],
+) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+    """Compute errors of rotations and of joint positions, mean over the estimates and the joints that are known.
+
+    Args:
+        rotation: the true ones, and which are known.
+        joints: the same of the positions.
+    """
+    turned = [(found - rotation[0]).square().sum((-1, -2)) for found in prediction.rotations]
+    moved = [((found - joints[0]) / prediction.scale).square().sum(-1) for found in prediction.positions]
     return (
-        _masked_mean(pseudo_huber(torch.stack(rotation), ROTATION_KNEE), true.turning),
-        _masked_mean(pseudo_huber(torch.stack(joints), JOINT_KNEE), true.placed),
+        masked_mean(pseudo_huber(torch.stack(turned), ROTATION_KNEE), rotation[1]),
+        masked_mean(pseudo_huber(torch.stack(moved), JOINT_KNEE), joints[1]),
     )
 
 
-def _masked_mean(values: Float[Tensor, "E B J"], known: Bool[Tensor, "B J"]) -> Float[Tensor, ""]:
-    return (values * known).sum() / (len(values) * known.sum())
+def masked_mean(values: Float[Tensor, "*E B J"], known: Bool[Tensor, "B #J"]) -> Float[Tensor, ""]:
+    """Compute the mean of the known values; 0 if none is known."""
+    return (values * known).sum() / known.expand_as(values).sum().clamp_min(1)
 
 
 class MimeTask(Task[MimeTrainConfig, MimeNetwork]):

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
-from ..bodies import posed_joints, scaled_joints, skinned
+from ..bodies import posed_joints, scaled_joints, skinned, skinned_surface
 from ..character_surfaces import CharacterSurface
 from ..props import Props, PropSampler
 from .mime_people import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
@@ -134,12 +134,8 @@ class CharacterBank(nn.Module):
         position, linear, normal_map = scaled_joints(
             joints, self.bones[which], self.branching, length, girth, unturned, self.parents
         )
-        offset = position - (linear @ joints[..., None])[..., 0]
-        # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
-        blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
-        points = (blended[..., :3] @ rest[..., None])[..., 0] + blended[..., 3]
-        normals = (blended[..., 4:] @ normal[..., None])[..., 0]
-        return RestSurface(points, nn.functional.normalize(normals, dim=-1), weights, position)
+        points, normals = skinned_surface(rest, normal, weights, (joints, position), linear, normal_map)
+        return RestSurface(points, normals, weights, position)
 
     def posed(self, figures: Figures, rest: RestSurface, rotation: Float[Tensor, "B J 3 3"]) -> PosedSurface:
         """Pose figures by the world rotations of their joints; the root joint stays where it rests."""
@@ -181,15 +177,25 @@ class CharacterBank(nn.Module):
         return rest + (waves.sin() @ figures.bumps[..., 4:]) * normal, normal, weights
 
 
+def rows_by_group(groups: list[str], device: torch.device) -> dict[str, Int[Tensor, " _"]]:
+    """List the rows of a bank by the group of each."""
+    return {
+        group: torch.tensor([i for i, other in enumerate(groups) if other == group], device=device)
+        for group in dict.fromkeys(groups)
+    }
+
+
+def pick_rows(rows: list[Int[Tensor, " _"]], group: Int[Tensor, " B"], place: Float[Tensor, " B"]) -> Int[Tensor, " B"]:
+    """Pick a row of each given group, at a place from 0 to 1 in the list of its rows."""
+    of_all = torch.stack([some[(place * len(some)).long()] for some in rows])
+    return of_all[group, torch.arange(len(group))]
+
+
 class FigureSampler:
     """Draws figures of a bank; each call is a pure function of its generator."""
 
     def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody, device: torch.device) -> None:
-        packs = [surface.pack for surface in surfaces]
-        self.rows = [
-            torch.tensor([i for i, pack in enumerate(packs) if pack == one], device=device)
-            for one in dict.fromkeys(packs)
-        ]
+        self.rows = list(rows_by_group([surface.pack for surface in surfaces], device).values())
         self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
         names, self.device = body.joint_names, device
         self.head = torch.tensor([name == "Head" for name in names], device=device)
@@ -205,7 +211,7 @@ class FigureSampler:
         """Draw figures, a share of them low-poly; left and right bones are scaled alike."""
         pack = torch.randint(len(self.rows), (size,), generator=rng, device=self.device)
         place = self._uniform(rng, size)
-        which = torch.stack([rows[(place * len(rows)).long()] for rows in self.rows])[pack, torch.arange(size)]
+        which = pick_rows(self.rows, pack, place)
         spread = (self._uniform(rng, size, 1) < UNUSUAL) * UNUSUAL_SPREAD + USUAL_SPREAD * self._uniform(rng, size, 1)
         groups = int(self.group.max()) + 1
         drawn = [spread * self._normal(rng, size, groups).clamp(-2, 2) for _ in range(2)]

@@ -20,7 +20,7 @@ from ...bodies import RiggedBody
 from ...bodies.dress import GARMENTS, dressed_body, load_garment
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ...core import geometry, surface_points
-from ..bodies import scaled_joints, world_rotations
+from ..bodies import scaled_joints, skinned_surface, world_rotations
 from ..low_poly import LEVELS, SMALLEST, flattened
 
 WAVES = 6
@@ -168,13 +168,9 @@ class SurfaceBody(nn.Module):
             rest, normal = rest + flat * offset, torch.where(flat, faceted, normal)
         rest = rest + self._bump_heights(people, index) * normal
         weights = self.weights[:, index].permute(1, 2, 0)
-        offset = position - (linear @ joints[..., None])[..., 0]
-        # For each joint a linear map and an offset of points, and a linear map of normals, blended together.
-        blended = (weights @ torch.cat([linear, offset[..., None], normal_map], -1).flatten(2)).unflatten(2, (3, 7))
-        points = (blended[..., :3] @ rest.mT[..., None])[..., 0] + blended[..., 3]
-        normals = (blended[..., 4:] @ normal.mT[..., None])[..., 0]
+        points, normals = skinned_surface(rest.mT, normal.mT, weights, (joints, position), linear, normal_map)
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
-        return PosedSurface(points, nn.functional.normalize(normals, dim=-1), weights, rotation, position, known, known)
+        return PosedSurface(points, normals, weights, rotation, position, known, known)
 
     def _rest_joints(self, people: People) -> Float[Tensor, "B J 3"]:
         return self.joints + torch.einsum("bk,kjc->bjc", people.shape, self.joint_components)

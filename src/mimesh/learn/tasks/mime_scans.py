@@ -53,9 +53,9 @@ def repeat_visible(hidden: Bool[Tensor, "B N"]) -> Int[Tensor, "B N"]:
     return order.gather(1, torch.arange(hidden.shape[1], device=hidden.device) % visible)
 
 
-def gather_points(values: Float[Tensor, "B N 3"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M 3"]:
-    """Select points by their indices."""
-    return values.gather(1, index[..., None].expand(-1, -1, 3))
+def gather_points(values: Float[Tensor, "B N C"], index: Int[Tensor, "B M"]) -> Float[Tensor, "B M C"]:
+    """Select the values of points by their indices."""
+    return values.gather(1, index[..., None].expand(-1, -1, values.shape[-1]))
 
 
 def _camera(size: int, rng: torch.Generator, device: torch.device) -> Float[Tensor, "B 3 3"]:

@@ -1,0 +1,251 @@
+"""Batches of left hands in random gestures, as points of their surfaces in the frame of a predicted hand joint.
+
+Lengths are in spreads of the hand: the root mean square distance of its points from their mean, which is the origin.
+The axes are those of the palm of the shipped body's left hand in the T-pose, off by the error of the predicted joint.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from ...bodies.finger_poses import finger_rotations, sample_finger_poses
+from ...bodies.hands import HAND_PARENTS
+from ..bodies import rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
+from ..hand_surfaces import HUMAN, WITHOUT, HandSurface
+from ..models.hands import HAND_POINTS
+from .mime_characters import LAST, pick_rows, rows_by_group
+from .mime_scans import gather_points
+
+QUERIES = 96
+"""Points of a hand whose skinning weights are predicted in training."""
+GESTURES = 16_384
+"""Gestures that a training draws from."""
+OWN_REST = 0.25
+"""Share of hands with fingers that are in the rest pose of their file."""
+WITHOUT_FINGERS = 0.25
+"""Share of hands without fingers."""
+FRAME_ERROR, WRIST_BEND = math.radians(25), math.radians(60)
+"""Largest error of the predicted hand joint's rotation, and largest rotation of the forearm at the wrist (radians)."""
+LENGTH_SPREAD, GIRTH_SPREAD = 0.16, 0.12
+"""Standard deviation of the logarithms of the lengths of fingers and of the girths of hands; half of the first, and the
+second again, are added for each bone."""
+LARGEST_LENGTH, LARGEST_GIRTH = 0.5, 0.45
+"""Largest absolute value of these logarithms."""
+WRIST_CUT = (0.15, 0.85)
+"""Range of the weight of the hand from which on the network gets a point: where the forearm is cut off."""
+MAX_NOISE = 0.06
+"""Largest standard deviation of the noise on points (spreads); mostly it is far less."""
+BUMP_HEIGHT, BUMP_FREQUENCY = 0.05, 8.0
+"""Largest height of the bumps (spreads) and scale of their frequency (radians a spread)."""
+MISSING, MAX_HOLE = 0.15, 0.6
+"""Share of hands that lack the points within a ball, and its largest radius (spreads)."""
+ONE_SIDED, WITHOUT_NORMALS = 0.1, 0.15
+"""Share of hands of which only the points facing one side are given, and share without normals."""
+
+
+@dataclass(frozen=True)
+class HandBatch:
+    """B hands: what the network is given, and what is true of them. See the module for units and axes."""
+
+    points: Float[Tensor, "B N 3"]
+    """With noise, as the queries."""
+    normals: Float[Tensor, "B N 3"]
+    """Of unit length, or zero where a hand has none."""
+    queries: Float[Tensor, "B Q 3"]
+    query_normals: Float[Tensor, "B Q 3"]
+    query_weights: Float[Tensor, "B Q 16"]
+    """Skinning weights of the hand, to which the forearm's are added, and of 15 finger joints, rows sum to 1."""
+    rotation: Float[Tensor, "B 16 3 3"]
+    """Of the hand and its finger joints from the shipped body's rest pose."""
+    joints: Float[Tensor, "B 16 3"]
+    separate: Bool[Tensor, " B"]
+    """Whether a hand shows separate fingers; if not, weights, rotation and joints mean nothing."""
+
+
+@cache
+def gesture_bank(seed: int) -> Float[np.ndarray, "P 15 3 3"]:
+    """Draw the gestures of a training: local rotations of a left hand's joints."""
+    return finger_rotations(sample_finger_poses(GESTURES, np.random.default_rng(seed)), left=True)
+
+
+class HandSource(nn.Module):
+    """Makes batches of hands; a batch is a pure function of the seed and its step.
+
+    A batch is drawn in five steps: which hands, rotations of their joints, the posed surfaces, which points of them are
+    given, and the errors of these points.
+    """
+
+    points: Tensor
+    normals: Tensor
+    weights: Tensor
+    joints: Tensor
+    alignment: Tensor
+    bones: Tensor
+    separate: Tensor
+    gestures: Tensor
+    branching: Tensor
+
+    def __init__(self, surfaces: list[HandSurface], device: torch.device, seed: int, characters: float) -> None:
+        """Put the hands on the device.
+
+        Args:
+            surfaces: of one group, all or none show separate fingers.
+            characters: share of characters' hands with fingers; those without have WITHOUT_FINGERS, the shipped body's
+                the rest.
+        """
+        super().__init__()
+        self.seed, self.device = seed, device
+        for name in ("points", "normals", "weights", "joints", "alignment", "bones"):
+            stacked = np.stack([getattr(surface, name) for surface in surfaces])
+            self.register_buffer(name, torch.from_numpy(stacked).float())
+        self.register_buffer("separate", torch.tensor([surface.separate for surface in surfaces]))
+        self.register_buffer("gestures", torch.from_numpy(gesture_bank(seed)).float())
+        self.register_buffer("branching", torch.tensor([j == 0 for j in range(16)]))  # the hand has five bones
+        rows = rows_by_group([surface.group for surface in surfaces], device)
+        kinds = [group if surfaces[int(some[0])].separate else WITHOUT for group, some in rows.items()]
+        self.rows, self.shares = list(rows.values()), torch.tensor(group_shares(kinds, characters), device=device)
+        self.to(device)
+
+    def batch(self, size: int, step: int) -> HandBatch:
+        """Make the hands of a step."""
+        rng = torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
+        group = self.shares.multinomial(size, replacement=True, generator=rng)
+        which = pick_rows(self.rows, group, torch.rand(size, generator=rng, device=self.device))
+        rotation = self._rotations(which, rng)
+        points, normals, joints = self._posed(which, rotation, rng)
+        weights, centre = self.weights[which], points.mean(1, keepdim=True)
+        spread = _spread(points)
+        points, joints = (points - centre) / spread, (joints - centre) / spread
+        index = self._choose(points, normals, weights, rng)
+        points, normals, weights = (gather_points(values, index) for values in (points, normals, weights))
+        noise = MAX_NOISE * self._uniform(rng, size, 1, 1).pow(3)
+        points = points + noise * torch.randn(points.shape, generator=rng, device=self.device)
+        turn = self._turn(rng, size, FRAME_ERROR)
+        points, normals, joints = (vectors @ turn.mT for vectors in (points, normals, joints))
+        normals = normals * (self._uniform(rng, size, 1, 1) >= WITHOUT_NORMALS)
+        of_hand = torch.cat([weights[..., :2].sum(-1, keepdim=True), weights[..., 2:]], -1)
+        given, queries = slice(HAND_POINTS), slice(HAND_POINTS, None)
+        return HandBatch(
+            points[:, given],
+            normals[:, given],
+            points[:, queries],
+            normals[:, queries],
+            of_hand[:, queries],
+            turn[:, None] @ rotation,
+            joints,
+            self.separate[which],
+        )
+
+    def _rotations(self, which: Int[Tensor, " B"], rng: torch.Generator) -> Float[Tensor, "B 16 3 3"]:
+        """Draw the rotation of every joint in the frame of the palm: that of a gesture, or of the rest pose."""
+        size = len(which)
+        gesture = torch.randint(GESTURES, (size,), generator=rng, device=self.device)
+        hand = torch.eye(3, device=self.device).expand(size, 1, 3, 3)
+        posed = world_rotations(torch.cat([hand, self.gestures[gesture]], 1), HAND_PARENTS)
+        alignment = self.alignment[which]
+        rest = alignment[:, :1].mT @ alignment
+        own = self._uniform(rng, size, 1, 1, 1) < OWN_REST
+        return torch.where(own | ~self.separate[which][:, None, None, None], rest, posed)
+
+    def _posed(
+        self, which: Int[Tensor, " B"], rotation: Float[Tensor, "B 16 3 3"], rng: torch.Generator
+    ) -> tuple[Float[Tensor, "B N 3"], Float[Tensor, "B N 3"], Float[Tensor, "B 16 3"]]:
+        """Scale the bones, bend the wrist, add bumps and pose the joints: points, normals and joints."""
+        size, rest = len(which), self.joints[which]
+        length, girth = self._proportions(size, rng)
+        turned = rotation @ self.alignment[which].mT
+        joints, linear, normal_map = scaled_joints(
+            rest, self.bones[which], self.branching, length, girth, turned, HAND_PARENTS
+        )
+        # The first of the 17 columns of weights is the forearm's, which turns about the wrist.
+        forearm = self._turn(rng, size, WRIST_BEND)[:, None] @ turned[:, :1]
+        linear, normal_map = (torch.cat([forearm, maps], 1) for maps in (linear, normal_map))
+        centres = torch.cat([rest[:, :1], rest], 1), torch.cat([joints[:, :1], joints], 1)
+        bumpy = self._bumpy(which, rng)
+        points, normals = skinned_surface(bumpy, self.normals[which], self.weights[which], centres, linear, normal_map)
+        return points, normals, joints
+
+    def _proportions(self, size: int, rng: torch.Generator) -> tuple[Float[Tensor, "B 16"], Float[Tensor, "B 16"]]:
+        """Draw scales along and across the bones: the lengths of one finger, and the girths of one hand, are alike."""
+        fingers = LENGTH_SPREAD * self._normal(rng, size, 6)  # the hand and five fingers
+        length = torch.cat([fingers[:, :1], fingers[:, 1:].repeat_interleave(3, 1)], 1)
+        length = length + 0.5 * LENGTH_SPREAD * self._normal(rng, size, 16)
+        girth = GIRTH_SPREAD * (self._normal(rng, size, 1) + self._normal(rng, size, 16))
+        return length.clamp(-LARGEST_LENGTH, LARGEST_LENGTH).exp(), girth.clamp(-LARGEST_GIRTH, LARGEST_GIRTH).exp()
+
+    def _bumpy(self, which: Int[Tensor, " B"], rng: torch.Generator) -> Float[Tensor, "B N 3"]:
+        """Move the points of hands at rest along their normals by a sine wave through space."""
+        size, points = len(which), self.points[which]
+        spread = _spread(points)
+        direction = BUMP_FREQUENCY * self._normal(rng, size, 1, 3) / spread
+        phase = 2 * math.pi * self._uniform(rng, size, 1, 1)
+        height = BUMP_HEIGHT * spread * self._uniform(rng, size, 1, 1).square()
+        wave = ((points * direction).sum(-1, keepdim=True) + phase).sin()
+        return points + height * wave * self.normals[which]
+
+    def _choose(
+        self,
+        points: Float[Tensor, "B N 3"],
+        normals: Float[Tensor, "B N 3"],
+        weights: Float[Tensor, "B N 17"],
+        rng: torch.Generator,
+    ) -> Int[Tensor, "B M"]:
+        """Choose random points of hands, those that are given and then queries, in random order.
+
+        The points with the smallest keys are taken: random numbers below 1, raised by LAST in a hole and on the side
+        that is not given, and by more beyond the wrist. If others are too few, they are repeated.
+        """
+        size, total = points.shape[:2]
+        key = torch.rand(size, total, generator=rng, device=self.device)
+        low, high = WRIST_CUT
+        least = low + (high - low) * self._uniform(rng, size, 1)
+        centre = torch.randint(total, (size, 1), generator=rng, device=self.device)
+        radius = MAX_HOLE * self._uniform(rng, size, 1) * (self._uniform(rng, size, 1) < MISSING)
+        in_hole = (points - gather_points(points, centre)).norm(dim=-1) < radius
+        side = F.normalize(self._normal(rng, size, 1, 3), dim=-1)
+        hidden = ((normals * side).sum(-1) < 0) & (self._uniform(rng, size, 1) < ONE_SIDED)
+        beyond = weights[..., 1:].sum(-1) < least
+        key = key + LAST * (in_hole | hidden) + 2 * LAST * beyond
+        order = key.topk(HAND_POINTS + QUERIES, dim=1, largest=False).indices
+        enough = (key < LAST).sum(1, keepdim=True).clamp_min(1)
+        order = order.gather(1, torch.arange(order.shape[1], device=self.device) % enough)
+        shuffled = torch.rand(size, order.shape[1], generator=rng, device=self.device).argsort(1)
+        return order.gather(1, shuffled)
+
+    def _turn(self, rng: torch.Generator, size: int, largest: float) -> Float[Tensor, "B 3 3"]:
+        """Draw rotations about any axis by up to an angle (radians)."""
+        axis = F.normalize(self._normal(rng, size, 3), dim=-1)
+        return rotvec_to_rotmat(axis * largest * self._uniform(rng, size, 1))
+
+    def _uniform(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.rand(*size, generator=rng, device=self.device)
+
+    def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
+        return torch.randn(*size, generator=rng, device=self.device)
+
+
+def _spread(points: Float[Tensor, "B N 3"]) -> Float[Tensor, "B 1 1"]:
+    """Compute the root mean square distance of points from their mean."""
+    return (points - points.mean(1, keepdim=True)).square().sum(-1).mean(1).sqrt()[:, None, None]
+
+
+def group_shares(kinds: list[str], characters: float) -> list[float]:
+    """Give the share of each group in a batch by its kind: HUMAN, WITHOUT, or a pack of characters.
+
+    Args:
+        characters: share of all packs together.
+    """
+    packs = sum(kind not in (HUMAN, WITHOUT) for kind in kinds)
+    share = {
+        HUMAN: 1 - WITHOUT_FINGERS - (characters if packs else 0.0),
+        WITHOUT: WITHOUT_FINGERS / max(kinds.count(WITHOUT), 1),
+    }
+    return [share.get(kind, characters / max(packs, 1)) for kind in kinds]
