@@ -129,11 +129,13 @@ def test_average_of_checkpoints_is_that_of_their_networks(tmp_path):
     average = checkpoint.average(states, [3.0, 1.0])
     for name, value in average.weights().items():
         torch.testing.assert_close(value, 0.75 * states[0].weights()[name] + 0.25 * states[1].weights()[name])
-    assert [part["share"] for part in average.averaged] == [0.75, 0.25]
-    assert [part["pairs"] for part in average.averaged] == [state.spent()["pairs"] for state in states]
+    (change,) = average.changes
+    assert [part["share"] for part in change["averaged"]] == [0.75, 0.25]
+    assert [part["pairs"] for part in change["averaged"]] == [state.spent()["pairs"] for state in states]
+    assert change["after_pairs"] == states[0].spent()["pairs"]
     checkpoint.save(tmp_path / "average.safetensors", average)
     model, again = checkpoint.load_model(tmp_path / "average.safetensors")
-    assert again.averaged == average.averaged
+    assert again.changes == average.changes
     for name, value in model.state_dict().items():
         torch.testing.assert_close(value, average.weights()[name])
     alone = checkpoint.average(states[:1], [0.3])

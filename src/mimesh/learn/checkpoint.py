@@ -21,18 +21,7 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = (
-    "step",
-    "seconds",
-    "best",
-    "metrics",
-    "before",
-    "validated",
-    "precision",
-    "characters",
-    "changes",
-    "averaged",
-)
+POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "changes")
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -58,9 +47,9 @@ class Checkpoint:
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
-    """What was changed where the training was resumed: `after_pairs`, and the new values by their keys."""
-    averaged: tuple[dict[str, Any], ...] = ()
-    """The checkpoints whose networks were averaged to this one: `share`, time and pairs of each (`average`)."""
+    """What was changed where the training was resumed: `after_pairs`, and the new values by their keys. Where its
+    network was averaged with others, `averaged` lists them (`average`).
+    """
 
     def spent(self) -> dict[str, int]:
         """Give the time and the pairs of this training so far."""
@@ -104,7 +93,7 @@ def load(path: Path) -> Checkpoint:
         raise InputError(f"{path}: expected a checkpoint of `mimesh train`, found none ({error})") from error
     config = config_from(json.loads(header["config"]), str(path))
     position = json.loads(header["state"])
-    position |= {key: tuple(position.get(key, ())) for key in ("before", "changes", "averaged")}
+    position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)
@@ -149,11 +138,12 @@ def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Check
         f"model.{name}": sum(share / total * w[name] for share, w in zip(shares, weights, strict=True))
         for name in weights[0]
     }
-    averaged = tuple(
+    averaged = [
         {"share": round(share / total, 4), **checkpoint.spent()}
         for share, checkpoint in zip(shares, checkpoints, strict=True)
-    )
-    return dataclasses.replace(first, tensors=tensors, metrics={}, averaged=averaged)
+    ]
+    change = {"after_pairs": first.spent()["pairs"], "averaged": averaged}
+    return dataclasses.replace(first, tensors=tensors, metrics={}, changes=(*first.changes, change))
 
 
 def read_header(path: Path) -> dict[str, Any]:

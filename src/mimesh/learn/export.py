@@ -135,7 +135,6 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
         **({"changes": list(trained.changes)} if trained.changes else {}),
-        **({"averaged": list(trained.averaged)} if trained.averaged else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
 
