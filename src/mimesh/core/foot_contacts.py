@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from .geometry import smooth_step
 from .joint_tracks import JointTrack
 from .soles import Feet
 
@@ -106,5 +107,4 @@ def _ground_velocity(
 
 def falling(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Float[np.ndarray, "*S"]:
     """Map values to 1 below the first limit and 0 above the second, smoothly in between."""
-    x = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0, 1)
-    return 1 - x * x * (3 - 2 * x)
+    return 1 - smooth_step(values, limits)

@@ -44,6 +44,12 @@ def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"
     return vectors / np.where(length > 0, length, 1.0)
 
 
+def smooth_step(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Float[np.ndarray, "*S"]:
+    """Map values to 0 below the first limit and 1 above the second, smoothly in between (Hermite's cubic)."""
+    x = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0, 1)
+    return x * x * (3 - 2 * x)
+
+
 def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> csr_array:
     """Build the sparse gradient of functions on the vertices: row 3 f + k is the derivative along axis k in triangle f.
 

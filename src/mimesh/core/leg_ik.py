@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from .geometry import smooth_step
 from .rig import descendants
 
 LONGEST = 0.995
@@ -73,8 +74,7 @@ def _knee_direction(
     bend = thigh - (thigh * axis).sum(axis=-1, keepdims=True) * axis
     front = _unit(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
     size = _length(bend)
-    x = np.clip((size / _length(thigh) - STRAIGHT[0]) / (STRAIGHT[1] - STRAIGHT[0]), 0, 1)
-    bent = x * x * (3 - 2 * x)
+    bent = smooth_step(size / _length(thigh), STRAIGHT)
     mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
     # A knee bent exactly to the back would cancel out half-way: it keeps its side.
     return np.where(_length(mixed) > 1e-3, _unit(mixed), front)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..core.geometry import smooth_step
 from .camera import Camera
 from .shading import floor_axes, key_direction, unit
 
@@ -176,7 +177,7 @@ def _vignette(width, height):
     """Return 1 inside, falling to 0 at the picture's edge, so that pictures side by side look like one background."""
     margin = EDGE * min(width, height)
     across, down = (np.minimum(np.arange(n) + 0.5, n - np.arange(n) - 0.5) / margin for n in (width, height))
-    across, down = (ramp * ramp * (3 - 2 * ramp) for ramp in (np.clip(v, 0.0, 1.0) for v in (across, down)))
+    across, down = (smooth_step(ramp, (0.0, 1.0)) for ramp in (across, down))
     return np.minimum(across, down[:, None]).astype(np.float32)
 
 
