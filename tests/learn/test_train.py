@@ -205,17 +205,18 @@ def test_a_training_may_last_for_minutes_instead_of_pairs(tmp_path):
 def test_resuming_takes_no_changes(tmp_path):
     folder = train(TINY, tmp_path / "run")
     with pytest.raises(InputError, match="--resume"):
-        train_command("npt", "small", None, folder, None, ["seed=1"])
+        train_command("npt", "small", None, folder, None, ["model.width=8"])
 
 
 def test_schedule_may_change_where_a_training_is_resumed(tmp_path):
     folder = train(dataclasses.replace(TINY, pairs=8 * TINY.batch), tmp_path / "run")
-    changes = [f"pairs={16 * TINY.batch}", "decay=0.25", "learning_rate=5e-4"]
+    changes = ["seed=1", f"pairs={16 * TINY.batch}", "decay=0.25", "learning_rate=5e-4"]
     state = checkpoint.load(train_command("npt", "small", None, folder, None, changes) / "last.safetensors")
     assert (state.step, state.config.pairs, state.config.decay) == (16, 16 * TINY.batch, 0.25)
     (change,) = state.changes
     assert change["after_pairs"] == 8 * TINY.batch
     assert {f"{key}={value}" for key, value in change.items() if key != "after_pairs"} == {
+        "seed=1",
         f"pairs={16 * TINY.batch}",
         "decay=0.25",
         "learning_rate=0.0005",

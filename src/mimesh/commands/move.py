@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
     Animation,
     BlendShapes,
@@ -26,7 +26,6 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..core.joint_corrections import JointCorrections
     from ..pipeline.result import ClipResult, Result
 
 Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
@@ -68,8 +67,6 @@ SaveJoints = Annotated[
 SaveDrivingJoints = Annotated[
     Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")
 ]
-MOST_NAMED = 6
-"""Corrected joints up to which their names are printed."""
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
@@ -106,8 +103,8 @@ def transfer(
 
     output = output or output_beside(identity, driving, identity.suffix)
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
-    _check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
-    corrected = _JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
+    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
+    corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
     _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
     result = run_transfer(
@@ -127,7 +124,7 @@ def transfer(
     )
     result.seconds["load"] += seconds
     result.save(output)
-    _save_joints(result, identity, driving, save_joints, save_driving_joints)
+    save_joint_files(result, identity, driving, save_joints, save_driving_joints)
     shown = _write_preview(result, output, preview, open_it)
     _print_result(result, output, shown, json, quiet, joints=corrected.described())
 
@@ -178,9 +175,9 @@ def animate(
 
     output = output or output_beside(identity, driving, ".glb")
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
-    _check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
+    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     _check_clip_output(output, skinned, blendshapes)
-    corrected = _JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
+    corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
         result = run_animate(
@@ -208,79 +205,13 @@ def animate(
             driving_joints=corrected.driving,
         )
     result.seconds["load"] += seconds
-    _save_joints(result, identity, driving, save_joints, save_driving_joints, start)
+    save_joint_files(result, identity, driving, save_joints, save_driving_joints, start)
     with progress("writing", quiet or json) as advance:
         result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
     notes = animations_note(clip.mesh, driving) if animation is None else ()
     notes += taken_rate_note(clip, driving) if fps is None else ()
     shown = _write_preview(result, output, preview, open_it)
     _print_result(result, output, shown, json, quiet, notes, corrected.described())
-
-
-@dataclass(frozen=True)
-class _JointFiles:
-    """Corrected joints of both inputs."""
-
-    identity: JointCorrections | None
-    driving: JointCorrections | None
-    beside: tuple[str, ...] = ()
-    """Paths of those found beside the inputs."""
-
-    @classmethod
-    def found(
-        cls,
-        identity: Path,
-        driving: Path,
-        joints: Path | None,
-        driving_joints: Path | None,
-        no_joints: bool,
-        model: str,
-    ) -> _JointFiles:
-        """Read the files that were given, else those beside the inputs; only models with joints use the latter."""
-        from ..io.joint_file import load_corrections, side_file
-        from ..methods.base import CorrectableMethod
-        from ..methods.find import find_method
-
-        corrections, found = [], []
-        for mesh, given in ((identity, joints), (driving, driving_joints)):
-            beside = side_file(mesh)
-            usable = not no_joints and beside.is_file() and isinstance(find_method(model), CorrectableMethod)
-            path = given or (beside if usable else None)
-            found += [str(beside)] if usable and given is None else []
-            corrections.append(None if path is None else load_corrections(path))
-        return cls(corrections[0], corrections[1], tuple(found))
-
-    def described(self) -> tuple[str, ...]:
-        """Return a line for each of the files that was used."""
-        lines = []
-        for corrections in filter(None, (self.identity, self.driving)):
-            names, count = ", ".join(corrections.positions), len(corrections.positions)
-            what = f"{count} joints" if count > MOST_NAMED else names or "none"
-            beside = " (--no-joints ignores it)" if corrections.source in self.beside else ""
-            lines.append(f"{what} as in {corrections.source}{beside}")
-        return tuple(lines)
-
-
-def _save_joints(
-    result: Result | ClipResult,
-    identity: Path,
-    driving: Path,
-    save_joints: Path | None,
-    save_driving_joints: Path | None,
-    frame: int = 0,
-) -> None:
-    """Write the joints that were found to the files that were asked for; `frame` is the first driving frame taken."""
-    from ..core.joint_corrections import JointCorrections
-    from ..io.joint_file import save_corrections
-
-    clip = result.driving_clip
-    outputs = (
-        (save_joints, identity, result.joints, result.moved.mesh, 0),
-        (save_driving_joints, driving, result.driving_joints, None if clip is None else clip.mesh, frame),
-    )
-    for path, file, joints, mesh, t in outputs:
-        if path is not None and joints is not None and mesh is not None:
-            save_corrections(JointCorrections(joints, t, file.name, len(mesh.vertices)), path)
 
 
 def _print_result(
@@ -363,22 +294,6 @@ def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | N
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
-
-
-def _check_joint_outputs(paths: tuple[Path | None, Path | None], model: str, *others: Path) -> None:
-    """Check that a model has joints to write, and that they are written to .json files that are no inputs."""
-    from ..core.errors import InputError
-    from ..methods.base import SkinnedMethod
-    from ..methods.find import find_method
-
-    for path, option in zip(paths, ("--save-joints", "--save-driving-joints"), strict=True):
-        if path is None:
-            continue
-        if not isinstance(find_method(model), SkinnedMethod):
-            raise InputError(f"{option}: expected a model with joints (mime), found {model}; choose it with -m")
-        refuse_inputs(path, *others)
-        if path.suffix.lower() != ".json":
-            raise InputError(f"{path}: expected a .json file for the joints, found '{path.suffix}'; rename it")
 
 
 def _check_clip_output(output: Path, skinned: bool, blendshapes: int | None) -> None:

@@ -32,8 +32,10 @@ from .validation import Validation
 
 ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
 """Makes a progress bar with a title."""
-RESUMABLE = ("pairs", "decay", "learning_rate", "data.characters", "data.contacts", "data.low_poly", "data.scans")
-"""Keys that may change where a training is resumed: schedule and mixture of the data, not the network."""
+SCHEDULE, MIXTURE = ("seed", "pairs", "decay", "learning_rate"), ("characters", "contacts", "low_poly", "scans")
+RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
+"""Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
+that go on from one checkpoint with two seeds see other batches and can be averaged."""
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
 SAVE_SECONDS = 60.0
