@@ -1,4 +1,4 @@
-"""Hand-written motions and poses of the gallery: a looping dance, and a handstand."""
+"""Hand-written motions and poses of the pictures: a looping dance, a handstand, and a sit."""
 
 from __future__ import annotations
 
@@ -52,6 +52,12 @@ ARMS_UP: PoseDegrees = {
     "Spine1": (-8, 0, 0),
     "Head": (-12, 0, 0),
 }
+SITTING: PoseDegrees = {
+    **{f"{side}UpLeg": (-88, 0, 6 * sign) for side, sign in (("Left", 1), ("Right", -1))},
+    **{f"{side}Leg": (86, 0, 0) for side in ("Left", "Right")},
+    **{f"{side}Arm": (0, -26 * sign, -58 * sign) for side, sign in (("Left", 1), ("Right", -1))},
+    **{f"{side}ForeArm": (0, -34 * sign, 0) for side, sign in (("Left", 1), ("Right", -1))},
+}
 
 
 def dance(body: RiggedBody, seconds: float = 3.0, fps: float = 15.0) -> Motion:
@@ -69,6 +75,11 @@ def dance(body: RiggedBody, seconds: float = 3.0, fps: float = 15.0) -> Motion:
 def handstand(body: RiggedBody) -> np.ndarray:
     """Return the joint rotations (J, 3, 3) of a handstand."""
     return rotvec_to_rotmat(_pose(body, {"Hips": (180, 0, 0), "LeftArm": (0, 0, 80), "RightArm": (0, 0, -80)}))
+
+
+def sitting(body: RiggedBody) -> np.ndarray:
+    """Return the joint rotations (J, 3, 3) of a person who sits upright, hands towards the knees."""
+    return rotvec_to_rotmat(_pose(body, SITTING))
 
 
 def faced(motion: Motion) -> Motion:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from .geometry import smooth_step
+from .geometry import smooth_step, unit_vectors
 from .rig import descendants
 
 LONGEST = 0.995
@@ -44,7 +44,7 @@ def move_ankle(
     shortest = np.abs(upper - lower) + 1e-3 * upper
     distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
     swing = _smallest_rotation(before, after)
-    line, sideways = _unit(before), _knee_direction(thigh, before, rotation[:, hip, :, 2])
+    line, sideways = unit_vectors(before), _knee_direction(thigh, before, rotation[:, hip, :, 2])
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
     along = (distance**2 + upper**2 - lower**2) / (2 * distance)
     across = np.sqrt(np.maximum(upper**2 - along**2, 0))
@@ -70,19 +70,19 @@ def _knee_direction(
     thigh: Float[np.ndarray, "T 3"], line: Float[np.ndarray, "T 3"], front: Float[np.ndarray, "T 3"]
 ) -> Float[np.ndarray, "T 3"]:
     """Return the direction, perpendicular to the line from hip to ankle, in which the knee is or should be."""
-    axis = _unit(line)
+    axis = unit_vectors(line)
     bend = thigh - (thigh * axis).sum(axis=-1, keepdims=True) * axis
-    front = _unit(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
+    front = unit_vectors(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
     size = _length(bend)
     bent = smooth_step(size / _length(thigh), STRAIGHT)
     mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
     # A knee bent exactly to the back would cancel out half-way: it keeps its side.
-    return np.where(_length(mixed) > 1e-3, _unit(mixed), front)
+    return np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
 
 
 def _smallest_rotation(old: Float[np.ndarray, "T 3"], new: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3 3"]:
     """Return the smallest rotations from directions `old` to `new`, which are not opposite (Rodrigues' formula)."""
-    old, new = _unit(old), _unit(new)
+    old, new = unit_vectors(old), unit_vectors(new)
     x, y, z = np.cross(old, new).T
     zero = np.zeros_like(x)
     cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
@@ -96,7 +96,3 @@ def _turn(rotation: Float[np.ndarray, "T 3 3"], vectors: Float[np.ndarray, "T 3"
 
 def _length(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 1"]:
     return np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
-def _unit(vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:
-    return vectors / np.maximum(_length(vectors), 1e-12)

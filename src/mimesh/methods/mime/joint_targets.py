@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...bodies import load_body
-from ...core.geometry import nearest_rotation, rotate_between, unit_vectors
+from ...core.geometry import angles_between, nearest_rotation, rotate_between, unit_vectors
 
 LIMBS = tuple(
     (f"{side}{upper}", f"{side}{middle}", f"{side}{end}")
@@ -49,10 +49,10 @@ SWAPPED = 0.5
 """Left and right are swapped if targets are nearer than this share of their distance to the joint of the other side."""
 BENT = 0.5
 """Sine of the angle of a knee or elbow from which on its hinge tells how the limb is twisted."""
-MAX_HINGE_TWIST = np.pi / 2
-"""Largest angle (radians) between a bone's rotation and that of the hinge at its end."""
-MAX_TWIST = np.pi / 2
-"""Largest angle (radians) between the rotations of a limb and of the trunk, apart from the direction of the bone."""
+MAX_HINGE_TWIST = 90.0
+"""Largest angle (degrees) between a bone's rotation and that of the hinge at its end."""
+MAX_TWIST = 90.0
+"""Largest angle (degrees) between the rotations of a limb and of the trunk, apart from the direction of the bone."""
 Joints = Float[np.ndarray, "J 3"]
 Rotation = Float[np.ndarray, "3 3"]
 
@@ -165,7 +165,7 @@ def _turned_joints(
             if plain is None:
                 plain, most = _swung(turned[above], turned[j], bone), MAX_TWIST
             candidates = turned[j], _swung(turned[above] @ rotation[above].T @ rotation[j], turned[j], bone)
-            turned[j] = next((c for c in candidates if _angle(c, plain) < most), plain)
+            turned[j] = next((c for c in candidates if angles_between(c, plain) < most), plain)
         if not fixed[j] and name not in STAYING:
             moved[j] = moved[parent] + turned[parent] @ rotation[parent].T @ (joints[j] - joints[parent])
     return turned, moved
@@ -211,11 +211,6 @@ def _frame(direction: Float[np.ndarray, " 3"], axis: Float[np.ndarray, " 3"]) ->
     first = unit_vectors(direction[None])[0]
     second = unit_vectors((axis - (axis @ first) * first)[None])[0]
     return np.stack([first, second, np.cross(first, second)], axis=1)
-
-
-def _angle(first: Rotation, second: Rotation) -> float:
-    """Return the angle (radians) between two rotations."""
-    return float(np.arccos(np.clip((np.trace(first.T @ second) - 1) / 2, -1, 1)))  # trace = 1 + 2 cos(angle)
 
 
 def _trunk_turn(before: Joints, after: Joints, sides: tuple[str, str]) -> Rotation:
