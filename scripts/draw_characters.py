@@ -1,10 +1,9 @@
 """Draw characters of a pool in six actions: a sheet to look at every one of them, and the sheet of the documentation.
 
-    python scripts/draw_characters.py POOL [-o characters.webp] [--split val] [--packs kenney q_monsters_2018] [--model M]
+    python scripts/draw_characters.py POOL [-o characters.webp] [--split val] [--packs kenney ...] [--model mime]
 
 Each row is a character at rest and in a walk, a run, a punch, a dance, a sit and a roll; the first row is the shipped
-body, which every character imitates. The clips are those of CLIPS and of the gallery. Colours are the maker's materials
-only where the pool has them: it has none. Each picture is one transfer, given nothing but the two meshes and their axes.
+body, which every character imitates. Each picture is one transfer, given nothing but the two meshes and their axes.
 """
 
 from __future__ import annotations

@@ -215,7 +215,7 @@ def angles_between(
 ) -> Float[np.ndarray, "*C"]:
     """Compute the angles (degrees) between corresponding rotations."""
     cosine = (np.einsum("...ab,...ab->...", first, second) - 1) / 2  # trace(A^T B) = 1 + 2 cos(angle)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+    return np.asarray(np.degrees(np.arccos(np.clip(cosine, -1, 1))))  # numpy makes a scalar of a single angle
 
 
 def mirrored_rotations(rotation: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3 3"]:
