@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from mimesh.bodies import load_body
 from mimesh.methods.mime.body_fit import NearestBody
@@ -9,7 +10,7 @@ from mimesh.methods.mime.weight_cleanup import MAX_BONES, bone_distances, clean_
 
 BODY = load_body()
 HAND = np.isin(BODY.weights.argmax(axis=1), [BODY.joint(f"Left{name}") for name in ("HandFinger1", "FingerBase")])
-KNEE, ELBOW = BODY.joint("LeftLeg"), BODY.joint("LeftForeArm")
+KNEE, ARM, ELBOW = (BODY.joint(f"Left{name}") for name in ("Leg", "Arm", "ForeArm"))
 
 
 def cleaned(weights, faces=BODY.faces):
@@ -109,3 +110,16 @@ def test_a_piece_that_follows_the_body_keeps_bending():
     found = clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))
     worn = np.unique(sleeve) + len(BODY.vertices)
     assert np.abs(found - weights)[worn].max() < 0.05
+
+
+def test_a_box_that_stands_for_an_arm_moves_with_its_first_joint():
+    """Its eight vertices are at both ends of the arm: weighted to two joints, it would shear."""
+    box = trimesh.primitives.Box(extents=(0.62, 0.12, 0.12))
+    shoulder, hand = BODY.joints[BODY.joint("LeftArm")], BODY.joints[BODY.joint("LeftHand")]
+    corners = np.asarray(box.vertices) + (shoulder + hand) / 2
+    vertices = np.concatenate([BODY.vertices, corners])
+    faces = np.concatenate([BODY.faces, np.asarray(box.faces) + len(BODY.vertices)])
+    ends = np.where(corners[:, :1] > corners[:, 0].mean(), *np.eye(len(BODY.parents))[[BODY.joint("LeftHand"), ARM]])
+    weights = np.concatenate([BODY.weights, ends])
+    found = clean_weights(weights, vertices, faces, BODY.parents, nearest_body(vertices))[len(BODY.vertices) :]
+    assert np.array_equal(found, np.eye(len(BODY.parents))[[ARM] * len(corners)])

@@ -7,16 +7,21 @@ their surface are wrong, and are inpainted from the vertices around them.
 
 Swords, hats, shin guards and the blocks of block figures are pieces of their own, not connected to the rest, which one
 joint moves. Predicted weights of such a piece vary over it, which would bend it: it gets the joint of most of it. What
-reaches far from the body, such as a sword, gets the joint where it is nearest to the body.
+reaches far from the body, such as a sword, gets the joint where it is nearest to the body. A box that stands for a
+whole arm or leg has no vertices to bend at: it gets the first joint of this limb.
 """
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ...core.geometry import edges, face_areas, factor, links
-from .body_fit import NearestBody
+from ...core.rig import descendants
+from ..confidence import LIMBS
+from .body_fit import NearestBody, sampled_body
 
 RIGID_SHARE, SMALL_SHARE, SMALL_AREA, BODY_SHARE = 0.65, 0.5, 0.01, 0.3
 """A piece moves rigidly if one joint has more than the first share of its weight, or the second of a piece with less
@@ -26,6 +31,9 @@ FAR, ATTACHED = 0.05, 0.1
 """A piece also moves rigidly if its vertices are farther from the fitted body than this (median, metres of the body);
 its joint is that of the share of its vertices that is nearest to the body. Of 312 garments and other pieces that bend,
 in the pool's `train` and `val` characters, the median is below 0.04 (docs/LOG.md)."""
+BLOCK_VERTICES, BLOCK_AREA, LIMB_SHARE = 24, 0.02, 0.9
+"""A piece of at most so many vertices and more than this share of the surface moves rigidly too (of 17 such pieces of
+the pool's characters 16 do); its joint is the last one whose subtree has LIMB_SHARE of its weight to its limb."""
 MAX_BONES = 5
 """Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
 
@@ -78,9 +86,28 @@ def _rigid_pieces(
     small = area < SMALL_AREA * area.sum()
     rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
     if nearest is not None:
+        blocks = (np.bincount(piece) <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
+        for k in np.flatnonzero(~rigid & blocks):
+            joint[k], rigid[k] = _block_joint(summed[k]), True
         for k in np.flatnonzero(~rigid & (median(nearest.distance, piece, np.arange(count)) > FAR)):
             joint[k], rigid[k] = _attachment(np.flatnonzero(piece == k), mixed, nearest.distance), True
     return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
+
+
+def _block_joint(weights: Float[np.ndarray, " J"]) -> int:
+    """Find the joint of a block from its summed weights."""
+    limb = max(_limbs(), key=lambda joints: weights[joints].sum())
+    parents, total = sampled_body().parents, weights[limb].sum()
+    shares = {j: weights[np.intersect1d(limb, descendants([int(j)], parents))].sum() for j in limb}
+    return int(max(j for j, share in shares.items() if share >= LIMB_SHARE * total))  # children come after parents
+
+
+@cache
+def _limbs() -> list[Int[np.ndarray, " L"]]:
+    """List the joints of the trunk and of each of LIMBS of the shipped body."""
+    body = sampled_body()
+    limbs = [np.array(descendants([body.names.index(top)], body.parents)) for top in LIMBS.values()]
+    return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]
 
 
 def _attachment(
