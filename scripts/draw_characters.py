@@ -33,7 +33,6 @@ CLIPS = {
     "roll": ("qchar_basecharacter", "Roll", 0.4),
 }
 """Character of the training split, clip, and the frame's place in it from 0 to 1."""
-AXES = {f"{side}{axis}": value for side in ("", "driving_") for axis, value in (("up", "+y"), ("front", "+z"))}
 
 
 def main() -> None:
@@ -77,7 +76,7 @@ def row(character: PoolCharacter, driving: dict[str, Mesh], model: str) -> list[
     identity = character.rig.mesh
     tiles = [tile(identity, character.meta.file)]
     for name, mesh in driving.items():
-        result = transfer(identity, mesh, model, **AXES)
+        result = transfer(identity, mesh, model, up="+y", front="+z", driving_up="+y", driving_front="+z")
         doubt = max(result.report[side].get("uncertainty", 0.0) for side in ("identity", "driving"))
         tiles.append(tile(result.mesh, f"{name} (in doubt)" if doubt > 1 else name))
     return tiles
