@@ -70,8 +70,17 @@ def gradient_operator(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray,
 
 def edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
     """List each undirected edge once, smaller index first, sorted."""
-    pairs = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    return np.unique(pairs, axis=0)
+    return np.unique(_edges_of_faces(faces), axis=0)
+
+
+def border_edges(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "E 2"]:
+    """List the undirected edges of one triangle only, smaller index first, sorted."""
+    pairs, count = np.unique(_edges_of_faces(faces), axis=0, return_counts=True)
+    return pairs[count == 1]
+
+
+def _edges_of_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "3*F 2"]:
+    return np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
 
 
 def links(pairs: Int[np.ndarray, "E 2"], count: int) -> csr_array:

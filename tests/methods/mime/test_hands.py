@@ -106,6 +106,16 @@ def test_stumps_change_nothing_to_the_last_bit():
     assert np.array_equal(moved.vertices, rigid.vertices)
 
 
+def test_fingers_with_holes_follow_their_hand():
+    """A scan with a hole in a finger says little about its bend."""
+    driving = mesh(6, "fist")
+    tip = np.argmax(driving.vertices[:, 0])
+    near = np.linalg.norm(driving.vertices - driving.vertices[tip], axis=1) < 0.03
+    pierced = Mesh(driving.vertices, driving.faces[~near[driving.faces].any(axis=1)], name="pierced")
+    assert mimesh.transfer(mesh(5), driving, **AXES).report["fingers"] == ["left", "right"]
+    assert mimesh.transfer(mesh(5), pierced, **AXES).report["fingers"] == ["right"]
+
+
 def test_fingers_are_followed_through_a_clip():
     """From a flat hand to a fist and back: fingers move with the driving's, and end where they began."""
     angles = within_limits(gestures(np.array([GESTURES.index("fist")]), np.random.default_rng(0)))[0]
