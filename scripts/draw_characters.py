@@ -77,8 +77,8 @@ def row(character: PoolCharacter, driving: dict[str, Mesh], model: str) -> list[
     tiles = [tile(identity, character.meta.file)]
     for name, mesh in driving.items():
         result = transfer(identity, mesh, model, up="+y", front="+z", driving_up="+y", driving_front="+z")
-        doubt = max(result.report[side].get("uncertainty", 0.0) for side in ("identity", "driving"))
-        tiles.append(tile(result.mesh, f"{name} (in doubt)" if doubt > 1 else name))
+        uncertainty = max(result.report[side].get("uncertainty", 0.0) for side in ("identity", "driving"))
+        tiles.append(tile(result.mesh, f"{name} (uncertain)" if uncertainty > 1 else name))
     return tiles
 
 

@@ -1,7 +1,5 @@
 """Whole people are recognised without a note; for halves, missing limbs and chairs the note says why."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,9 @@ from mimesh.core.mesh import Mesh
 from mimesh.core.rig import descendants
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.methods.confidence import (
+    EXPECTED_ERROR,
     MAX_ENTROPY,
+    MAX_ERROR,
     MAX_SPREAD,
     MAX_UNMATCHED_SURFACE,
     MIN_SHARE,
@@ -84,8 +84,15 @@ def test_note_lists_every_reason():
 def fitted(**figures):
     """A confidence of a person to whom a body was fitted closely, but for some figures."""
     limbs = {"head": 0.1, "left arm": 0.1, "right arm": 0.1, "left leg": 0.2, "right leg": 0.2}
-    sound = {"unmatched_body": dict.fromkeys(MIN_SHARE, 0.0), "fit_distance": 2e-4, "fit_angle": 3.0}
-    return Confidence(2.0, 0.5, limbs, **sound | figures)
+    sound = {
+        "prediction_spread": 2.0,
+        "weight_entropy": 0.5,
+        "limbs": limbs,
+        "unmatched_body": dict.fromkeys(MIN_SHARE, 0.0),
+        "fit_distance": 2e-4,
+        "fit_angle": 3.0,
+    }
+    return Confidence(**sound | figures)
 
 
 def test_missing_limb_is_noted_and_a_hole_is_not():
@@ -104,12 +111,31 @@ def test_contradicting_fit_is_noted_with_the_expected_error():
     assert "no surface where the left arm should be" in note
 
 
-@pytest.mark.parametrize("figure", ["prediction_spread", "weight_entropy", "fit_distance", "fit_angle"])
-def test_expected_error_grows_with_every_figure(figure):
-    sound = fitted()
-    worse = dataclasses.replace(sound, **{figure: 2 * getattr(sound, figure)})
-    assert worse.expected_error > sound.expected_error
-    assert worse.uncertainty > sound.uncertainty
+@pytest.mark.parametrize(
+    ("figure", "value"),
+    {
+        "prediction_spread": 4.0,
+        "weight_entropy": 1.0,
+        "contradictions": 0.5,
+        "fit_distance": 4e-4,
+        "fit_angle": 6.0,
+        "flexion": 170.0,
+        "unmatched_body": {"left arm": 0.5},
+    }.items(),
+)
+def test_no_figure_that_gets_worse_lowers_the_expected_error(figure, value):
+    sound, worse = fitted(), fitted(**{figure: value})
+    (name,) = (name for name, of_worse in worse.features().items() if of_worse > sound.features()[name])
+    assert (worse.expected_error > sound.expected_error) == (EXPECTED_ERROR[name] > 0)
+    assert worse.expected_error >= sound.expected_error
+    assert worse.uncertainty >= sound.uncertainty
+
+
+def test_a_missing_limb_alone_is_noted_without_an_error():
+    confidence = fitted(unmatched_body={"left arm": 1.2 * MISSING_LIMB})
+    assert confidence.expected_error < MAX_ERROR < confidence.uncertainty * MAX_ERROR
+    (note,) = confidence.notes("person")
+    assert "of the height" not in note
 
 
 def test_flexion_is_that_of_the_joint_that_is_bent_most():

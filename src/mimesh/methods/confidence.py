@@ -79,8 +79,8 @@ class Confidence:
     """Share of the surface that is far from the fitted body."""
     contradictions: float = 0.0
     """Share of the predictions that contradict the others."""
-    fit_distance: float = 0.0
-    """Mismatch of the shapes of fitted body and surface (metres of the body); 0 without a fit."""
+    fit_distance: float | None = None
+    """Mismatch of the shapes of fitted body and surface (metres of the body); None without a fit."""
     fit_angle: float = 0.0
     """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
     flexion: float = 0.0
@@ -107,7 +107,7 @@ class Confidence:
             "spread": float(np.log1p(self.prediction_spread)),
             "entropy": self.weight_entropy,
             "contradictions": self.contradictions,
-            "fit_distance": float(np.log1p(1e3 * self.fit_distance)),
+            "fit_distance": float(np.log1p(1e3 * (self.fit_distance or 0.0))),
             "fit_angle": float(np.log1p(self.fit_angle)),
             "folded": max(self.flexion - FOLDED, 0.0) / 10,
             "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
@@ -121,7 +121,7 @@ class Confidence:
     @property
     def fitted(self) -> bool:
         """Whether a body was fitted to the mesh."""
-        return self.fit_distance > 0
+        return self.fit_distance is not None
 
     @property
     def expected_error(self) -> float:
@@ -158,13 +158,17 @@ class Confidence:
             "readings_apart": round(self.prediction_spread, 2),
             "undecided": round(self.weight_entropy, 3),
             "limbs": limbs,
+            "contradictions": round(self.contradictions, 3),
+            "flexion": round(self.flexion, 1),
         }
-        if not self.fitted:
+        if self.fit_distance is None:
             return facts
         # A confidence of 0.5 is the threshold of the note.
         facts |= {
             "confidence": round(1 / (1 + self.uncertainty**2), 3),
             "expected_error": round(self.expected_error, 4),
+            "fit_distance": round(self.fit_distance, 5),
+            "fit_angle": round(self.fit_angle, 2),
         }
         return facts | {"astray": unmatched, "bare": round(self.unmatched_surface, 4)}
 
@@ -173,7 +177,8 @@ class Confidence:
         if self.uncertainty <= 1:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
-        error = f" (about {self.expected_error:.0%} of the height)" if self.fitted else ""
+        large = self.fitted and self.expected_error > MAX_ERROR
+        error = f" (about {self.expected_error:.0%} of the height)" if large else ""
         return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}",)
 
     def _reasons(self) -> list[str]:

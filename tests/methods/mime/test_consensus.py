@@ -7,10 +7,10 @@ from mimesh.core.rig import Rig
 from mimesh.methods.mime.consensus import agreeing, consensus
 
 
-def prediction(degrees, noise=0, joints=4):
-    """Make a prediction whose joints are all turned about y by an angle, with noise of a few degrees."""
+def prediction(degrees, noise=0, joints=4, axis="y"):
+    """Make a prediction whose joints are all turned about an axis by an angle, with noise of a few degrees."""
     rng = np.random.default_rng(noise)
-    turned = Rotation.from_euler("y", degrees, degrees=True) * Rotation.from_rotvec(rng.normal(0, 0.03, (joints, 3)))
+    turned = Rotation.from_euler(axis, degrees, degrees=True) * Rotation.from_rotvec(rng.normal(0, 0.03, (joints, 3)))
     return Rig(turned.as_matrix(), rng.normal(0, 0.01, (joints, 3)) + degrees, np.zeros((0, joints)))
 
 
@@ -40,6 +40,12 @@ def test_of_contradictory_facings_the_one_towards_the_front_wins():
     np.testing.assert_array_equal(found.rotation, consensus(front).rotation)
 
 
-def test_predictions_that_all_face_away_are_believed():
+def test_predictions_that_all_face_away_are_kept():
     away = [prediction(180, noise) for noise in range(8)]
     assert consensus(away).rotation[0, 2, 2] < -0.9
+
+
+def test_somebody_upside_down_does_not_face_away():
+    """In a handstand the front of the hips points away from +z too."""
+    handstand = [prediction(180, noise, axis="x") for noise in range(7)]
+    np.testing.assert_array_equal(consensus([*handstand, prediction(0, 7)]).joints, consensus(handstand).joints)

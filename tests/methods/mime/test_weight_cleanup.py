@@ -100,6 +100,14 @@ def test_a_stick_that_reaches_far_from_the_body_moves_with_the_hand_that_holds_i
     assert clean_weights(weights, vertices, faces, BODY.parents)[start:].max() < 1
 
 
+def test_the_figure_itself_never_becomes_rigid():
+    """Where the fit failed, the whole surface is far from the fitted body."""
+    far = NearestBody(np.full(len(BODY.vertices), 0.1), BODY.weights)
+    assert np.array_equal(
+        clean_weights(BODY.weights, BODY.vertices, BODY.faces, BODY.parents, far), cleaned(BODY.weights)
+    )
+
+
 def test_a_piece_that_follows_the_body_keeps_bending():
     """A sleeve over a whole arm is near the body and weighted to several joints."""
     arm = BODY.weights[:, [BODY.joint("LeftArm"), ELBOW]].sum(axis=1) > 0.9

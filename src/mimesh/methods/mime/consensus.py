@@ -10,7 +10,7 @@ from .part_tracking import mean_rotation
 
 CONTRADICTION, FACES_AWAY = 60.0, 0.1
 """Mean angle between the joint rotations (degrees) from which on two predictions contradict each other, and the vote of
-a prediction whose root faces away from +z beside the vote 1 of the others."""
+a prediction whose root is upright and faces away from +z beside the vote 1 of the others."""
 
 
 def agreeing(rigs: list[Rig]) -> list[int]:
@@ -21,7 +21,8 @@ def agreeing(rigs: list[Rig]) -> list[int]:
     before (docs/LOG.md, "Agreement").
     """
     angles = np.array([[mean_angle(one.rotation, other.rotation) for one in rigs] for other in rigs])
-    votes = np.array([1.0 if rig.rotation[0, 2, 2] > 0 else FACES_AWAY for rig in rigs])
+    up, front = (np.array([rig.rotation[0, k, k] for rig in rigs]) for k in (1, 2))
+    votes = np.where((up > 0) & (front <= 0), FACES_AWAY, 1.0)
     # Of those with the same votes, the one nearest to the others: the second term is below the smallest vote.
     centre = angles[((angles < CONTRADICTION) @ votes - FACES_AWAY * angles.mean(axis=1) / 180).argmax()]
     return [int(k) for k in np.argsort(centre, kind="stable") if centre[k] < CONTRADICTION]

@@ -32,7 +32,7 @@ from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mea
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
-from .consensus import agreeing, consensus
+from .consensus import CONTRADICTION, agreeing, consensus
 from .denoise import Denoiser, face_outward
 from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
@@ -324,6 +324,8 @@ class MimeMethod:
         mean = consensus(rigs)
         leg = float(np.median([leg_length(rig.joints, self.legs) for rig in rigs]))
         confidence = self._confidence(rigs, mean, weights)
+        if min(agreeing(rigs)) >= count:  # joints and weights of the reference do not belong to these rotations
+            confidence = dataclasses.replace(confidence, prediction_spread=CONTRADICTION)
         rig = Rig(mean.rotation, joints, weights)
         return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
 

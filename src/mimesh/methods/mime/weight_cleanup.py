@@ -25,15 +25,17 @@ from .body_fit import NearestBody, sampled_body
 
 RIGID_SHARE, SMALL_SHARE, SMALL_AREA, BODY_SHARE = 0.65, 0.5, 0.01, 0.3
 """A piece moves rigidly if one joint has more than the first share of its weight, or the second of a piece with less
-than SMALL_AREA of the surface; BODY_SHARE of what counts are the fitted body's weights. Chosen on 1,529 pieces of
+than SMALL_AREA of the surface; BODY_SHARE of what counts are the fitted body's weights. Chosen on 1,875 pieces of
 characters (docs/LOG.md, "Pieces")."""
 FAR, ATTACHED = 0.05, 0.1
 """A piece also moves rigidly if its vertices are farther from the fitted body than this (median, metres of the body);
-its joint is that of the share of its vertices that is nearest to the body. Of 312 garments and other pieces that bend,
+its joint is that of the share of its vertices that is nearest to the body. Of 412 garments and other pieces that bend,
 in the pool's `train` and `val` characters, the median is below 0.04 (docs/LOG.md)."""
 BLOCK_VERTICES, BLOCK_AREA, LIMB_SHARE = 24, 0.02, 0.9
 """A piece of at most so many vertices and more than this share of the surface moves rigidly too (of 17 such pieces of
 the pool's characters 16 do); its joint is the last one whose subtree has LIMB_SHARE of its weight to its limb."""
+LARGEST_PART = 0.5
+"""Share of the surface from which on a piece is the figure itself, neither a block of it nor something it holds."""
 MAX_BONES = 5
 """Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
 
@@ -86,11 +88,14 @@ def _rigid_pieces(
     small = area < SMALL_AREA * area.sum()
     rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
     if nearest is not None:
-        blocks = (np.bincount(piece) <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
-        for k in np.flatnonzero(~rigid & blocks):
+        parts = ~rigid & (area > 0) & (area < LARGEST_PART * area.sum())
+        blocks = parts & (np.bincount(piece) <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
+        for k in np.flatnonzero(blocks):
             joint[k], rigid[k] = _block_joint(summed[k]), True
-        for k in np.flatnonzero(~rigid & (median(nearest.distance, piece, np.arange(count)) > FAR)):
-            joint[k], rigid[k] = _attachment(np.flatnonzero(piece == k), mixed, nearest.distance), True
+        far = parts & ~blocks & (median(nearest.distance, piece, np.arange(count)) > FAR)
+        members = np.split(np.argsort(piece, kind="stable"), np.cumsum(np.bincount(piece))[:-1])
+        for k in np.flatnonzero(far):
+            joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
     return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
 
 
