@@ -11,9 +11,9 @@ from mimesh.methods.heat_weights import (
     closest_on_segment,
     cotangent_laplacian,
     heat_weights,
+    heated_areas,
     nearest_segments,
     outward_normals,
-    vertex_areas,
 )
 
 BONES = np.array([[[0.0, 0, 0], [1, 0, 0]], [[1, 0, 0], [2, 0, 0]]])
@@ -98,7 +98,7 @@ def test_segments_of_one_owner_share_as_one_bone():
 def test_k_equal_bones_heat_k_times_as_fast():
     """Two owners of one bone together have the weights of one bone with twice the heat."""
     mesh = tube(rings=9, around=6)
-    area, stiffness = vertex_areas(mesh.vertices, mesh.faces), cotangent_laplacian(mesh.vertices, mesh.faces)
+    area, stiffness = heated_areas(mesh.vertices, mesh.faces), cotangent_laplacian(mesh.vertices, mesh.faces)
     twice = heat_weights(mesh.vertices, mesh.faces, BONES[[0, 0, 1]], np.arange(3), 3)
     nearest, distance = nearest_segments(mesh.vertices, mesh.faces, BONES)
     rate = area * HEAT * (nearest @ [2, 1]) / distance**2
@@ -176,9 +176,9 @@ def test_weights_with_degenerate_faces_sum_to_one():
     assert np.allclose(weights.sum(axis=1), 1)
 
 
-def test_vertex_areas_sum_to_the_surface_area():
+def test_heated_areas_sum_to_the_surface_area():
     mesh = tube()
-    assert np.isclose(vertex_areas(mesh.vertices, mesh.faces).sum(), face_areas(mesh.vertices, mesh.faces).sum())
+    assert np.isclose(heated_areas(mesh.vertices, mesh.faces).sum(), face_areas(mesh.vertices, mesh.faces).sum())
 
 
 def test_normals_point_outward_for_any_winding():

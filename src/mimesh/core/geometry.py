@@ -27,6 +27,11 @@ def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 
     return 0.5 * np.linalg.norm(face_vectors(vertices, faces), axis=-1)
 
 
+def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
+    """Compute the area of each vertex: a third of its triangles'."""
+    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
+
+
 def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
     """Compute unit normals of triangles; those without area get +y."""
     return _unit_or_up(face_vectors(vertices, faces))

@@ -79,7 +79,7 @@ class BodySampler:
         self.body = TorchBody(body).to(device)
         self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
         self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
-        area = torch.from_numpy(vertex_areas(body)).float().to(device)[self.order]
+        area = torch.from_numpy(geometry.vertex_areas(body.vertices, body.faces)).float().to(device)[self.order]
         # Of the vertices in spatial order: cumulative share of their number, and of their area.
         self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
         self.first_neighbour, self.neighbours = (
@@ -277,9 +277,3 @@ def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"
         found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]
         found += np.argsort(np.linalg.norm(vertices - centre, axis=1))[-3:].tolist()
     return np.unique(found)
-
-
-def vertex_areas(body: RiggedBody) -> Float[np.ndarray, " V"]:
-    """Compute the area of the mean shape that belongs to each vertex: a third of its triangles'."""
-    areas = geometry.face_areas(body.vertices, body.faces)
-    return np.bincount(body.faces.ravel(), np.repeat(areas / 3, 3), minlength=len(body.vertices))

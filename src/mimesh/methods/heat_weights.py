@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..core.geometry import face_areas, face_vectors
+from ..core.geometry import face_vectors, vertex_areas
 
 if TYPE_CHECKING:
     from scipy.sparse import csc_array
@@ -51,7 +51,7 @@ def heat_weights(
 
     nearest, distance = nearest_segments(vertices, faces, segments)
     heated = nearest.astype(float) @ (owners[:, None] == np.arange(bones)) > 0  # (V, J): bone j is nearest to vertex v
-    rate = vertex_areas(vertices, faces) * HEAT / distance**2
+    rate = heated_areas(vertices, faces) * HEAT / distance**2
     # All bones have the same matrix: one factorisation, one right-hand side for each bone.
     system = (cotangent_laplacian(vertices, faces) + diags_array(rate * heated.sum(axis=1))).tocsc()
     weights = splu(system, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}).solve(rate[:, None] * heated)
@@ -78,10 +78,9 @@ def cotangent_laplacian(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarra
     return coo_array(entries, shape=(len(vertices), len(vertices))).tocsc()
 
 
-def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
-    """Return a third of the area around each vertex, or a small value, so that heat enters every vertex."""
-    third = np.repeat(face_areas(vertices, faces) / 3, 3)
-    area = np.bincount(faces.ravel(), third, minlength=len(vertices))
+def heated_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
+    """Return the area of each vertex, or a small value, so that heat enters every vertex."""
+    area = vertex_areas(vertices, faces)
     smallest = 1e-6 * area.mean() if area.any() else 1.0
     return np.maximum(area, smallest)
 

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.joint_names import without_fingers
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
@@ -96,7 +97,10 @@ NO_CORRECTIONS = Corrections()
 
 
 def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, JointPositions] | None:
-    """Return the joints of the identity, and of the driving in a frame; None if the method has no joints."""
+    """Return the joints of the identity, and of the driving in a frame, both without those of fingers.
+
+    None if the method has no joints.
+    """
     drive, norm = prepared.drive, prepared.driving_norm
     if not isinstance(drive, SkinnedDrive):
         return None
@@ -119,7 +123,7 @@ def shown_bones() -> dict[str, str | None]:
 
 
 def _named(drive: SkinnedDrive, joints: Float[np.ndarray, "J 3"]) -> JointPositions:
-    return dict(zip(drive.joints, joints, strict=True))
+    return without_fingers(dict(zip(drive.joints, joints, strict=True)))
 
 
 def _read(given: GivenJoints, source: str) -> JointCorrections | None:

@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ...core.geometry import edges, face_areas, factor, links
+from ...core.geometry import edges, factor, links, vertex_areas
 from ...core.rig import descendants
 from ..confidence import LIMBS
 from .body_fit import NearestBody, sampled_body
@@ -79,7 +79,7 @@ def _rigid_pieces(
     from scipy.sparse.csgraph import connected_components
 
     count, piece = connected_components(links(pairs, len(vertices)), directed=False)
-    vertex_area = _vertex_areas(vertices, faces)
+    vertex_area = vertex_areas(vertices, faces)
     area = np.bincount(piece, vertex_area, minlength=count)
     mixed = weights if nearest is None else (1 - BODY_SHARE) * weights + BODY_SHARE * nearest.weights
     summed = np.zeros((count, weights.shape[1]))
@@ -123,11 +123,6 @@ def _attachment(
     return int(weights[near].sum(axis=0).argmax())
 
 
-def _vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
-    """Compute the area around each vertex: a third of its triangles'."""
-    return np.bincount(faces.reshape(-1), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
-
-
 def bone_distances(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
     """Count the bones on the path between each two joints; -1 is the root's parent."""
     distance = np.zeros((len(parents), len(parents)), np.int64)
@@ -152,7 +147,7 @@ def _disconnected(
     surface, component = (
         connected_components(links(uncut, len(vertices)), directed=False)[1] for uncut in (pairs, pairs[~cut])
     )
-    component_area = np.bincount(component, _vertex_areas(vertices, faces))
+    component_area = np.bincount(component, vertex_areas(vertices, faces))
     largest_area = np.zeros(surface.max() + 1)
     np.maximum.at(largest_area, surface, component_area[component])
     return component_area[component] < largest_area[surface]
