@@ -29,7 +29,9 @@ def face_areas(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 
 
 def vertex_areas(vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, " V"]:
     """Compute the area of each vertex: a third of its triangles'."""
-    return np.bincount(faces.ravel(), np.repeat(face_areas(vertices, faces) / 3, 3), minlength=len(vertices))
+    third = np.repeat(face_areas(vertices, faces) / 3, 3)
+    # Without faces, bincount returns integers.
+    return np.bincount(faces.ravel(), third, minlength=len(vertices)).astype(vertices.dtype, copy=False)
 
 
 def face_normals(vertices: Float[np.ndarray, "*T V 3"], faces: Int[np.ndarray, "F 3"]) -> Float[np.ndarray, "*T F 3"]:
