@@ -6,6 +6,7 @@ import pytest
 import mimesh
 from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
 from mimesh.bodies.hands import body_with_fingers, load_hands
+from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.geometry import MIRROR
 from mimesh.core.mesh import Clip, Mesh
@@ -134,6 +135,9 @@ def test_fingers_are_followed_through_a_clip():
     skeleton = result.skeleton
     assert skeleton is not None
     assert len(skeleton.names) == 61
+    joints = named_joints(skeleton.names, skeleton.parents)
+    found = named_fingers(skeleton.names, skeleton.parents, joints)
+    assert [skeleton.names[j] for j in found.values()] == [*finger_joints("Left"), *finger_joints("Right")]
     assert np.allclose(skeleton.rig.weights.sum(axis=1), 1.0)
     assert skeleton.deviation(result.clip.vertices) < 5e-3
 
