@@ -24,7 +24,7 @@ from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_ali
 from ..bodies.joint_names import finger_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
-from ..core.geometry import MIRROR, angles_between, nearest_rotation
+from ..core.geometry import MIRROR, angles_between, rigid_motion
 from ..core.rig import descendants
 from ..core.skinning import skinning_transforms
 from .character_poses import pose_character
@@ -251,12 +251,3 @@ def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[s
         "fingertip_max_mm": float(tips.max()),
         "finger_deg": float(angles_between(np.eye(3), np.stack(turns)).mean()),
     }
-
-
-def rigid_motion(
-    points: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "N 3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """Find the rotation and the offset that move points nearest to a target (Kabsch 1976)."""
-    centre, goal = points.mean(axis=0), target.mean(axis=0)
-    rotation = nearest_rotation((target - goal).T @ (points - centre))
-    return rotation, goal - rotation @ centre
