@@ -4,19 +4,23 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pools import write_character
 
 torch = pytest.importorskip("torch")
 
 from mimesh.bodies import load_body  # noqa: E402
+from mimesh.bodies.character_pool import read_pool  # noqa: E402
 from mimesh.bodies.finger_poses import finger_rotations, sample_finger_poses  # noqa: E402
 from mimesh.bodies.hands import HAND_PARENTS, left_hand_body  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.hand_surfaces import (  # noqa: E402
+    HAND_COLUMN,
     HUMAN,
     WITHOUT,
     HandMesh,
     blocks,
+    hands_of_character,
     hands_of_people,
     mittens,
     posed_hand,
@@ -46,6 +50,20 @@ def test_hands_of_people_have_weights_and_joints(people):
     assert np.allclose(hand.weights.sum(axis=1), 1.0)
     assert (hand.weights[:, 2:].sum(axis=0) > 1).all()  # each joint moves some vertices
     assert np.allclose(posed_hand(hand, np.tile(np.eye(3), (15, 1, 1))), hand.vertices)
+
+
+def test_hands_of_characters_are_cut_out_with_their_joints(tmp_path):
+    write_character(tmp_path, "man", 0, fingers=True, palms=True)
+    write_character(tmp_path, "mitten", 0, without=[f"Left{part}" for part in ("Hand", "FingerBase", "HandFinger1")])
+    whole, mitten = (hands_of_character(character) for character in read_pool(tmp_path, "val").characters)
+    assert [separate for _, separate in whole] == [True, True]
+    assert [separate for _, separate in mitten] == [False]  # the right hand
+    for mesh, _ in [*whole, *mitten]:
+        assert np.allclose(mesh.weights.sum(axis=1), 1.0)
+        assert (mesh.joints[1:, 0] >= mesh.joints[0, 0]).all()  # left hands point to +x
+    assert whole[0][0].weights[:, HAND_COLUMN].max() > 0.99  # the palm's own joint counts as the hand
+    assert (mitten[0][0].joints == mitten[0][0].joints[0]).all()
+    assert mitten[0][0].weights[:, :2].sum(axis=1) == pytest.approx(1.0)
 
 
 def test_simplified_hands_keep_all_fingers(people):
