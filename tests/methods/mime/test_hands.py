@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import mimesh
+from mimesh.bodies import load_body
 from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
 from mimesh.bodies.hands import body_with_fingers, load_hands
 from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
@@ -15,6 +16,7 @@ from mimesh.evaluate.fingers import PERSON_HEIGHT_MM, body_parts, finger_metrics
 from mimesh.evaluate.pairs import Person
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
+from mimesh.methods.onnx_models import load_hand_finder
 
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
@@ -198,3 +200,21 @@ def test_planted_feet_are_those_without_fingers():
     apart = moved.clip.vertices[:, on_foot] - rigid.clip.vertices[:, on_foot]
     # The first frame's bounding box, which has fingers in it, says where the whole result stands.
     assert np.abs(apart - apart[0, 0]).max() < 1e-5
+
+
+def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
+    """The network gets a few queries at a time, which changes no weight but for rounding."""
+    whole = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
+    monkeypatch.setattr("mimesh.methods.mime.hand_network.CHUNK", 300)
+    parts = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
+    assert parts.report["fingers"] == ["left", "right"]
+    assert np.abs(parts.vertices - whole.vertices).max() < 1e-5
+
+
+def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers(monkeypatch):
+    joints = load_body().joint_names
+    assert load_hand_finder(joints) is not None
+    assert load_hand_finder(tuple(name for name in joints if name != "LeftForeArm")) is None
+    assert load_hand_finder(tuple(name for name in joints if name != "RightHand")) is None
+    monkeypatch.setattr("mimesh.methods.onnx_models.HANDS", "missing.onnx")
+    assert load_hand_finder(joints) is None
