@@ -30,7 +30,7 @@ from mimesh.evaluate.run import evaluate_command
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT
+from mimesh.methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS
 from mimesh.pipeline import transfer
 
 
@@ -156,7 +156,7 @@ def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path
     trained = {*pytest.importorskip("train_ablations").ROWS, "npt-table", "mime-table"}
     assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT, *EXTRA_INPUTS, *MODELS}
+    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*train_ablations"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..core.errors import InputError
-from ..methods.find import TABLE_MODELS, WITHOUT
+from ..methods.find import REDUCED_MODELS, TABLE_MODELS
 from .frozen_sets import frozen_sets, role
 from .markdown import (
     calibration_table,
@@ -249,7 +249,7 @@ def with_readme_table(text: str, table: str) -> str:
 
 def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
     """Format the tables of a test set: methods without a body model, then those that fit the shipped body."""
-    ours = [row for row in rows if WITHOUT.get(row["method"], row["method"]) not in TABLE_MODELS]
+    ours = [row for row in rows if REDUCED_MODELS.get(row["method"], row["method"]) not in TABLE_MODELS]
     parts = [f"### {test_set.title}", _set_facts(test_set)]
     if not ours:
         return [*parts, "Not measured."]

@@ -15,9 +15,9 @@ from mimesh.bodies.hands import HAND_PARENTS, left_hand_body  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.hand_surfaces import (  # noqa: E402
+    FINGERLESS,
     HAND_COLUMN,
     HUMAN,
-    WITHOUT,
     HandMesh,
     blocks,
     hands_of_character,
@@ -136,9 +136,9 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
 
 
 def test_shares_of_groups_sum_to_one():
-    groups = [HUMAN, "a", "b", WITHOUT, WITHOUT]
+    groups = [HUMAN, "a", "b", FINGERLESS, FINGERLESS]
     assert sum(group_shares(groups, 0.5)) == pytest.approx(1.0)
-    assert sum(group_shares([HUMAN, WITHOUT], 0.0)) == pytest.approx(1.0)
+    assert sum(group_shares([HUMAN, FINGERLESS], 0.0)) == pytest.approx(1.0)
 
 
 def test_data_of_another_kind_is_refused():
