@@ -10,7 +10,7 @@ from pools import write_character
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import nearest_rotation
 from mimesh.evaluate.fingers import LEAST_VERTICES, finger_metrics, fingered_characters, fingers
-from mimesh.evaluate.run import find_protocol
+from mimesh.evaluate.run import evaluate_command, find_protocol
 
 PROTOCOL = fingers()
 
@@ -78,6 +78,14 @@ def test_fingers_with_few_vertices_have_no_rotations():
 def test_a_split_without_two_fingered_characters_is_an_error(pool):
     with pytest.raises(InputError, match="expected two characters with fifteen joints a hand in the split train"):
         find_protocol("fingers", pool).check("train")
+
+
+def test_characters_of_the_test_split_are_not_drawn(tmp_path):
+    for i in range(2):
+        write_character(tmp_path, f"man{i}", i, split="test", fingers=True)
+    with pytest.raises(InputError, match="--split val"):
+        evaluate_command("fingers", ["identity"], pairs=1, data=tmp_path, dump=tmp_path / "pictures")
+    assert not (tmp_path / "pictures").exists()
 
 
 def test_joints_below_a_hand_count_as_their_nearest_ancestor(pool):

@@ -26,11 +26,12 @@ from mimesh.evaluate.measure import (
 )
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
-from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
 from mimesh.methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS
+from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
 
@@ -119,6 +120,16 @@ def test_partial_results_of_another_configuration_are_not_used(tmp_path):
     )
     assert evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)["results"][0]["pmd_e4"] > 0
     assert (tmp_path / "figures.json.partial.old").exists()
+
+
+def test_other_weights_of_hands_outdate_figures_of_mime_alone(tmp_path, monkeypatch):
+    before = {method: fingerprint(method) for method in ("mime", "mime-rigid-fingers", "npt", "copy")}
+    other = tmp_path / "hands.onnx"
+    other.write_bytes(hands_path().read_bytes() + b"\x32\x01x")  # another description, field 6 of ModelProto
+    monkeypatch.setattr("mimesh.methods.onnx_models.hands_path", lambda: other)
+    after = {method: fingerprint(method) for method in before}
+    assert [method for method in before if before[method] != after[method]] == ["mime"]
+    assert before["copy"] == 0
 
 
 def test_row_of_an_inapplicable_method_has_the_reason():

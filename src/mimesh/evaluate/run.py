@@ -67,7 +67,8 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    if dump is not None and isinstance(chosen, Characters) and split == "test":
+    of_pool = isinstance(chosen, Characters) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
+    if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
     options = {"ensemble": ensemble, "refine": refine}
@@ -255,9 +256,18 @@ def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
 
 
 def fingerprint(method: str) -> int:
-    """Return a checksum of a method's weights, which ties metrics to these weights; 0 for methods without weights."""
+    """Return a checksum of a method's weights, which ties metrics to these weights; 0 for methods without weights.
+
+    Of a method that uses the network of hands, the weights of that are part of it.
+    """
+    from ..methods.onnx_models import hands_path
+
     path = weights_path(method)
-    return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
+    if path.suffix != ".onnx":
+        return 0
+    checksum = zlib.crc32(path.read_bytes())
+    uses_hands = getattr(find_method(method), "hands", None) is not None
+    return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
 
 
 def check_method(method: str) -> None:

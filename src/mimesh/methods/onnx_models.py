@@ -80,6 +80,11 @@ def load_network(
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 
+def hands_path() -> Path:
+    """Return the path of the shipped network of hands."""
+    return Path(str(resources.files("mimesh") / "zoo" / HANDS))
+
+
 def load_hand_finder(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
     """Open the shipped network of hands; None where it is not installed, or the body lacks joints that are needed.
 
@@ -88,7 +93,7 @@ def load_hand_finder(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -
         threads: of onnxruntime.
         seed: see `find_method`.
     """
-    path = Path(str(resources.files("mimesh") / "zoo" / HANDS))
+    path = hands_path()
     if not path.is_file() or not FINDER_JOINTS.issubset(joints):
         return None
     session = _open_session(path, threads)
