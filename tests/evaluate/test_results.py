@@ -144,3 +144,15 @@ def test_reports_in_the_docs_are_of_the_current_weights(path, monkeypatch):
         path = weights_path(method)
         alone = zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
         assert row_of_report["weights"] == alone or row_of_report["weights"] == fingerprint(method)
+
+
+def test_fingers_have_a_section_with_columns_of_their_own(tmp_path):
+    figures = {"fingertip_mm": 9.0, "fingertip_mm_median": 8.0, "finger_deg": 12.0}
+    given = "trained on our body, which it fits"
+    rows = [{**row("identity", "rest", 3.0), **figures}, {**row("mime", "rest", 1.0, given=given), **figures}]
+    page = results_page(written(tmp_path, report("fingers", rows)))
+    section = page[page.index("## Fingers") : page.index("## The papers' tables")]
+    assert section.count("Not measured.") == 3
+    for table in (section, section[section.index("With the shipped body's model:") :]):
+        cells = next(iter(table_after(table, table[:9]).values()))
+        assert (cells["fingertips, mm"], cells["finger joints, degrees"]) == ("9", "12")

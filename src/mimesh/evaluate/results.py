@@ -115,7 +115,20 @@ have tables of their own.""",
         Set("arms touch", ("contact", "arms")),
     ),
 )
-SECTIONS = (CHARACTERS, STRESS, SHIPPED_BODY)
+FINGERS = Section(
+    "Fingers",
+    """People of the shipped body in poses of Table 6 with fingers in gestures, and realistic characters of the packs
+that are held back for tests. Errors are measured in the frame of the palm, so that those of the arm do not count.
+`mime-rigid-fingers` is `mime` with fingers that follow the hand; a method with a larger error than `identity`, the
+identity not moved, is worse than no transfer.""",
+    (
+        Set("characters, the driving hands in gestures", ("fingers", "characters")),
+        Set("people, the driving hands in gestures", ("fingers", "rest")),
+        Set("people, both meshes' hands in gestures", ("fingers", "gesture")),
+        Set("people, all fingers at rest", ("fingers", "still"), "Fingers must follow the hand."),
+    ),
+)
+SECTIONS = (CHARACTERS, STRESS, SHIPPED_BODY, FINGERS)
 README_SETS = {
     "characters of others": ("characters", "table6"),
     "frames of clips": ("characters", "clips"),
