@@ -11,8 +11,9 @@ torch = pytest.importorskip("torch")
 from mimesh.bodies import load_body  # noqa: E402
 from mimesh.bodies.character_pool import read_pool  # noqa: E402
 from mimesh.bodies.finger_poses import finger_rotations, sample_finger_poses  # noqa: E402
-from mimesh.bodies.hands import HAND_PARENTS, left_hand_body  # noqa: E402
+from mimesh.bodies.hands import HAND_PARENTS  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.core.skinning import skinning_transforms  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.hand_surfaces import (  # noqa: E402
     FINGERLESS,
@@ -102,15 +103,18 @@ def test_batches_are_functions_of_their_step(source):
     assert torch.allclose(first.rotation @ first.rotation.mT, torch.eye(3).expand(8, 16, 3, 3), atol=1e-4)
 
 
-def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(source, monkeypatch):
+def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(people, monkeypatch):
     for name in ("LENGTH_SPREAD", "GIRTH_SPREAD", "MAX_NOISE", "BUMP_HEIGHT", "FRAME_ERROR", "OWN_REST"):
         monkeypatch.setattr(f"mimesh.learn.tasks.hand_batches.{name}", 0.0)
-    batch = source.batch(16, 0)
-    hand = left_hand_body()
-    lengths = torch.from_numpy(np.linalg.norm(hand.joints[1:] - hand.joints[list(HAND_PARENTS[1:])], axis=1)).float()
-    found = (batch.joints[:, 1:] - batch.joints[:, list(HAND_PARENTS[1:])]).norm(dim=-1)[batch.separate]
-    ratio = found / lengths  # people differ in the lengths of their fingers by less than a third
-    assert (ratio.std(dim=1) / ratio.mean(dim=1) < 0.1).all()
+    hand = people[0].surface(HUMAN, np.random.default_rng(1))
+    batch = HandSource([hand], CPU, 0, 0.0).batch(8, 0)
+    turned = batch.rotation.numpy() @ hand.alignment.swapaxes(-1, -2)
+    for world, joints in zip(turned, batch.joints.numpy(), strict=True):
+        local = np.stack([world[0], *(world[p].T @ turn for p, turn in zip(HAND_PARENTS[1:], world[1:], strict=True))])
+        rotation, translation = skinning_transforms(hand.joints, local, HAND_PARENTS)
+        posed = (rotation @ hand.joints[..., None])[..., 0] + translation
+        found, posed = joints - joints[0], posed - posed[0]
+        assert np.allclose(found / np.linalg.norm(found), posed / np.linalg.norm(posed), atol=1e-4)
 
 
 def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
