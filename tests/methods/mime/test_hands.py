@@ -17,6 +17,7 @@ from mimesh.evaluate.pairs import Person
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
 from mimesh.methods.onnx_models import load_hand_finder
+from mimesh.pipeline.run import KEYFRAMES, MotionOptions, prepare
 
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
@@ -218,3 +219,13 @@ def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers
     assert load_hand_finder(tuple(name for name in joints if name != "RightHand")) is None
     monkeypatch.setattr("mimesh.methods.onnx_models.HANDS", "missing.onnx")
     assert load_hand_finder(joints) is None
+
+
+def test_a_fist_between_two_keyframes_moves_the_fingers():
+    method, frames = find_method("mime"), np.repeat(mesh(2).vertices[None], 200, axis=0)
+    assert not {95, 96, 97, 98} & set(np.linspace(0, 199, KEYFRAMES).round().astype(int))
+    for gesture, joints in (("fist", 61), (None, 31)):
+        frames[95:99] = mesh(2, gesture).vertices
+        clip = Clip(mesh(2), frames.astype(np.float32), 30.0)
+        drive = prepare(mesh(1), clip, lambda norm: method, tuple(AXES.values()), False, MotionOptions()).drive
+        assert len(drive.joints) == joints
