@@ -85,10 +85,12 @@ def test_stubs_of_the_shipped_body_are_no_fingers_where_there_are_others():
 
 def test_words_of_fingers_are_no_parts_of_other_words():
     names, parents = left_hand([["spring01_l"], ["midway_l"], ["lring1", "lring2"], ["leftindexproximal"], ["LTHUMB1"]])
+    names, parents = (*names, "mixamoriglefthandmiddle1"), (*parents, 3)
     found = named_fingers(names, parents, {"LeftHand": 3})
     assert {joint: names[j] for joint, j in found.items()} == {
         "LeftHandThumb1": "LTHUMB1",
         "LeftHandIndex1": "leftindexproximal",
+        "LeftHandMiddle1": "mixamoriglefthandmiddle1",
         "LeftHandRing1": "lring1",
         "LeftHandRing2": "lring2",
     }

@@ -55,7 +55,7 @@ OTHER_SIDE = {"Left": "Right", "Right": "Left", "L": "R", "R": "L"}
 """Sides in the names of the shipped body's joints, and those that mirror them."""
 _SIDE = re.compile("Left|Right|[LR](?=[A-Z])")
 _RUN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-_HAND_WORDS = {*FINGER_WORDS, *NO_PHALANX, *SIDES, "finger", "hand", "proximal", "intermediate", "distal"}
+_HAND_WORDS = {*FINGER_WORDS, *NO_PHALANX, *SIDES, "mixamorig", "hand", "finger", "proximal", "intermediate", "distal"}
 _HAND_WORD = re.compile("|".join(sorted(_HAND_WORDS, key=len, reverse=True)) + r"|\d+")
 _STUBS = {stub: {side + stub for side in ("Left", "Right", "L", "R")} for stub in FINGER_STUBS}
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
