@@ -24,7 +24,7 @@ from mimesh.bodies.body_model import RiggedBody
 from mimesh.bodies.character_limbs import SIDES
 from mimesh.bodies.hands import Hands, bend_axes, fingertips, hand_joints, hand_weight, save_hands
 from mimesh.bodies.joint_names import finger_joints
-from mimesh.core.geometry import closest_on_mesh, nearest_rotation
+from mimesh.core.geometry import closest_on_mesh, rigid_motion
 
 INFLUENCES = 4
 """Largest number of the hand's joints that move a vertex."""
@@ -82,11 +82,9 @@ def posed_people(
         for s, side in enumerate(SIDES):
             # The vertices that only the hand and its finger stubs move have a rigid motion: the hand's.
             carried = weights[:, hand_joints(names, side)].sum(axis=1) > RIGID
-            before, after = rest[carried], people[i][carried]
-            centre, goal = before.mean(axis=0), after.mean(axis=0)
-            rotation = nearest_rotation((after - goal).T @ (before - centre))
+            rotation, offset = rigid_motion(rest[carried], people[i][carried])
             mine = slice(15 * s, 15 * s + 15)
-            fingers[i, mine] = (found[i][columns[mine]] - centre) @ rotation.T + goal
+            fingers[i, mine] = found[i][columns[mine]] @ rotation.T + offset
     return people, fingers
 
 

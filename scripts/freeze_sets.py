@@ -30,7 +30,8 @@ def main() -> None:
     stored = frozen_sets() if OUTPUT.exists() else {}
     sets = []
     for name in (*PROTOCOLS, *FOLDERS):
-        needs_folder = name in FOLDERS and name not in folders
+        # People with fingers need no folder, only the characters of `fingers` do.
+        needs_folder = name in FOLDERS and name not in (*folders, "fingers")
         made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)
         known = {(entry.split, entry.kind) for entry in made}
         # Some kinds of `dressed` need a folder too.

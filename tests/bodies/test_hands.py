@@ -73,6 +73,29 @@ def test_single_joints_of_cmu_are_the_first_of_their_finger():
     assert found == {"LeftHandThumb1": 4, "LeftHandIndex1": 6}
 
 
+def test_stubs_of_the_shipped_body_are_no_fingers_where_there_are_others():
+    """mime writes rigs with both: all joints of the shipped body, two of them without weight, and its fingers."""
+    stubs, joints = [["LeftFingerBase", "LeftHandFinger1"], ["LThumb"]], np.array(finger_joints("Left")).reshape(5, 3)
+    names, parents = left_hand([*stubs, *joints.tolist()])
+    found = named_fingers(names, parents, {"LeftHand": 3})
+    assert {joint: names[j] for joint, j in found.items()} == {name: name for name in finger_joints("Left")}
+    names, parents = left_hand([["LThumb", "LThumb1", "LThumb2"]])
+    assert tuple(named_fingers(names, parents, {"LeftHand": 3}).values()) == (4, 5, 6)
+
+
+def test_words_of_fingers_are_no_parts_of_other_words():
+    names, parents = left_hand([["spring01_l"], ["midway_l"], ["lring1", "lring2"], ["leftindexproximal"], ["LTHUMB1"]])
+    names, parents = (*names, "mixamoriglefthandmiddle1"), (*parents, 3)
+    found = named_fingers(names, parents, {"LeftHand": 3})
+    assert {joint: names[j] for joint, j in found.items()} == {
+        "LeftHandThumb1": "LTHUMB1",
+        "LeftHandIndex1": "leftindexproximal",
+        "LeftHandMiddle1": "mixamoriglefthandmiddle1",
+        "LeftHandRing1": "lring1",
+        "LeftHandRing2": "lring2",
+    }
+
+
 def test_fingers_need_a_hand_and_names_above_it_do_not_count():
     names, parents = left_hand([["LThumb"]])
     assert named_fingers(names, parents, {}) == {}

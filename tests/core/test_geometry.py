@@ -155,3 +155,17 @@ def test_near_pairs_are_near_along_edges():
     assert {(0, 1), (1, 2), (2, 3), (3, 4), (0, 5)} <= pairs
     assert len(geometry.near_pairs(vertices, faces, 0.5)) == 0
     assert len(geometry.near_pairs(vertices, faces, 99.0)) == 10 * 9 // 2
+
+
+def test_a_rigid_motion_is_found_from_points_of_any_weight():
+    rng = np.random.default_rng(0)
+    points, turn = rng.normal(size=(9, 3)), random_rotation(rng)
+    target = points @ turn.T + [1.0, -2.0, 0.5]
+    noisy = np.concatenate([target, rng.normal(size=(4, 3))])
+    weights = np.r_[np.full(9, 1 / 9), np.zeros(4)]
+    for found, offset in (
+        geometry.rigid_motion(points, target),
+        geometry.rigid_motion(np.concatenate([points, points[:4]]), noisy, weights),
+    ):
+        np.testing.assert_allclose(found, turn, atol=1e-12)
+        np.testing.assert_allclose(offset, [1.0, -2.0, 0.5], atol=1e-12)

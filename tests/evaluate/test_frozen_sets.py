@@ -10,6 +10,7 @@ import pytest
 from mimesh.evaluate.characters import characters
 from mimesh.evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair, clips_aniformer
 from mimesh.evaluate.cross_body import cross_body
+from mimesh.evaluate.fingers import fingers
 from mimesh.evaluate.frozen_sets import (
     FIRST,
     INEXACT,
@@ -25,8 +26,9 @@ from mimesh.evaluate.protocols import HUMAN_NPT, HUMAN_WIDE, PROTOCOLS, with_tes
 
 STORED = frozen_sets()
 WITHOUT_FILES = {name: protocol for name, protocol in PROTOCOLS.items() if name not in INEXACT}
-WITHOUT_FILES["clips-aniformer"] = CLIPS_ANIFORMER
+WITHOUT_FILES |= {"clips-aniformer": CLIPS_ANIFORMER, "fingers": fingers()}
 NEEDS_FILES = {("clips-aniformer", kind) for kind in ("held-out", "stress")}
+NEEDS_FILES |= {("fingers", "characters")}
 NEEDS_FILES |= {("dressed", f"new-{kind}") for kind in ("identity", "driving", "both")}
 GENERATED = [key for key in STORED if key[0] in WITHOUT_FILES and (key[0], key[2]) not in NEEDS_FILES]
 MOST_IN_FULL = 18
@@ -67,7 +69,7 @@ def test_sets_of_files_are_the_frozen_ones(name):
 
 
 def test_every_set_of_every_protocol_is_stored():
-    protocols = (*PROTOCOLS.values(), CLIPS_ANIFORMER)
+    protocols = (*PROTOCOLS.values(), CLIPS_ANIFORMER, fingers())
     expected = {(p.name, split, kind) for p in protocols for split in ("val", "test") for kind in kinds_of(p, split)}
     assert expected <= STORED.keys()
     for key, stored in STORED.items():

@@ -26,11 +26,12 @@ from mimesh.evaluate.measure import (
 )
 from mimesh.evaluate.metrics import resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
-from mimesh.evaluate.run import evaluate_command
+from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import MODELS, TABLE_MODELS, WITHOUT
+from mimesh.methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS
+from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
 
@@ -121,6 +122,16 @@ def test_partial_results_of_another_configuration_are_not_used(tmp_path):
     assert (tmp_path / "figures.json.partial.old").exists()
 
 
+def test_other_weights_of_hands_outdate_figures_of_mime_alone(tmp_path, monkeypatch):
+    before = {method: fingerprint(method) for method in ("mime", "mime-rigid-fingers", "npt", "copy")}
+    other = tmp_path / "hands.onnx"
+    other.write_bytes(hands_path().read_bytes() + b"\x32\x01x")  # another description, field 6 of ModelProto
+    monkeypatch.setattr("mimesh.methods.onnx_models.hands_path", lambda: other)
+    after = {method: fingerprint(method) for method in before}
+    assert [method for method in before if before[method] != after[method]] == ["mime"]
+    assert before["copy"] == 0
+
+
 def test_row_of_an_inapplicable_method_has_the_reason():
     pair = CROSS_TOPOLOGY.pair("val", "points", 0)
     row = summary("copy", "points", [measure(dataclasses.replace(pair, aligned=None), "copy")])
@@ -156,7 +167,7 @@ def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path
     trained = {*pytest.importorskip("train_ablations").ROWS, "npt-table", "mime-table"}
     assert trained == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *WITHOUT, *EXTRA_INPUTS, *MODELS}
+    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS}
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*train_ablations"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)

@@ -12,7 +12,9 @@ import numpy as np
 from people import decimation
 
 from mimesh.bodies import load_body
+from mimesh.bodies.hands import body_with_fingers
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
+from mimesh.evaluate.fingers import with_gesture
 
 FRAMES = 6
 """Number of frames of the clip of a character."""
@@ -48,6 +50,8 @@ def write_character(
     size: float = 1.0,
     clip: bool = True,
     frames: int = 0,
+    fingers: bool = False,
+    palms: bool = False,
     **meta: str,
 ) -> Made:
     """Write a character of person `shape` and its clip, add it to index.json, and return what it was made of.
@@ -58,9 +62,11 @@ def write_character(
         on_root: joints whose parent in the file is the root.
         turn: rotation of the whole character.
         frames: seed of the random axes of the joints, which are the same for all characters by default.
+        fingers: write all vertices, and fifteen joints in each hand.
+        palms: give the weights of the hands to a joint below each.
     """
-    body, turn = load_body(), np.eye(3) if turn is None else turn
-    remaining, faces = decimation(300)
+    body, turn = body_with_fingers() if fingers else load_body(), np.eye(3) if turn is None else turn
+    remaining, faces = (np.arange(len(body.vertices)), body.faces) if fingers else decimation(300)
     coefficients = sample_shape(body, 7, shape)
     rest, joints = body.shaped(coefficients)
     rest, joints = size * rest[remaining], size * joints
@@ -78,11 +84,17 @@ def write_character(
         for name, j in zip(names, kept, strict=True)
     ]
     # World transforms from rest in the frames of the clip, of a body of this shape and size.
-    rotmat = np.stack([rotvec_to_rotmat(sample_pose(body, 3, t)) for t in range(FRAMES)])
+    rotmat = np.stack([rotvec_to_rotmat(sample_pose(load_body(), 3, t)) for t in range(FRAMES)])
+    rotmat = np.stack([with_gesture(pose, None) for pose in rotmat]) if fingers else rotmat
     rotation, translation = body.skinning_transforms(joints / size, rotmat)
     moves = np.tile(np.eye(4), (FRAMES, len(names), 1, 1))
     path = np.arange(FRAMES)[:, None, None] * np.array([0.1, 0.02, 0.2])
     moves[..., :3, :3], moves[..., :3, 3] = rotation[:, kept], size * (translation[:, kept] + path)
+    if palms:
+        hands = [names.index(f"{side}Hand") for side in ("Left", "Right")]
+        names, parents, kept = [*names, "LeftPalm", "RightPalm"], parents + hands, kept + [kept[j] for j in hands]
+        weights, moves = np.concatenate([weights, weights[:, hands]], axis=1), moves[:, [*range(len(index)), *hands]]
+        weights[:, hands] = 0.0
     posed = np.einsum("vj,tjkl,vl->tvk", weights, moves, np.column_stack([rest, np.ones(len(rest))]))[..., :3]
 
     world = np.tile(np.eye(4), (len(names), 1, 1))

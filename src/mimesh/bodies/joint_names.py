@@ -54,7 +54,10 @@ _LIMB = re.compile(f"(left|right|l|r)({_WORDS})(?:01)?|({_WORDS})(?:01)?(left|ri
 OTHER_SIDE = {"Left": "Right", "Right": "Left", "L": "R", "R": "L"}
 """Sides in the names of the shipped body's joints, and those that mirror them."""
 _SIDE = re.compile("Left|Right|[LR](?=[A-Z])")
-_FINGER_PARTS = re.compile("|".join(sorted({*FINGER_WORDS, *NO_PHALANX, "finger"}, key=len, reverse=True)) + r"|\d+")
+_RUN = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+_HAND_WORDS = {*FINGER_WORDS, *NO_PHALANX, *SIDES, "mixamorig", "hand", "finger", "proximal", "intermediate", "distal"}
+_HAND_WORD = re.compile("|".join(sorted(_HAND_WORDS, key=len, reverse=True)) + r"|\d+")
+_STUBS = {stub: {side + stub for side in ("Left", "Right", "L", "R")} for stub in FINGER_STUBS}
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
 SHOWN = 12
 """Largest number of joint names that an error quotes."""
@@ -95,8 +98,7 @@ def without_fingers(positions: dict[str, T]) -> dict[str, T]:
 
 def with_finger_joints(joint_names: tuple[str, ...]) -> tuple[str, ...]:
     """List the joints of a figure with fingers: the shipped body's without finger stubs, then thirty of fingers."""
-    stubs = {side + stub for side in ("Left", "Right", "L", "R") for stub in FINGER_STUBS}
-    kept = tuple(name for name in joint_names if name not in stubs)
+    kept = tuple(name for name in joint_names if not any(name in stubs for stubs in _STUBS.values()))
     return kept + finger_joints("Left") + finger_joints("Right")
 
 
@@ -112,10 +114,17 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
             continue
         hand = hands[f"{side}Hand"]
         below = [j for j in range(len(parents)) if hand in ancestors(parents, j)[1:]]
-        words = {j: _FINGER_PARTS.findall(joint_names[j].split(":")[-1].lower()) for j in below}
+        words = {j: _hand_words(joint_names[j].split(":")[-1]) for j in below}
         first = 0 if any(_finger_number(parts) == 0 for parts in words.values()) else 1
+        places = {j: place for j in below if (place := _finger(words[j], first)) is not None}
+        # The shipped body's stubs stand for fingers that no others do: HandFinger1 for all, Thumb for one.
+        named = [j for j in places if _finger_number(words[j]) is None]
+        for stub, others in (("HandFinger1", named), ("Thumb", [j for j in named if places[j] == 0])):
+            for j in [j for j in places if joint_names[j].split(":")[-1] in _STUBS[stub]]:
+                if any(k != j and j not in ancestors(parents, k) for k in others):
+                    del places[j]
         for number, finger in enumerate(FINGERS):
-            chain = [j for j in below if _finger(words[j], first) == number]
+            chain = [j for j, place in places.items() if place == number]
             # Parents come first, so the chain is in order; a second chain of the same finger is no part of the first.
             chain = [j for j in chain if j == chain[0] or chain[0] in ancestors(parents, j)]
             found |= {f"{side}Hand{finger}{k}": j for k, j in enumerate(chain[:3], 1)}
@@ -163,6 +172,18 @@ def other_side(name: str) -> str:
     """Swap left and right in the name of a joint of the shipped body: LeftArm, LHipJoint; other names stay."""
     side = _SIDE.match(name)
     return name if side is None else OTHER_SIDE[side[0]] + name[side.end() :]
+
+
+def _hand_words(name: str) -> list[str]:
+    """Split the name of a joint below a hand into words and numbers: at separators, capitals and digits.
+
+    Names in one case, such as lthumb1, are split if they consist of known words: ring is no part of spring.
+    """
+    words = []
+    for run in _RUN.findall(name):
+        parts = _HAND_WORD.findall(run.lower())
+        words += parts if "".join(parts) == run.lower() else []
+    return words
 
 
 def _finger_number(parts: list[str]) -> int | None:

@@ -8,6 +8,7 @@ same pose to all characters with the same rest pose.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,6 +87,18 @@ class SkinnedCharacter:
         weights = np.zeros((len(self.weights), count))
         np.add.at(weights, (np.arange(len(weights))[:, None], column[self.joint_of]), self.weights)
         return weights
+
+    def nearest_columns(self, column_of: Mapping[int, int], other: int) -> Int[np.ndarray, " K"]:
+        """Return the column of each joint, for `summed_weights`: its own, or that of its nearest ancestor with one.
+
+        Args:
+            column_of: column of some joints.
+            other: column of joints without such an ancestor, and of the world.
+        """
+        columns = np.full(len(self.parents) + 1, other)
+        for j, parent in enumerate(self.parents):
+            columns[j] = column_of.get(j, columns[parent])  # parent -1 is the last entry, the world
+        return columns
 
     def permuted(self, order: Int[np.ndarray, " V"]) -> SkinnedCharacter:
         """Reorder the vertices with their weights: new vertex k is old vertex `order[k]`."""

@@ -247,6 +247,20 @@ def nearest_rotation(matrix: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "
     return u @ vt
 
 
+def rigid_motion(
+    points: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, " N"] | None = None
+) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
+    """Find the rigid motion x -> rotation x + offset that moves points nearest to a target (Kabsch 1976).
+
+    Args:
+        weights: of the points, which sum to 1; equal ones by default.
+    """
+    weights = np.full(len(points), 1 / len(points)) if weights is None else weights
+    centre, goal = weights @ points, weights @ target
+    rotation = nearest_rotation(np.einsum("n,na,nb->ab", weights, target - goal, points - centre))
+    return rotation, goal - rotation @ centre
+
+
 def factor(matrix: csr_array) -> SuperLU:
     """Factorise a sparse symmetric positive definite matrix once, to solve many right-hand sides."""
     from scipy.sparse.linalg import splu

@@ -24,7 +24,7 @@ from ..bodies.hands import HAND_PARENTS, body_with_fingers, fingertips, hand_ali
 from ..bodies.joint_names import finger_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
-from ..core.geometry import MIRROR, angles_between, nearest_rotation
+from ..core.geometry import MIRROR, angles_between, rigid_motion
 from ..core.rig import descendants
 from ..core.skinning import skinning_transforms
 from .character_poses import pose_character
@@ -35,6 +35,8 @@ PERSON_HEIGHT_MM = 1700.0
 """Height of the person that distances are given for (mm)."""
 LEAST_VERTICES = 4
 """Vertices of a joint from which on its rotation is measured."""
+PALMS = (1, 17)
+"""Numbers of the two palms in `FingerPair.part`."""
 OF_PART = 0.5
 """Weight from which on a vertex belongs to a palm or a finger joint."""
 
@@ -58,15 +60,15 @@ class FingerGestures(Wide):
     """The folder of a pool, for the kind `characters`."""
 
     def check(self, split: str) -> None:
-        """Check that a pool has two characters with fifteen joints a hand, if one is given.
+        """Check that a pool has two characters that can be measured, if one is given.
 
         Raises:
             InputError: it has not.
         """
         if self.data is not None and len(fingered_characters(self.data, split)) < 2:
             raise InputError(
-                f"{self.data}: expected two characters with fifteen joints a hand in the split {split}, found fewer; "
-                "add some"
+                f"{self.data}: expected two characters with fifteen joints a hand in the split {split}, and "
+                f"{LEAST_VERTICES} vertices in each palm, found fewer; add some"
             )
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> FingerPair:
@@ -131,8 +133,15 @@ def fingers(data: Path | None = None) -> FingerGestures:
 
 @cache
 def fingered_characters(data: Path, split: str) -> tuple[PoolCharacter, ...]:
-    """Read the characters of a split that have fifteen joints in each hand."""
-    return tuple(character for character in read_pool(data, split).characters if len(character.fingers) == 30)
+    """Read the characters of a split that have fifteen joints in each hand, and palms that can be measured by."""
+    found = (character for character in read_pool(data, split).characters if len(character.fingers) == 30)
+    return tuple(character for character in found if _palm_vertices(character) >= LEAST_VERTICES)
+
+
+def _palm_vertices(character: PoolCharacter) -> int:
+    """Count the vertices of a character's palms, the smaller number."""
+    part, _ = character_parts(character)
+    return min(int((part == palm).sum()) for palm in PALMS)
 
 
 def draw_gesture(rng: np.random.Generator) -> Float[np.ndarray, "2 15 3 3"]:
@@ -179,10 +188,9 @@ def _joints(character: PoolCharacter, side: str) -> list[int]:
 
 
 def _joint_weights(rig: SkinnedCharacter, joints: list[int]) -> Float[np.ndarray, "V C"]:
-    """Return the weights of some joints of a character."""
-    column = np.full(len(rig.parents) + 1, len(joints))  # of all others, and of the world
-    column[joints] = np.arange(len(joints))
-    return rig.summed_weights(column, len(joints) + 1)[:, :-1]
+    """Return the weights of some joints of a character, with those below them: the palm's bones, ends of fingers."""
+    columns = rig.nearest_columns({joint: k for k, joint in enumerate(joints)}, other=len(joints))
+    return rig.summed_weights(columns, len(joints) + 1)[:, :-1]
 
 
 def pose_fingers(
@@ -232,31 +240,24 @@ def _hand_rotations(
 
 
 def finger_metrics(result: Float[np.ndarray, "V 3"], pair: FingerPair) -> dict[str, Any]:
-    """Measure fingers in the frame of the palm: fingertips in mm on a person of 1.7 m, joint rotations in degrees."""
+    """Measure fingers in the frame of the palm: fingertips in mm on a person of 1.7 m, joint rotations in degrees.
+
+    There are no rotations if no joint has LEAST_VERTICES.
+    """
     scale, distances, turns = PERSON_HEIGHT_MM / pair.height, [], []
-    for s in range(2):
-        palm = pair.part == 1 + 16 * s
+    for s, number in enumerate(PALMS):
+        palm = pair.part == number
         rotation, offset = rigid_motion(result[palm], pair.truth[palm])
         moved = result @ rotation.T + offset
         tips = pair.tips[5 * s : 5 * s + 5]
         distances.append(scale * np.linalg.norm(moved[tips] - pair.truth[tips], axis=1))
         for k in range(15):
-            of_joint = pair.part == 2 + 16 * s + k
+            of_joint = pair.part == number + 1 + k
             if of_joint.sum() >= LEAST_VERTICES:
                 turn, _ = rigid_motion(moved[of_joint], pair.truth[of_joint])
                 turns.append(turn)
     tips = np.concatenate(distances)
-    return {
-        "fingertip_mm": float(tips.mean()),
-        "fingertip_max_mm": float(tips.max()),
-        "finger_deg": float(angles_between(np.eye(3), np.stack(turns)).mean()),
-    }
-
-
-def rigid_motion(
-    points: Float[np.ndarray, "N 3"], target: Float[np.ndarray, "N 3"]
-) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, " 3"]]:
-    """Find the rotation and the offset that move points nearest to a target (Kabsch 1976)."""
-    centre, goal = points.mean(axis=0), target.mean(axis=0)
-    rotation = nearest_rotation((target - goal).T @ (points - centre))
-    return rotation, goal - rotation @ centre
+    measured = {"fingertip_mm": float(tips.mean()), "fingertip_max_mm": float(tips.max())}
+    if turns:
+        measured["finger_deg"] = float(angles_between(np.eye(3), np.stack(turns)).mean())
+    return measured

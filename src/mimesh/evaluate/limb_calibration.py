@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from ..bodies.character_limbs import SIDES, Limb
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import nearest_rotation, unit_vectors
+from ..core.geometry import rigid_motion, unit_vectors
 from ..core.surface_points import interpolate
 from .self_penetration import LimbSamples, sample_limbs
 
@@ -97,10 +97,7 @@ class Sections:
         The rotation about the axis (twist) is part of it. A limb without extent in `vertices` keeps its direction.
         """
         moved = interpolate(vertices, self.corners, self.barycentric)
-        rest_centre, centre = self.weight @ self.rest, self.weight @ moved
-        covariance = np.einsum("n,na,nb->ab", self.weight, moved - centre, self.rest - rest_centre)
-        rotation = nearest_rotation(covariance)
-        return rotation, centre - rotation @ rest_centre
+        return rigid_motion(self.rest, moved, self.weight)
 
 
 @dataclass(frozen=True, eq=False)

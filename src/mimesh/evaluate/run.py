@@ -18,7 +18,7 @@ from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, TABLE_MODELS, WITHOUT, check_weights, find_method, weights_path
+from ..methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS, check_weights, find_method, weights_path
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
@@ -67,7 +67,8 @@ def evaluate_command(
     for method in methods:
         check_method(method)
     chosen.check(split)
-    if dump is not None and isinstance(chosen, Characters) and split == "test":
+    of_pool = isinstance(chosen, Characters) or (isinstance(chosen, FingerGestures) and chosen.data is not None)
+    if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
     options = {"ensemble": ensemble, "refine": refine}
@@ -255,15 +256,26 @@ def code_of(protocol: Protocol, methods: list[str]) -> dict[str, int]:
 
 
 def fingerprint(method: str) -> int:
-    """Return a checksum of a method's weights, which ties metrics to these weights; 0 for methods without weights."""
+    """Return a checksum of a method's weights, which ties metrics to these weights; 0 for methods without weights.
+
+    Of a method that uses the network of hands, the weights of that are part of it.
+    """
+    from ..methods.onnx_models import hands_path
+
     path = weights_path(method)
-    return zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
+    if path.suffix != ".onnx":
+        return 0
+    checksum = zlib.crc32(path.read_bytes())
+    uses_hands = getattr(find_method(method), "hands", None) is not None
+    return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
 
 
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
     names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *TABLE_MODELS, *WITHOUT) and not (method.endswith(".onnx") and Path(method).is_file()):
+    if method not in (*names, *TABLE_MODELS, *REDUCED_MODELS) and not (
+        method.endswith(".onnx") and Path(method).is_file()
+    ):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_weights(method)
 

@@ -45,10 +45,10 @@ BLOCK, BLOCK_ASPECT = 0.04, (2.0, 1.0, 1.2)
 of that."""
 BLOCK_SPREAD, BLOCK_TURN = 0.35, 0.3
 """Standard deviation of the logarithm of its size, and of the components of its rotation vector (radians)."""
-HUMAN, WITHOUT = "human", "without fingers"
+HUMAN, FINGERLESS = "human", "without fingers"
 """Groups of hands beside the packs of a pool."""
-HAND_COLUMN = 1
-"""Column of the hand in the 17 columns of weights."""
+FOREARM_COLUMN, HAND_COLUMN = 0, 1
+"""Columns of the forearm, with all the rest, and of the hand in the 17 columns of weights."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class HandSurface:
     """A left hand at rest, in metres or the unit of its file."""
 
     group: str
-    """Hands are drawn by group: the pack of a character, HUMAN, or WITHOUT, with the pack of hands of characters."""
+    """Hands are drawn by group: the pack of a character, HUMAN, or FINGERLESS, with the pack of hands of characters."""
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
     weights: Float[np.ndarray, "N 17"]
@@ -180,12 +180,8 @@ def hands_of_character(character: PoolCharacter) -> list[tuple[HandMesh, bool]]:
         fingers = [character.fingers[name] for name in finger_joints(side) if name in character.fingers]
         whole = len(fingers) == 15
         column_of = {hand: HAND_COLUMN} | ({joint: 2 + k for k, joint in enumerate(fingers)} if whole else {})
-        # Other joints count as their nearest ancestor among these, or as the forearm's, column 0, as the world does.
-        column = np.zeros(len(rig.parents) + 1, int)
-        for j, parent in enumerate(rig.parents):
-            column[j] = column_of.get(j, column[parent] if parent >= 0 else 0)
         joints = rig.joints[[hand, *(fingers if whole else [hand] * 15)]]
-        weights = rig.summed_weights(column, 17)
+        weights = rig.summed_weights(rig.nearest_columns(column_of, other=FOREARM_COLUMN), 17)
         mesh = HandMesh.cut(rig.mesh.vertices, rig.mesh.faces, weights, joints, left=side == "Left")
         if len(mesh.faces):
             found.append((mesh, whole))
@@ -206,7 +202,7 @@ def training_hands(body: RiggedBody, characters: Iterable[PoolCharacter], seed: 
         for mesh, whole in hands_of_character(character):
             clusters = CLUSTERS[rng.integers(len(CLUSTERS))]
             surfaces.append(
-                mesh.surface(pack, rng, clusters) if whole else _fingerless(*mesh.sample(rng), f"{WITHOUT}, {pack}")
+                mesh.surface(pack, rng, clusters) if whole else _fingerless(*mesh.sample(rng), f"{FINGERLESS}, {pack}")
             )
     return surfaces + mittens(people, rng) + stumps(people, rng) + blocks(rng)
 
@@ -215,7 +211,7 @@ def _fingerless(
     points: Float[np.ndarray, "N 3"],
     normals: Float[np.ndarray, "N 3"],
     weights: Float[np.ndarray, "N 17"] | None = None,
-    group: str = WITHOUT,
+    group: str = FINGERLESS,
 ) -> HandSurface:
     """Make a hand without fingers, by default without a forearm; its joints do not matter."""
     weights = np.tile(np.eye(17)[HAND_COLUMN], (len(points), 1)) if weights is None else weights

@@ -19,6 +19,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Feet
+from ..core.surface_points import SurfacePoints
 from .confidence import Confidence
 from .root_motion import check_size
 
@@ -26,6 +27,8 @@ Drive = Callable[[Iterable[Float[np.ndarray, "U 3"]]], Iterator[Float[np.ndarray
 """Maps driving frames to the identity's vertices, one frame at a time, so that memory does not grow with the clip."""
 Pose = tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, "J 3"]]
 """World rotation and position of every joint."""
+SurfaceMotion = Callable[[SurfacePoints], Float[np.ndarray, "T N 3"]]
+"""Maps points of the driving's surface to their positions in frames of the whole clip, normalised."""
 
 
 @runtime_checkable
@@ -69,6 +72,15 @@ class QuickPredictor(Protocol):
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict mean entropy (nats) of a normalised mesh's skinning weights, and world rotation of its root joint."""
+        ...
+
+
+@runtime_checkable
+class MotionMethod(Method, Protocol):
+    """A method that looks at more frames of a clip than its keyframes, at a few points of the surface."""
+
+    def with_motion(self, motion: SurfaceMotion) -> Method:
+        """Return this method with the motion of the surface of the driving that it is prepared for."""
         ...
 
 

@@ -24,7 +24,7 @@ WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
 """Name -> network that is used without the body fit, to measure what the fit contributes."""
 WITHOUT_FINGERS = {"mime-rigid-fingers": "mime"}
 """Name -> network whose results have fingers that follow the hand, to measure what moving them contributes."""
-WITHOUT = WITHOUT_FIT | WITHOUT_FINGERS
+REDUCED_MODELS = WITHOUT_FIT | WITHOUT_FINGERS
 """All networks that are used without a part."""
 MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 """Names of the methods that every installation has."""
@@ -32,7 +32,7 @@ MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 def weights_path(model: str) -> Path:
     """Return the path of a network's weights, from one of the names above or from a path."""
-    model = WITHOUT.get(model, model)
+    model = REDUCED_MODELS.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path("ablations", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
@@ -44,7 +44,7 @@ def check_weights(model: str) -> None:
     Raises:
         InputError: it has not; other names and paths pass.
     """
-    if WITHOUT.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
+    if REDUCED_MODELS.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
             "repository, or train them with scripts/train_ablations.py (npt-table, mime-table: docs/training.md)"
@@ -59,7 +59,7 @@ def find_method(
     reference: Mesh | None = None,
     markers: Int[np.ndarray, "M 2"] | None = None,
 ) -> Method:
-    """Return the method of a name (MODELS, TABLE_MODELS, WITHOUT) or of an `.onnx` file written by `mimesh export`.
+    """Return the method of a name (MODELS, TABLE_MODELS, REDUCED_MODELS) or of an `.onnx` file of `mimesh export`.
 
     Args:
         model: the name or the path.
@@ -90,13 +90,13 @@ def find_method(
     check_weights(model)
     path = weights_path(model)
     if path.suffix == ".onnx":
-        name = model if model in WITHOUT else path.stem
+        name = model if model in REDUCED_MODELS else path.stem
         return load_network(
             path,
             name=name,
             ensemble=ensemble,
             seed=seed,
             fits=model not in WITHOUT_FIT,
-            fingers=model not in (*WITHOUT, *TABLE_MODELS),
+            fingers=model not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -7,6 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..bodies.character_limbs import SIDES
 from ..core.errors import InputError
 from .aniformer import AniFormerMethod
 from .base import Method
@@ -30,6 +31,8 @@ METADATA = {
 """Model -> keys of its metadata, with the values that are allowed."""
 HANDS = "hands.onnx"
 """File of the network of hands, which mime uses beside its own."""
+FINDER_JOINTS = {f"{side}{part}" for side in SIDES for part in ("Hand", "ForeArm")}
+"""Joints of the body that hands are found by."""
 MIME_KEYS = ("joints", "parents", "legs", "points")
 """Further keys for mime, with any value."""
 MAX_WINDOW = 64
@@ -72,15 +75,26 @@ def load_network(
         raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
-        hands = load_hands(joints, threads, seed) if fingers else None
+        hands = load_hand_finder(joints, threads, seed) if fingers else None
         return MimeMethod(name, session, joints, parents, legs, card["points"], fits, seed, hands=hands)
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 
-def load_hands(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
-    """Open the shipped network of hands, for a body with the given joints; None where it is not installed."""
-    path = Path(str(resources.files("mimesh") / "zoo" / HANDS))
-    if not path.is_file() or not {"LeftHand", "RightHand"} <= set(joints):
+def hands_path() -> Path:
+    """Return the path of the shipped network of hands."""
+    return Path(str(resources.files("mimesh") / "zoo" / HANDS))
+
+
+def load_hand_finder(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
+    """Open the shipped network of hands; None where it is not installed, or the body lacks joints that are needed.
+
+    Args:
+        joints: of the body.
+        threads: of onnxruntime.
+        seed: see `find_method`.
+    """
+    path = hands_path()
+    if not path.is_file() or not FINDER_JOINTS.issubset(joints):
         return None
     session = _open_session(path, threads)
     return HandFinder(FingerNetwork(session, _metadata(session, path)["points"]), joints, seed)

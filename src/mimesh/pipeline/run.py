@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
@@ -23,7 +23,7 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
 from ..core.rig import Rig
-from ..methods.base import Drive, Method, QuickPredictor, SkinnedDrive, SkinnedMethod
+from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .refine import Refinement
@@ -36,6 +36,8 @@ Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
 KEYFRAMES = 16
 """Largest number of frames, evenly spread over a clip, that a method gets in `prepare`."""
+MOTION_FRAMES = 120
+"""Largest number of frames, evenly spread, in which a method that asks for it gets points of the surface."""
 ROOTS = ("scale", "keep", "drop")
 MIN_GAIN = 0.15
 """Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/LOG.md)."""
@@ -159,6 +161,8 @@ def _prepared_drive(
 ) -> Drive:
     """Prepare a method with the corrected joints."""
     corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
+    if isinstance(corrected, MotionMethod):
+        corrected = corrected.with_motion(_surface_motion(clip, norms[1]))
     return corrected.prepare(_normalised(identity, norms[0]), keyframes)
 
 
@@ -326,10 +330,20 @@ def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
     return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices), up="+y")
 
 
+def _surface_motion(clip: Clip, norm: Normalization) -> SurfaceMotion:
+    """Return the motion of a clip's surface in at most MOTION_FRAMES frames; of each, only the points are read."""
+    chosen = _evenly_spread(clip, MOTION_FRAMES)
+    return lambda samples: np.stack([norm.apply(samples.points(clip.vertices[t])) for t in chosen])
+
+
+def _evenly_spread(clip: Clip, most: int) -> Int[np.ndarray, " T"]:
+    """Choose frames of a clip, evenly spread, the first and the last among them; all if there are no more than that."""
+    return np.linspace(0, len(clip) - 1, min(len(clip), most)).round().astype(int)
+
+
 def _keyframes(clip: Clip, first: Mesh, norm: Normalization) -> Clip:
     """Return at most KEYFRAMES frames of a clip, evenly spread and normalised; `first` is its first frame."""
-    chosen = np.linspace(0, len(clip) - 1, min(len(clip), KEYFRAMES)).round().astype(int)
-    vertices = norm.apply(clip.vertices[chosen])
+    vertices = norm.apply(clip.vertices[_evenly_spread(clip, KEYFRAMES)])
     return Clip(dataclasses.replace(first, vertices=vertices[0], up="+y"), vertices, clip.fps)
 
 

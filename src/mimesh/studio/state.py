@@ -8,7 +8,7 @@ from typing import Any
 from ..bodies.characters import CHARACTERS
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import AXES
-from ..methods.find import MODELS, WITHOUT
+from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.clips import SEGMENTS
 from ..pipeline.run import ROOTS
 from ..player.pack import Panel, pack_scene
@@ -47,7 +47,7 @@ def describe(session: Session) -> dict[str, Any]:
 
 def has_joints(model: str, skinned_models: tuple[str, ...]) -> bool:
     """Whether a model has joints, and with them the options root, ground, smooth and skinned exports."""
-    return model == "mime" or model in WITHOUT or model in skinned_models
+    return model == "mime" or model in REDUCED_MODELS or model in skinned_models
 
 
 def scene_key(session: Session) -> str:

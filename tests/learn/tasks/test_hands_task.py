@@ -4,19 +4,24 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pools import write_character
 
 torch = pytest.importorskip("torch")
 
 from mimesh.bodies import load_body  # noqa: E402
+from mimesh.bodies.character_pool import read_pool  # noqa: E402
 from mimesh.bodies.finger_poses import finger_rotations, sample_finger_poses  # noqa: E402
-from mimesh.bodies.hands import HAND_PARENTS, left_hand_body  # noqa: E402
+from mimesh.bodies.hands import HAND_PARENTS  # noqa: E402
 from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.core.skinning import skinning_transforms  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
 from mimesh.learn.hand_surfaces import (  # noqa: E402
+    FINGERLESS,
+    HAND_COLUMN,
     HUMAN,
-    WITHOUT,
     HandMesh,
     blocks,
+    hands_of_character,
     hands_of_people,
     mittens,
     posed_hand,
@@ -46,6 +51,20 @@ def test_hands_of_people_have_weights_and_joints(people):
     assert np.allclose(hand.weights.sum(axis=1), 1.0)
     assert (hand.weights[:, 2:].sum(axis=0) > 1).all()  # each joint moves some vertices
     assert np.allclose(posed_hand(hand, np.tile(np.eye(3), (15, 1, 1))), hand.vertices)
+
+
+def test_hands_of_characters_are_cut_out_with_their_joints(tmp_path):
+    write_character(tmp_path, "man", 0, fingers=True, palms=True)
+    write_character(tmp_path, "mitten", 0, without=[f"Left{part}" for part in ("Hand", "FingerBase", "HandFinger1")])
+    whole, mitten = (hands_of_character(character) for character in read_pool(tmp_path, "val").characters)
+    assert [separate for _, separate in whole] == [True, True]
+    assert [separate for _, separate in mitten] == [False]  # the right hand
+    for mesh, _ in [*whole, *mitten]:
+        assert np.allclose(mesh.weights.sum(axis=1), 1.0)
+        assert (mesh.joints[1:, 0] >= mesh.joints[0, 0]).all()  # left hands point to +x
+    assert whole[0][0].weights[:, HAND_COLUMN].max() > 0.99  # the palm's own joint counts as the hand
+    assert (mitten[0][0].joints == mitten[0][0].joints[0]).all()
+    assert mitten[0][0].weights[:, :2].sum(axis=1) == pytest.approx(1.0)
 
 
 def test_simplified_hands_keep_all_fingers(people):
@@ -84,15 +103,18 @@ def test_batches_are_functions_of_their_step(source):
     assert torch.allclose(first.rotation @ first.rotation.mT, torch.eye(3).expand(8, 16, 3, 3), atol=1e-4)
 
 
-def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(source, monkeypatch):
+def test_joints_of_a_posed_hand_are_where_forward_kinematics_puts_them(people, monkeypatch):
     for name in ("LENGTH_SPREAD", "GIRTH_SPREAD", "MAX_NOISE", "BUMP_HEIGHT", "FRAME_ERROR", "OWN_REST"):
         monkeypatch.setattr(f"mimesh.learn.tasks.hand_batches.{name}", 0.0)
-    batch = source.batch(16, 0)
-    hand = left_hand_body()
-    lengths = torch.from_numpy(np.linalg.norm(hand.joints[1:] - hand.joints[list(HAND_PARENTS[1:])], axis=1)).float()
-    found = (batch.joints[:, 1:] - batch.joints[:, list(HAND_PARENTS[1:])]).norm(dim=-1)[batch.separate]
-    ratio = found / lengths  # people differ in the lengths of their fingers by less than a third
-    assert (ratio.std(dim=1) / ratio.mean(dim=1) < 0.1).all()
+    hand = people[0].surface(HUMAN, np.random.default_rng(1))
+    batch = HandSource([hand], CPU, 0, 0.0).batch(8, 0)
+    turned = batch.rotation.numpy() @ hand.alignment.swapaxes(-1, -2)
+    for world, joints in zip(turned, batch.joints.numpy(), strict=True):
+        local = np.stack([world[0], *(world[p].T @ turn for p, turn in zip(HAND_PARENTS[1:], world[1:], strict=True))])
+        rotation, translation = skinning_transforms(hand.joints, local, HAND_PARENTS)
+        posed = (rotation @ hand.joints[..., None])[..., 0] + translation
+        found, posed = joints - joints[0], posed - posed[0]
+        assert np.allclose(found / np.linalg.norm(found), posed / np.linalg.norm(posed), atol=1e-4)
 
 
 def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
@@ -118,9 +140,9 @@ def test_network_of_hands_learns_and_its_rotations_are_rotations(source):
 
 
 def test_shares_of_groups_sum_to_one():
-    groups = [HUMAN, "a", "b", WITHOUT, WITHOUT]
+    groups = [HUMAN, "a", "b", FINGERLESS, FINGERLESS]
     assert sum(group_shares(groups, 0.5)) == pytest.approx(1.0)
-    assert sum(group_shares([HUMAN, WITHOUT], 0.0)) == pytest.approx(1.0)
+    assert sum(group_shares([HUMAN, FINGERLESS], 0.0)) == pytest.approx(1.0)
 
 
 def test_data_of_another_kind_is_refused():

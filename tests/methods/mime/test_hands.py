@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 import mimesh
+from mimesh.bodies import load_body
 from mimesh.bodies.finger_poses import GESTURES, finger_rotations, gestures, within_limits
 from mimesh.bodies.hands import body_with_fingers, load_hands
+from mimesh.bodies.joint_names import finger_joints, named_fingers, named_joints
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.geometry import MIRROR
 from mimesh.core.mesh import Clip, Mesh
@@ -14,6 +16,8 @@ from mimesh.evaluate.fingers import PERSON_HEIGHT_MM, body_parts, finger_metrics
 from mimesh.evaluate.pairs import Person
 from mimesh.methods.find import find_method
 from mimesh.methods.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
+from mimesh.methods.onnx_models import load_hand_finder
+from mimesh.pipeline.run import KEYFRAMES, MotionOptions, prepare
 
 AXES = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
 BODY = body_with_fingers()
@@ -134,6 +138,9 @@ def test_fingers_are_followed_through_a_clip():
     skeleton = result.skeleton
     assert skeleton is not None
     assert len(skeleton.names) == 61
+    joints = named_joints(skeleton.names, skeleton.parents)
+    found = named_fingers(skeleton.names, skeleton.parents, joints)
+    assert [skeleton.names[j] for j in found.values()] == [*finger_joints("Left"), *finger_joints("Right")]
     assert np.allclose(skeleton.rig.weights.sum(axis=1), 1.0)
     assert skeleton.deviation(result.clip.vertices) < 5e-3
 
@@ -194,3 +201,31 @@ def test_planted_feet_are_those_without_fingers():
     apart = moved.clip.vertices[:, on_foot] - rigid.clip.vertices[:, on_foot]
     # The first frame's bounding box, which has fingers in it, says where the whole result stands.
     assert np.abs(apart - apart[0, 0]).max() < 1e-5
+
+
+def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
+    """The network gets a few queries at a time, which changes no weight but for rounding."""
+    whole = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
+    monkeypatch.setattr("mimesh.methods.mime.hand_network.CHUNK", 300)
+    parts = mimesh.transfer(mesh(1), mesh(2, "fist"), **AXES)
+    assert parts.report["fingers"] == ["left", "right"]
+    assert np.abs(parts.vertices - whole.vertices).max() < 1e-5
+
+
+def test_bodies_without_forearms_or_without_the_network_of_hands_have_no_fingers(monkeypatch):
+    joints = load_body().joint_names
+    assert load_hand_finder(joints) is not None
+    assert load_hand_finder(tuple(name for name in joints if name != "LeftForeArm")) is None
+    assert load_hand_finder(tuple(name for name in joints if name != "RightHand")) is None
+    monkeypatch.setattr("mimesh.methods.onnx_models.HANDS", "missing.onnx")
+    assert load_hand_finder(joints) is None
+
+
+def test_a_fist_between_two_keyframes_moves_the_fingers():
+    method, frames = find_method("mime"), np.repeat(mesh(2).vertices[None], 200, axis=0)
+    assert not {95, 96, 97, 98} & set(np.linspace(0, 199, KEYFRAMES).round().astype(int))
+    for gesture, joints in (("fist", 61), (None, 31)):
+        frames[95:99] = mesh(2, gesture).vertices
+        clip = Clip(mesh(2), frames.astype(np.float32), 30.0)
+        drive = prepare(mesh(1), clip, lambda norm: method, tuple(AXES.values()), False, MotionOptions()).drive
+        assert len(drive.joints) == joints

@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from ...bodies.finger_poses import finger_rotations, sample_finger_poses
 from ...bodies.hands import HAND_PARENTS
 from ..bodies import rotvec_to_rotmat, scaled_joints, skinned_surface, world_rotations
-from ..hand_surfaces import HUMAN, WITHOUT, HandSurface
+from ..hand_surfaces import FINGERLESS, HUMAN, HandSurface
 from ..models.hands import HAND_POINTS
 from .mime_characters import LAST, pick_rows, rows_by_group
 from .mime_scans import gather_points
@@ -30,7 +30,7 @@ GESTURES = 16_384
 """Gestures that a training draws from."""
 OWN_REST = 0.25
 """Share of hands with fingers that are in the rest pose of their file."""
-WITHOUT_FINGERS = 0.25
+FINGERLESS_SHARE = 0.25
 """Share of hands without fingers."""
 FRAME_ERROR, WRIST_BEND = math.radians(25), math.radians(60)
 """Largest error of the predicted hand joint's rotation, and largest rotation of the forearm at the wrist (radians)."""
@@ -98,7 +98,7 @@ class HandSource(nn.Module):
 
         Args:
             surfaces: of one group, all or none show separate fingers.
-            characters: share of characters' hands with fingers; those without have WITHOUT_FINGERS, the shipped body's
+            characters: share of characters' hands with fingers; those without have FINGERLESS_SHARE, the shipped body's
                 the rest.
         """
         super().__init__()
@@ -110,7 +110,7 @@ class HandSource(nn.Module):
         self.register_buffer("gestures", torch.from_numpy(gesture_bank(seed)).float())
         self.register_buffer("branching", torch.tensor([j == 0 for j in range(16)]))  # the hand has five bones
         rows = rows_by_group([surface.group for surface in surfaces], device)
-        kinds = [group if surfaces[int(some[0])].separate else WITHOUT for group, some in rows.items()]
+        kinds = [group if surfaces[int(some[0])].separate else FINGERLESS for group, some in rows.items()]
         self.rows, self.shares = list(rows.values()), torch.tensor(group_shares(kinds, characters), device=device)
         self.to(device)
 
@@ -238,14 +238,14 @@ def _spread(points: Float[Tensor, "B N 3"]) -> Float[Tensor, "B 1 1"]:
 
 
 def group_shares(kinds: list[str], characters: float) -> list[float]:
-    """Give the share of each group in a batch by its kind: HUMAN, WITHOUT, or a pack of characters.
+    """Give the share of each group in a batch by its kind: HUMAN, FINGERLESS, or a pack of characters.
 
     Args:
         characters: share of all packs together.
     """
-    packs = sum(kind not in (HUMAN, WITHOUT) for kind in kinds)
+    packs = sum(kind not in (HUMAN, FINGERLESS) for kind in kinds)
     share = {
-        HUMAN: 1 - WITHOUT_FINGERS - (characters if packs else 0.0),
-        WITHOUT: WITHOUT_FINGERS / max(kinds.count(WITHOUT), 1),
+        HUMAN: 1 - FINGERLESS_SHARE - (characters if packs else 0.0),
+        FINGERLESS: FINGERLESS_SHARE / max(kinds.count(FINGERLESS), 1),
     }
     return [share.get(kind, characters / max(packs, 1)) for kind in kinds]

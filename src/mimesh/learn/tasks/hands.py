@@ -19,7 +19,7 @@ from ..hand_surfaces import HandSurface, training_hands
 from ..models.hands import HAND_POINTS, HandNetwork
 from ..models.mime import MimeConfig, Prediction
 from .base import OnnxInterface, Task, TrainConfig, shipped_body
-from .hand_batches import QUERIES, WITHOUT_FINGERS, HandBatch, HandSource
+from .hand_batches import FINGERLESS_SHARE, QUERIES, HandBatch, HandSource
 from .mime import joint_errors, masked_mean
 
 UNSEEN_SEED, TRIAL_SEED, TRIAL_HANDS = 1, 77, 8
@@ -51,9 +51,9 @@ class HandsTrainConfig(TrainConfig):
         super().check(where)
         if self.data.kind != "hands":
             raise InputError(f"{where}: expected data.kind hands with hands, found {self.data.kind}; set it")
-        if not 0.0 <= self.data.characters <= 1 - WITHOUT_FINGERS:
+        if not 0.0 <= self.data.characters <= 1 - FINGERLESS_SHARE:
             raise InputError(
-                f"{where}: expected data.characters from 0 to {1 - WITHOUT_FINGERS}, found {self.data.characters}"
+                f"{where}: expected data.characters from 0 to {1 - FINGERLESS_SHARE}, found {self.data.characters}"
             )
         if self.model.heads < 1 or self.model.width % self.model.heads:
             raise InputError(f"{where}: expected heads that divide width {self.model.width}, found {self.model.heads}")

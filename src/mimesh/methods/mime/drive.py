@@ -27,7 +27,7 @@ from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
-from ..base import Pose, SkinnedDrive
+from ..base import Pose, SkinnedDrive, SurfaceMotion
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
@@ -99,6 +99,8 @@ class MimeMethod:
     """Joints of the identity that the user has corrected."""
     driving_targets: JointTargets | None = None
     """Joints of the driving that the user has corrected, in its last keyframe."""
+    motion: SurfaceMotion | None = None
+    """Motion of the driving's surface, which says whether fingers ever move; without it the keyframes do."""
 
     @cached_property
     def network(self) -> JointNetwork:
@@ -121,6 +123,10 @@ class MimeMethod:
             for known in (identity, driving)
         )
         return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
+
+    def with_motion(self, motion: SurfaceMotion) -> MimeMethod:
+        """Return this method with the motion of the driving's surface in more frames than the keyframes."""
+        return dataclasses.replace(self, motion=motion)
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
         """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
@@ -167,7 +173,10 @@ class MimeMethod:
             mesh = dataclasses.replace(driving.mesh, vertices=driving.vertices[keyframes.reference])
             return WeightedMesh.of_points(mesh, keyframes.consensus, keyframes.points, self.joints)
 
-        return self.hands.find_moving(identity, reference, driving.vertices)
+        def keyframes_of(samples: SurfacePoints) -> Float[np.ndarray, "T N 3"]:
+            return np.stack([samples.points(vertices) for vertices in driving.vertices])
+
+        return self.hands.find_moving(identity, reference, self.motion or keyframes_of)
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""

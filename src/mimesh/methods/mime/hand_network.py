@@ -8,6 +8,7 @@ Inputs of the ONNX file are those of the body's network (`joint_network.py`), of
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -15,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.geometry import MIRROR, angles_between, mirrored_rotations
-from .joint_network import NetworkPoints, softmax
+from .joint_network import CHUNK, NetworkPoints, softmax
 from .part_tracking import mean_rotation
 
 if TYPE_CHECKING:
@@ -92,7 +93,9 @@ class FingerNetwork:
         """Predict the fingers of hands; None for a hand that does not show any, or whose predictions differ."""
         parts = [self._parts(hand) for hand in hands]
         # Each hand has another number of queries, so the first predictions are single runs.
-        first = [self._run([part[0]], [hand.local(hand.queries)]) for hand, part in zip(hands, parts, strict=True)]
+        first = [
+            self._run_in_chunks(part[0], hand.local(hand.queries)) for hand, part in zip(hands, parts, strict=True)
+        ]
         shown = [h for h, outputs in enumerate(first) if outputs.separate[0] > 0]
         found: list[Fingers | None] = [None] * len(hands)
         if not shown:
@@ -118,6 +121,12 @@ class FingerNetwork:
         """Divide the samples of a hand into those of each prediction."""
         samples = hand.local(hand.samples)
         return [samples[k::HAND_ENSEMBLE][: self.points] for k in range(HAND_ENSEMBLE)]
+
+    def _run_in_chunks(self, points: NetworkPoints, queries: NetworkPoints) -> _Outputs:
+        """Run the network on one hand with any number of queries, CHUNK at a time."""
+        outputs = [self._run([points], [queries[k : k + CHUNK]]) for k in range(0, len(queries), CHUNK)]
+        # All but the scores are the same for all chunks: they do not depend on the queries.
+        return dataclasses.replace(outputs[0], scores=np.concatenate([part.scores for part in outputs], axis=1))
 
     def _run(self, points: list[NetworkPoints], queries: list[NetworkPoints]) -> _Outputs:
         """Run the network on a batch of hands."""

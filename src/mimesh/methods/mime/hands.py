@@ -2,8 +2,9 @@
 
 A hand is the surface whose skinning weights belong to the hand's joint and its finger stubs. A second, small network
 (`hand_network.py`) finds fifteen joints in it and their shares in these weights. Fingers move where the hands of both
-meshes show them and the driving bends them otherwise than the identity; all others follow their hand. Only the bend of
-the fingers relative to the palm is transferred, so errors of the hand's own rotation do not bend them.
+meshes show them and the driving bends them otherwise than the identity in some frame that is looked at; all others
+follow their hand. Only the bend of the fingers relative to the palm is transferred, so errors of the hand's own
+rotation do not bend them.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from ...core.geometry import angles_between, border_edges, nearest_rotation, ver
 from ...core.mesh import Mesh
 from ...core.rig import Rig
 from ...core.surface_points import SurfacePoints
-from ..base import Pose
+from ..base import Pose, SurfaceMotion
 from ..npt import generator
 from .denoise import NOISY, Denoiser
 from .hand_network import HAND_ENSEMBLE, FingerNetwork, Fingers, Hand
@@ -136,21 +137,22 @@ class HandFinder:
     seed: int = 0
 
     def find_moving(
-        self, identity: WeightedMesh, driving: Callable[[], WeightedMesh], frames: Float[np.ndarray, "T U 3"]
+        self, identity: WeightedMesh, driving: Callable[[], WeightedMesh], motion: SurfaceMotion
     ) -> list[FoundFingers]:
         """Find the hands whose fingers both meshes show and the driving bends otherwise in some frame.
 
         Args:
             identity: the mesh to move.
             driving: makes the driving mesh in the reference frame; not called if the identity shows no fingers.
-            frames: of the driving.
+            motion: of the driving's surface.
         """
         mine = self._fingered(identity, SIDES, by_vertex=True)
         theirs = self._fingered(driving(), tuple(mine), by_vertex=False) if mine else {}
         found = [FoundFingers(side, mine[side], hand) for side, hand in theirs.items()]
         if not found:
             return []
-        moving = FingerTracker.of(found).bend_otherwise([hand.identity.fingers for hand in found], frames)
+        tracker = FingerTracker.of(found)
+        moving = tracker.bend_otherwise([hand.identity.fingers for hand in found], motion(tracker.samples))
         return [hand for hand, moves in zip(found, moving, strict=True) if moves]
 
     def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, FingeredHand]:
@@ -242,31 +244,29 @@ class FingerTracker:
             vertices: the driving in a frame.
             rotation: of the driving's joints in that frame.
         """
-        bends, positions = self.bends(vertices)
+        bends, positions = self.bends(self.samples.points(vertices))
         fingers = rotation[self.bases][:, None] @ self.to_palm @ bends
         return fingers.reshape(-1, 3, 3), positions.reshape(-1, 3)
 
     def bends(
-        self, vertices: Float[np.ndarray, "U 3"]
-    ) -> tuple[Float[np.ndarray, "H 15 3 3"], Float[np.ndarray, "H 15 3"]]:
-        """Return rotations of the finger joints relative to the palm in a frame, and their positions."""
-        points = self.samples.points(vertices).reshape(len(self.bases), -1, 3)
-        motion, positions = self.tracker.follow(points)
-        palm = motion[:, :1] @ self.palm
-        return palm.swapaxes(-1, -2) @ motion[:, 1:] @ self.rotation, positions[:, 1:]
+        self, points: Float[np.ndarray, "*T N 3"]
+    ) -> tuple[Float[np.ndarray, "*T H 15 3 3"], Float[np.ndarray, "*T H 15 3"]]:
+        """Return rotations of the finger joints relative to the palm, and their positions, from the tracked points."""
+        by_hand = points.reshape(*points.shape[:-2], len(self.bases), -1, 3)
+        motion, positions = self.tracker.follow(by_hand)
+        palm = motion[..., :1, :, :] @ self.palm
+        return palm.swapaxes(-1, -2) @ motion[..., 1:, :, :] @ self.rotation, positions[..., 1:, :]
 
-    def bend_otherwise(self, identity: list[Fingers], frames: Float[np.ndarray, "T U 3"]) -> Bool[np.ndarray, " H"]:
+    def bend_otherwise(self, identity: list[Fingers], points: Float[np.ndarray, "T N 3"]) -> Bool[np.ndarray, " H"]:
         """Tell of each hand whether a finger is clearly bent otherwise than the identity's in some frame.
 
         A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
         """
-        own, largest = np.stack([fingers.bends for fingers in identity]), np.zeros(len(identity))
-        for vertices in frames:
-            bends = self.bends(vertices)[0]
-            common = nearest_rotation((bends[:, 3:] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=1))
-            turned = np.concatenate([own[:, :3], common[:, None] @ own[:, 3:]], axis=1)
-            largest = np.maximum(largest, finger_angles(turned, bends).max(axis=1))
-        return largest > DIFFERENT_ABOVE
+        own, bends = np.stack([fingers.bends for fingers in identity]), self.bends(points)[0]
+        common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
+        thumb = np.broadcast_to(own[:, :3], (*bends.shape[:2], 3, 3, 3))
+        turned = np.concatenate([thumb, common[..., None, :, :] @ own[:, 3:]], axis=2)
+        return finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
 
 
 def with_fingers(

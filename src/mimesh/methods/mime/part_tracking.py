@@ -30,7 +30,8 @@ class PartTracker:
     """Skinned points at rest, and the linear operators that give the motion of their joints.
 
     The affine map of a joint is 4 rows of `maps`, (K, 3) with K = 4 J: the linear part (3 x 3, transposed), the offset.
-    Surfaces with as many points and joints as each other (two hands) can be tracked at once, along leading axes.
+    Surfaces with as many points and joints as each other (two hands) can be tracked at once, along leading axes, and
+    several frames along axes before those.
     """
 
     blend: Float[np.ndarray, "*B N K"]
@@ -81,7 +82,7 @@ class PartTracker:
     def follow(
         self, points: Float[np.ndarray, "*B N 3"]
     ) -> tuple[Float[np.ndarray, "*B J 3 3"], Float[np.ndarray, "*B J 3"]]:
-        """Return the rotation of every joint from rest to a frame, in the world, and its position in that frame.
+        """Return the rotation of every joint from rest to each frame, in the world, and its position there.
 
         It is solved twice. The regularizer draws each joint's map towards its parent's, which makes every bend too
         small. So the maps of the first solve are made rigid, and the second solve finds only the correction that they
@@ -138,7 +139,7 @@ def _by_joint(maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 4 3"
     return maps.reshape(*maps.shape[:-2], -1, 4, 3)
 
 
-def _apply(maps: Float[np.ndarray, "*B K 3"], points: Float[np.ndarray, "*B J 3"]) -> Float[np.ndarray, "*B J 3"]:
+def _apply(maps: Float[np.ndarray, "*B K 3"], points: Float[np.ndarray, "*#B J 3"]) -> Float[np.ndarray, "*B J 3"]:
     """Apply the map of each joint to one point."""
     return (_homogeneous(points)[..., None, :] @ _by_joint(maps))[..., 0, :]
 
