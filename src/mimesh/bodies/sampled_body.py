@@ -87,15 +87,26 @@ class SampledBody:
         density = np.cumsum(weights @ fraction**-DENSITY_EXPONENT)
         chosen = np.unique(np.searchsorted(density, density[-1] * (np.arange(count) + 0.5) / count))
         chosen = rng.permutation(chosen)
-        corners, barycentric = body.faces[face[chosen]], barycentric[chosen]
+        return cls._at(body, face[chosen], barycentric[chosen])
+
+    @classmethod
+    def of_vertices(cls, body: RiggedBody) -> SampledBody:
+        """Take all vertices of the body, in their order; the normal of each is that of one of its triangles."""
+        corner = np.unique(body.faces, return_index=True)[1]
+        return cls._at(body, corner // 3, np.eye(3)[corner % 3])
+
+    @classmethod
+    def _at(cls, body: RiggedBody, face: Int[np.ndarray, " N"], barycentric: Float[np.ndarray, "N 3"]) -> SampledBody:
+        """Take the points with given barycentric coordinates in faces of the body."""
+        corners = body.faces[face]
         directions, branching = bone_directions(body)
         return cls(
             names=body.joint_names,
             parents=body.parents,
             vertices=interpolate(body.vertices, corners, barycentric),
-            normals=face_normals(body.vertices, body.faces)[face[chosen]],
+            normals=face_normals(body.vertices, body.faces)[face],
             components=np.stack([interpolate(c, corners, barycentric) for c in body.components], axis=2),
-            weights=weights[chosen],
+            weights=interpolate(body.weights, corners, barycentric),
             joints=body.joints,
             joint_components=np.moveaxis(body.joint_components, 0, 2),
             along=np.where(branching[:, None, None], 0.0, directions[:, :, None] * directions[:, None]),

@@ -31,6 +31,14 @@ DATA = {
     "blocks and hands without fingers",
 }
 """Descriptions of `DataConfig.kind` for the card."""
+MIME_DATA = (
+    "random people of the shipped body, some in its skirt, tights or hair; rest, Table 6, joint limits, frames of the "
+    "training seconds of the shipped motions, limbs that touch; headings, some turned over; noise, one-sided surfaces, "
+    "missing parts"
+)
+"""Description of `wide` where `mime` is trained on it."""
+CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
+"""What is added to it where characters are part of the data."""
 INT8_STEPS = 127
 """Steps from zero to the largest weight of a row."""
 
@@ -124,7 +132,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "name": out.stem,
         "file": out.name,
         "license": "Apache-2.0",
-        "data": DATA[config["data"]["kind"]],
+        "data": described_data(trained.config),
         "config": config,
         "seed": config["seed"],
         "commit": header["commit"],
@@ -137,6 +145,13 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         **({"changes": list(trained.changes)} if trained.changes else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
+
+
+def described_data(config: TrainConfig) -> str:
+    """Say in words what a training had as data."""
+    if config.network != "mime" or config.data.kind != "wide":
+        return DATA[config.data.kind]
+    return MIME_DATA + (CHARACTERS if config.data.characters else "")
 
 
 def training_pflop(config: TrainConfig, pairs: int) -> float:

@@ -1,10 +1,13 @@
 """Fits find the joints of a person from rough predictions, in any unit, position and heading."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
+from mimesh.bodies.hands import hand_joints
 from mimesh.bodies.sampling import sample_pose, sample_shape
 from mimesh.core.geometry import face_normals
 from mimesh.core.mesh import permute_vertices
@@ -54,6 +57,21 @@ def test_joints_are_found(seed):
     assert max(fit.unmatched_body.values()) < 0.01
     assert degrees < 4 < before[0]
     assert metres < 0.01 < 0.04 < before[1]
+
+
+def test_weights_are_the_bodys_where_it_has_the_shape_of_the_surface():
+    """Predictions of the thigh alone become the body's weights, but for those of the hands."""
+    surface, true = person()
+    fit = fit_body(surface, *predicted(*true))
+    nearest = fit.nearest(surface.points)
+    thigh = np.tile(np.eye(len(BODY.parents))[BODY.joint("LeftUpLeg")], (len(surface.points), 1))
+    close, far = (dataclasses.replace(fit, distance=d).blended_weights(thigh, nearest) for d in (1e-4, 4e-3))
+    hand = nearest.weights[:, [j for side in ("Left", "Right") for j in hand_joints(BODY.joint_names, side)]].sum(
+        axis=1
+    )
+    np.testing.assert_allclose(close[hand == 0], nearest.weights[hand == 0], atol=0.01)
+    np.testing.assert_allclose(close[hand > 0.999], thigh[hand > 0.999], atol=0.01)
+    np.testing.assert_allclose(far, thigh, atol=0.01)
 
 
 def test_joints_are_found_without_normals():

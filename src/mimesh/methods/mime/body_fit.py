@@ -14,6 +14,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...bodies import load_body
+from ...bodies.character_limbs import SIDES
+from ...bodies.hands import hand_joints
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
 from ...core.rig import descendants
@@ -44,6 +46,11 @@ RELIABLE_MISMATCH, MISMATCH_EXPONENT, MISMATCH_POINTS = 0.0022, 6, 16
 """Mismatch of the shapes (see `_mismatch`, metres of the body) at which fit and prediction count alike, how fast that
 changes, and the neighbours that are averaged. People of the shipped body have 0.1 mm, dressed ones 0.5, those with
 noise of up to 5 % 1.9, realistic and stylised characters of others 1.6, figures of blocks 3 (docs/LOG.md)."""
+NEAREST = 3
+"""Vertices of the fitted body from which its weights at a point of the surface are interpolated."""
+SAME_SHAPE, SHAPE_EXPONENT = 0.0004, 4
+"""Mismatch (metres of the body) at which predicted weights and those of the fitted body count alike, and how fast that
+changes: the body's are better only where it has the shape of the surface (docs/LOG.md, "Weights of the body")."""
 UNMATCHED_BODY, UNMATCHED_SURFACE = 0.05, 0.08
 """Distance (metres of the body) from which on a point of the body is unmatched by the surface, and the reverse."""
 
@@ -98,14 +105,33 @@ class BodyFit:
         """Find the nearest point of the fitted body to each of some points of the surface."""
         from scipy.spatial import KDTree
 
-        distance, index = KDTree(self.posed.points).query(points)
-        return NearestBody(distance / self.posed.state.size, self.posed.body.weights[index])
+        body = whole_body()
+        distance, index = KDTree(PosedBody(body, self.posed.state).points).query(points, k=NEAREST)
+        share = 1 / np.maximum(distance, 1e-9 * self.posed.state.size) ** 2
+        share /= share.sum(axis=1, keepdims=True)
+        return NearestBody(distance[:, 0] / self.posed.state.size, np.einsum("vn,vnj->vj", share, body.weights[index]))
+
+    def blended_weights(self, predicted: Float[np.ndarray, "V J"], nearest: NearestBody) -> Float[np.ndarray, "V J"]:
+        """Mix predicted weights with those of the fitted body as far as it has the shape of the surface.
+
+        Weights of hands stay predicted: the fitted body has stubs instead of fingers.
+        """
+        hands = [j for side in SIDES for j in hand_joints(self.posed.body.names, side)]
+        of_body = 1 / (1 + (self.distance / SAME_SHAPE) ** SHAPE_EXPONENT)
+        share = of_body * (1 - nearest.weights[:, hands].sum(axis=1, keepdims=True))
+        return (1 - share) * predicted + share * nearest.weights
 
 
 @cache
 def sampled_body() -> SampledBody:
     """Return the shipped body as BODY_POINTS points."""
     return SampledBody.of(load_body(), BODY_POINTS)
+
+
+@cache
+def whole_body() -> SampledBody:
+    """Return the shipped body as all of its vertices."""
+    return SampledBody.of_vertices(load_body())
 
 
 def fit_body(

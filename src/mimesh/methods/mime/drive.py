@@ -209,8 +209,10 @@ class MimeMethod:
         else:
             rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
-        nearest = fit.nearest(vertices) if fit else None
-        weights = clean_weights(rig.weights[: len(vertices)], vertices, faces, self.parents, nearest)
+        weights, nearest = rig.weights[: len(vertices)], fit.nearest(vertices) if fit else None
+        if fit and nearest:
+            weights = fit.blended_weights(weights, nearest)
+        weights = clean_weights(weights, vertices, faces, self.parents, nearest)
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(
