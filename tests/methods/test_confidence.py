@@ -16,7 +16,6 @@ from mimesh.methods.confidence import (
     MIN_SHARE,
     MISSING_LIMB,
     Confidence,
-    largest_flexion,
 )
 from mimesh.pipeline import transfer
 
@@ -116,10 +115,8 @@ def test_contradicting_fit_is_noted_with_the_expected_error():
     {
         "prediction_spread": 4.0,
         "weight_entropy": 1.0,
-        "contradictions": 0.5,
         "fit_distance": 4e-4,
         "fit_angle": 6.0,
-        "flexion": 170.0,
         "unmatched_body": {"left arm": 0.5},
     }.items(),
 )
@@ -136,16 +133,6 @@ def test_a_missing_limb_alone_is_noted_without_an_error():
     assert confidence.expected_error < MAX_ERROR < confidence.uncertainty * MAX_ERROR
     (note,) = confidence.notes("person")
     assert "of the height" not in note
-
-
-def test_flexion_is_that_of_the_joint_that_is_bent_most():
-    names = ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
-    angle = np.radians(160.0)
-    straight = [[0.1, 1, 0], [0.1, 0.5, 0], [0.1, 0, 0]]
-    folded = [[-0.1, 1, 0], [-0.1, 0.5, 0], [-0.1, 0.5 - 0.4 * np.cos(angle), -0.4 * np.sin(angle)]]
-    assert largest_flexion(np.array([[0, 1, 0], *straight, *folded]), names) == pytest.approx(160.0)
-    assert largest_flexion(np.array([[0, 1, 0], *straight, *straight]), names) == pytest.approx(0.0, abs=1e-5)
-    assert largest_flexion(np.zeros((1, 3)), ("Hips",)) == 0.0
 
 
 def test_confidence_is_a_half_at_the_threshold_of_the_note():

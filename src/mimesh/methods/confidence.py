@@ -37,28 +37,21 @@ MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
 """A limb was not found if more than the first share of it is far from the surface, and more than the second share of
 the surface is far from the body. Holes in a mesh exceed only the first, clothes and hair only the second.
 """
-HINGES = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
-"""Joints of an arm and of a leg without their side; the middle one is a hinge."""
-FOLDED = 150.0
-"""Flexion (degrees) beyond which an elbow or a knee is suspicious: the lower limb would be inside the upper one. A limb
-that is cut off in the middle is often taken for a folded one."""
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
 EXPECTED_ERROR = {
-    "constant": -9.8839,
-    "spread": 0.7115,
-    "entropy": 0.9339,
-    "contradictions": -2.6828,
-    "fit_distance": 0.5061,
-    "fit_angle": 1.1704,
-    "folded": 1.0,
-    "incomplete": 0.8683,
+    "constant": -9.7792,
+    "spread": 0.3584,
+    "entropy": 0.7347,
+    "fit_distance": 0.3912,
+    "fit_angle": 1.5388,
+    "incomplete": 0.8043,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
 `Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
-MAX_ERROR = 0.019
-"""Largest expected error of a mesh without a note."""
+MAX_ERROR = 0.0155
+"""Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -77,14 +70,10 @@ class Confidence:
     """Share of each limb of the fitted body that is far from the surface; empty without a fit."""
     unmatched_surface: float = 0.0
     """Share of the surface that is far from the fitted body."""
-    contradictions: float = 0.0
-    """Share of the predictions that contradict the others."""
     fit_distance: float | None = None
     """Mismatch of the shapes of fitted body and surface (metres of the body); None without a fit."""
     fit_angle: float = 0.0
     """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
-    flexion: float = 0.0
-    """Flexion (degrees) of the elbow or knee that is bent most; 0 is straight."""
 
     @classmethod
     def of(
@@ -106,10 +95,8 @@ class Confidence:
         return {
             "spread": float(np.log1p(self.prediction_spread)),
             "entropy": self.weight_entropy,
-            "contradictions": self.contradictions,
             "fit_distance": float(np.log1p(1e3 * (self.fit_distance or 0.0))),
             "fit_angle": float(np.log1p(self.fit_angle)),
-            "folded": max(self.flexion - FOLDED, 0.0) / 10,
             "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
         }
 
@@ -158,8 +145,6 @@ class Confidence:
             "readings_apart": round(self.prediction_spread, 2),
             "undecided": round(self.weight_entropy, 3),
             "limbs": limbs,
-            "contradictions": round(self.contradictions, 3),
-            "flexion": round(self.flexion, 1),
         }
         if self.fit_distance is None:
             return facts
@@ -206,18 +191,6 @@ class Confidence:
         least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart)
         share = max(self.limbs.get(limb, 1.0), SMALLEST_SHARE)
         return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
-
-
-def largest_flexion(joints: Float[np.ndarray, "J 3"], names: tuple[str, ...]) -> float:
-    """Return the largest angle (degrees) between upper and lower bone of an arm or leg; 0 if there are none."""
-    chains = [[side + name for name in hinge] for side in ("Left", "Right") for hinge in HINGES]
-    chains = [[names.index(name) for name in chain] for chain in chains if set(chain) <= set(names)]
-    if not chains:
-        return 0.0
-    upper, lower = np.diff(joints[np.array(chains)], axis=1).swapaxes(0, 1)
-    length = np.linalg.norm(upper, axis=1) * np.linalg.norm(lower, axis=1)
-    cosine = (upper * lower).sum(axis=1) / np.maximum(length, 1e-12)
-    return float(np.degrees(np.arccos(cosine.clip(-1, 1))).max())
 
 
 def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3 3"]) -> float:

@@ -61,7 +61,7 @@ def test_joints_are_found(seed):
 
 def test_weights_are_the_bodys_where_it_has_the_shape_of_the_surface():
     """Predictions of the thigh alone become the body's weights, but for those of the hands."""
-    surface, true = person()
+    surface, *true = person()
     fit = fit_body(surface, *predicted(*true))
     nearest = fit.nearest(surface.points)
     thigh = np.tile(np.eye(len(BODY.parents))[BODY.joint("LeftUpLeg")], (len(surface.points), 1))
