@@ -106,7 +106,7 @@ def fit(pairs: Path) -> None:
     rows = json.loads(pairs.read_text())
     meshes = [[Confidence(**mesh) for mesh in row["meshes"]] for row in rows]
     features = np.array([[list(mesh.features().values()) for mesh in pair] for pair in meshes])
-    missing = np.array([max(mesh.missing_limb for mesh in pair) for pair in meshes])
+    fault = np.array([max(mesh.limb_fault for mesh in pair) for pair in meshes])
     error, kinds = np.array([row["error"] for row in rows]), np.array([row["kind"] for row in rows])
     left_out = np.empty((len(rows), 2))
     for kind in np.unique(kinds):
@@ -121,7 +121,7 @@ def fit(pairs: Path) -> None:
     bad, good = pmd > BAD, pmd < GOOD
     for share in (0.005, 0.01, 0.02, 0.03, 0.05, 0.1):
         limit = np.quantile(worse[good], 1 - share)
-        warned = (worse > limit) | (missing > 1)
+        warned = (worse > limit) | (fault > 1)
         print(f"limit {limit:.4f}: warned about {warned[bad].mean():.1%} of {bad.sum()} bad results", end=", ")
         print(f"{warned[good].mean():.1%} of {good.sum()} good ones")
     for kind in np.unique(kinds):

@@ -16,6 +16,7 @@ from mimesh.methods.confidence import (
     MIN_SHARE,
     MISSING_LIMB,
     Confidence,
+    largest_flexion,
 )
 from mimesh.pipeline import transfer
 
@@ -59,7 +60,10 @@ def test_whole_person_has_no_note():
     ("mesh", "reason"),
     [
         (chair(), "belongs to no limb in particular"),
-        (part_of_body(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])), "belongs to no limb in particular"),
+        (
+            part_of_body(BODY.vertices[:, 1] > np.median(BODY.vertices[:, 1])),
+            "no whole left leg and no whole right leg",
+        ),
         (part_of_body(~limb("Neck1")), "no whole head"),
         (part_of_body(~limb("LeftShoulder")), "no whole left arm"),
     ],
@@ -135,6 +139,22 @@ def test_a_missing_limb_alone_is_noted_without_an_error():
     assert "of the height" not in note
 
 
+def test_flexion_is_that_of_the_joint_that_is_bent_most():
+    names = ("Hips", "LeftUpLeg", "LeftLeg", "LeftFoot", "RightUpLeg", "RightLeg", "RightFoot")
+    angle = np.radians(160.0)
+    straight = [[0.1, 1, 0], [0.1, 0.5, 0], [0.1, 0, 0]]
+    folded = [[-0.1, 1, 0], [-0.1, 0.5, 0], [-0.1, 0.5 - 0.4 * np.cos(angle), -0.4 * np.sin(angle)]]
+    assert largest_flexion(np.array([[0, 1, 0], *straight, *folded]), names) == pytest.approx(160.0)
+    assert largest_flexion(np.array([[0, 1, 0], *straight, *straight]), names) == pytest.approx(0.0, abs=1e-5)
+    assert largest_flexion(np.zeros((1, 3)), ("Hips",)) == 0.0
+
+
+def test_a_folded_limb_is_noted():
+    assert fitted(flexion=140.0).notes("person") == ()
+    (note,) = fitted(flexion=165.0).notes("person")
+    assert "folded by 165 degrees" in note
+
+
 def test_confidence_is_a_half_at_the_threshold_of_the_note():
     angles = np.linspace(1.0, 90.0, 400)
     confidences = [fitted(fit_angle=float(angle)) for angle in angles]
@@ -146,7 +166,7 @@ def test_confidence_is_a_half_at_the_threshold_of_the_note():
 
 def test_missing_forearms_are_noted_and_holes_are_not():
     noise = PROTOCOLS["noise"]
-    for kind, expected in (("holes", ()), ("half", ()), ("cropped", ("no whole",))):
+    for kind, expected in (("holes", ()), ("half", ()), ("cropped", ("certainty",))):
         trial = noise.pair("val", kind, 0)
         notes = " ".join(transfer(trial.identity, trial.driving, **AXES).notes)
         assert all(words in notes for words in expected)
@@ -166,7 +186,7 @@ def random_confidence(rng):
     if rng.random() < 0.3:
         return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs)
     unmatched = {name: near(MISSING_LIMB) for name in MIN_SHARE}
-    fit = {"fit_distance": near(2e-3), "fit_angle": near(12.0)}
+    fit = {"fit_distance": near(1e-3), "fit_angle": near(8.0)}
     return Confidence(near(MAX_SPREAD), near(MAX_ENTROPY), limbs, unmatched, near(MAX_UNMATCHED_SURFACE), **fit)
 
 

@@ -174,9 +174,9 @@ REPRODUCTION = """The rows of the papers' tables, trained and tested as the pape
 SMPL: compare orders, not digits. All were trained with a small share of the paper's compute, on one CPU core. *Seen*
 are the poses or motions of the training."""
 CONFIDENCE = """`mime` warns where it expects a large error. *Uncertainty* is the expected error over its threshold, or
-the share of a limb that is missing over its own if that is larger; above 1 the user is warned. Bad results should be
-warned of, good ones should not. Pairs without a true mesh are not counted, and the kinds of `noise` are the same people
-and poses."""
+what is missing of a limb or how far it is folded over theirs if that is larger; above 1 the user is warned. Bad results
+should be warned of, good ones should not. Pairs without a true mesh are not counted, and the kinds of `noise` are the
+same people and poses."""
 
 
 def results_page(folder: Path) -> str:

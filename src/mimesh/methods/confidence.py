@@ -30,27 +30,32 @@ MAX_SPREAD = 15.0
 MAX_ENTROPY = 0.81
 """Largest mean entropy (nats) of a whole person's skinning weights."""
 MIN_SHARE = {"head": 0.03, "left arm": 0.025, "right arm": 0.025, "left leg": 0.12, "right leg": 0.12}
-"""Smallest share of a whole person's surface for each limb."""
+"""Smallest share of a whole person's surface for each limb; for arms and legs of the surface without the head."""
 MIN_SYMMETRY = 0.45
 """Smallest share of a whole limb, in those of its counterpart on the other side."""
 MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
 """A limb was not found if more than the first share of it is far from the surface, and more than the second share of
 the surface is far from the body. Holes in a mesh exceed only the first, clothes and hair only the second.
 """
+HINGES = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
+"""Joints of an arm and of a leg without their side; the middle one is a hinge."""
+FOLDED = 150.0
+"""Flexion (degrees) of an elbow or knee from which on the lower limb would be inside the upper one. Limbs that are cut
+off in the middle are often taken for folded ones: 6 % of bad results have one, no good one does (docs/LOG.md)."""
 MISSING_LIMB = 0.4
 """A limb is missing if more than this share of it is far from the surface, whatever the rest. One-sided scans: 0.3."""
 
 EXPECTED_ERROR = {
-    "constant": -9.7792,
-    "spread": 0.3584,
-    "entropy": 0.7347,
-    "fit_distance": 0.3912,
-    "fit_angle": 1.5388,
-    "incomplete": 0.8043,
+    "constant": -9.8286,
+    "spread": 0.5238,
+    "entropy": 0.2914,
+    "fit_distance": 0.5799,
+    "fit_angle": 1.2867,
+    "incomplete": 1.7338,
 }
 """Logarithm of what a mesh adds to the mean error of a result (heights of the identity): constant, and coefficients of
 `Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
-MAX_ERROR = 0.0155
+MAX_ERROR = 0.0165
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
@@ -74,6 +79,8 @@ class Confidence:
     """Mismatch of the shapes of fitted body and surface (metres of the body); None without a fit."""
     fit_angle: float = 0.0
     """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
+    flexion: float = 0.0
+    """Flexion (degrees) of the elbow or knee that is bent most; 0 is straight."""
 
     @classmethod
     def of(
@@ -117,23 +124,22 @@ class Confidence:
         return float(np.exp(EXPECTED_ERROR["constant"] + logarithm))
 
     @property
-    def missing_limb(self) -> float:
-        """Largest unmatched share of a limb of the fitted body over MISSING_LIMB.
+    def limb_fault(self) -> float:
+        """The larger ratio of what is missing of a limb, and of how far one is folded, to their thresholds.
 
         A limb that the mesh lacks is predicted somewhere, and all predictions of it may agree.
         """
-        return max(self.unmatched_body.values(), default=0.0) / MISSING_LIMB
+        return max(*(self._incompleteness(limb) for limb in MIN_SHARE), self.flexion / FOLDED)
 
     @property
     def uncertainty(self) -> float:
-        """The larger ratio of expected error and missing limb to their thresholds; above 1 there is a note.
+        """The larger ratio of expected error and faulty limb to their thresholds; above 1 there is a note.
 
         Without a fit it is the largest ratio of the other figures to theirs.
         """
         if self.fitted:
-            return max(self.expected_error / MAX_ERROR, self.missing_limb)
-        incomplete = max(self._incompleteness(limb) for limb in MIN_SHARE)
-        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, incomplete)
+            return max(self.expected_error / MAX_ERROR, self.limb_fault)
+        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, self.limb_fault)
 
     def facts(self) -> dict[str, Any]:
         """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
@@ -154,6 +160,7 @@ class Confidence:
             "expected_error": round(self.expected_error, 4),
             "fit_distance": round(self.fit_distance, 5),
             "fit_angle": round(self.fit_angle, 2),
+            "flexion": round(self.flexion, 1),
         }
         return facts | {"astray": unmatched, "bare": round(self.unmatched_surface, 4)}
 
@@ -180,6 +187,8 @@ class Confidence:
             reasons.append(f"{_listed('no whole', incomplete)} was found")
         if unmatched and not incomplete:
             reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
+        if self.flexion > FOLDED:
+            reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
         return reasons
 
     def _incompleteness(self, limb: str) -> float:
@@ -187,10 +196,24 @@ class Confidence:
         far from the surface.
         """
         side, _, kind = limb.partition(" ")
+        # Heads of chibis are most of the surface: arms and legs are compared with the rest of it.
+        rest = 1.0 if limb == "head" else max(1 - self.limbs.get("head", 0.0), SMALLEST_SHARE)
         counterpart = self.limbs.get(f"{'right' if side == 'left' else 'left'} {kind}", 0.0)
-        least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart)
-        share = max(self.limbs.get(limb, 1.0), SMALLEST_SHARE)
+        least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart / rest)
+        share = max(self.limbs.get(limb, 1.0) / rest, SMALLEST_SHARE)
         return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
+
+
+def largest_flexion(joints: Float[np.ndarray, "J 3"], names: tuple[str, ...]) -> float:
+    """Return the largest angle (degrees) between upper and lower bone of an arm or leg; 0 if there are none."""
+    chains = [[side + name for name in hinge] for side in ("Left", "Right") for hinge in HINGES]
+    chains = [[names.index(name) for name in chain] for chain in chains if set(chain) <= set(names)]
+    if not chains:
+        return 0.0
+    upper, lower = np.diff(joints[np.array(chains)], axis=1).swapaxes(0, 1)
+    length = np.linalg.norm(upper, axis=1) * np.linalg.norm(lower, axis=1)
+    cosine = (upper * lower).sum(axis=1) / np.maximum(length, 1e-12)
+    return float(np.degrees(np.arccos(cosine.clip(-1, 1))).max())
 
 
 def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3 3"]) -> float:

@@ -28,7 +28,7 @@ from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
 from ..base import Pose, SkinnedDrive, SurfaceMotion
-from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, mean_angle
+from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
 from .body_weights import corrected_weights
@@ -261,12 +261,13 @@ class MimeMethod:
         confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
         if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
             return confidence
-        return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0)
+        return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
 
     def _confidence(self, rigs: list[Rig], mean: Rig, weights: Float[np.ndarray, "N J"]) -> Confidence:
         """Measure how far predictions are from their consensus, and how decided the weights of even samples are."""
         spread = float(np.median([mean_angle(rig.rotation, mean.rotation) for rig in rigs]))
-        return Confidence.of(spread, weights, self.joints, self.parents)
+        confidence = Confidence.of(spread, weights, self.joints, self.parents)
+        return dataclasses.replace(confidence, flexion=largest_flexion(mean.joints, self.joints))
 
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
         """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
