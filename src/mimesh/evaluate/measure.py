@@ -98,6 +98,8 @@ def training_facts(method: str) -> dict[str, Any]:
     card = json.loads(path.with_suffix(".json").read_text())
     count = card["config"]["data"]["vertices"] or 6890
     data = TRAINED_ON[card["config"]["data"]["kind"]]
+    if "characters" in card:
+        data += f" and {sum(card['characters']['makers'].values())} characters of other makers"
     stages = [card, *card.get("before", [])]
     minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
     pairs = sum(stage["pairs"] for stage in stages)

@@ -51,10 +51,11 @@ class Section(NamedTuple):
 CHARACTERS = Section(
     "Characters of other makers",
     """Rigged characters of three makers, in the packs that are held back for tests: large heads (KayKit), stylised
-people (Quaternius, of whose other packs four people are development data), realistic people (Rocketbox). The
-shipped weights were trained on none of them. *Clips* are frames of the characters' own clips; Rocketbox has
-none, so its characters take frames of the shipped captures. Within one skeleton the truth is the identity under
-the same bone rotations as the driving character. Across skeletons there is no true mesh: limbs are compared by
+people (Quaternius, of whose other packs four people are development data), realistic people (Rocketbox). No
+network was trained on these characters. `mime` was trained on others of Rocketbox and of two packs of Quaternius, on
+none of KayKit. *Clips* are frames of the characters' own clips; Rocketbox has none, so its characters take frames
+of the shipped captures. Within one skeleton the truth is the identity under the same bone rotations as the driving
+character. Across skeletons there is no true mesh: limbs are compared by
 their directions, wrists and ankles by their place in units of the limb, soles and penetration with those of the
 driving character
 ([conventions](conventions.md)).""",
