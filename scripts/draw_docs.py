@@ -58,17 +58,15 @@ def main() -> None:
         write(DOCS / "transcripts.json", doc_transcripts.transcripts())
 
 
-def draw_case(case: Case, name: str) -> dict[str, list[str]]:
-    """Draw the inputs and the results without and with the remedy, and return the notes of both results."""
+def draw_case(case: Case, name: str) -> list[str]:
+    """Draw the inputs and the results without and with the remedy, and return the notes of the first result."""
     before = transfer(case.identity, case.driving, **case.options)
     tiles = [*_inputs(case, before), _tile(before.mesh, "result", before.report["identity"])]
-    notes = {"notes": list(before.notes)}
     if case.remedy is not None:
         after = transfer(*(case.remedy_inputs or (case.identity, case.driving)), **case.remedy)
         tiles.append(_tile(after.mesh, case.remedy_label, after.report["identity"]))
-        notes["helped"] = list(after.notes)
     save(page(tiles, len(tiles)), f"trouble-{name.replace('_', '-')}")
-    return notes
+    return list(before.notes)
 
 
 def _inputs(case: Case, result: Result) -> list[Image.Image]:

@@ -152,15 +152,10 @@ def transcript(name: str) -> str:
     return f"```console\n{lines}\n```"
 
 
-def notes(name: str, which: str = "notes") -> str:
+def notes(name: str) -> str:
     """Return the notes that mimesh printed for a picture of the troubleshooting page, from docs/trouble.json."""
-    printed = json.loads((DOCS / "trouble.json").read_text())[name].get(which, [])
+    printed = json.loads((DOCS / "trouble.json").read_text())[name]
     return "\n".join(f"> note: {note}" for note in printed) or "> mimesh prints no note here."
-
-
-def helped(name: str) -> str:
-    """Return the notes that mimesh printed for the same picture with the remedy applied."""
-    return notes(name, "helped")
 
 
 def minute() -> str:
@@ -181,7 +176,6 @@ INSERTS = {
     "speed": speed,
     "transcript": transcript,
     "notes": notes,
-    "helped": helped,
     "commands": command_reference,
 }
 """WHAT of a mark -> function that returns its Markdown."""
