@@ -44,7 +44,7 @@ def main() -> None:
         ship(name, Path(path))
     for path in sorted(ZOO.glob("*.onnx")):
         facts = json.loads(path.with_suffix(".json").read_text())
-        if facts["config"]["network"] == "hands":
+        if facts["config"].get("network") == "hands":
             continue  # no method of its own: its figures are those of `mime` on fingers
         protocol = test_set(facts)
         reports = [json.loads(file.read_text()) for file in sorted(write_results.RESULTS.glob("*.json"))]
