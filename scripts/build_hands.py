@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import anny  # pyright: ignore[reportMissingImports]
 import numpy as np
 from build_human import dense_weights, sample_people, t_pose
+from jaxtyping import Float, Int
 
 from mimesh.bodies import load_body
 from mimesh.bodies.body_model import RiggedBody
@@ -40,7 +42,11 @@ def main() -> None:
     """Build the file and print its size and how well the joints follow the shape."""
     args = parse_args()
     body = load_body()
-    options = {"topology": "anny-noeyes-notongue", "skinning_method": "lbs", "pose_parameterization": "world-orient"}
+    options: dict[str, Any] = {
+        "topology": "anny-noeyes-notongue",
+        "skinning_method": "lbs",
+        "pose_parameterization": "world-orient",
+    }
     model, fingered = anny.Anny(rig="cmu_mb", **options), anny.Anny(rig="mixamo", **options)
     labels = [label.split(":")[-1] for label in fingered.bone_labels]
     columns = [labels.index(name) for side in SIDES for name in finger_joints(side)]
@@ -48,12 +54,7 @@ def main() -> None:
     faces = model.get_triangular_faces().numpy()
     mean = people.mean(axis=0)
     mean -= origin(mean)
-    inverse, shaped = np.linalg.pinv(body.components.reshape(len(body.components), -1)), body.vertices
-    for _ in range(ROUNDS):  # the body in the shape of these people's mean, so that fingers are matched to themselves
-        chosen, barycentric, distance = closest_on_mesh(shaped, mean, faces)
-        nearest = np.einsum("vkc,vk->vc", mean[faces[chosen]], barycentric)
-        print(f"body to the mean person: {1e3 * distance.mean():.2f} mm")
-        shaped, _ = body.shaped((nearest - body.vertices).reshape(-1) @ inverse)
+    chosen, barycentric = matched_points(body, mean, faces)
     corners = faces[chosen]
     transferred = np.einsum("pvkc,vk->pvc", people[:, corners], barycentric)
     joints, components = regress(body, transferred, fingers)
@@ -61,6 +62,22 @@ def main() -> None:
     hands = make_hands(body, joints, components, weights, labels)
     save_hands(args.output, hands, INFLUENCES)
     print(f"{args.output}: {args.output.stat().st_size / 1e3:.0f} kB")
+
+
+def matched_points(
+    body: RiggedBody, mean: Float[np.ndarray, "U 3"], faces: Int[np.ndarray, "G 3"]
+) -> tuple[Int[np.ndarray, " V"], Float[np.ndarray, "V 3"]]:
+    """Find the face of the mean person, and the place in it, that each vertex of the body corresponds to.
+
+    The body takes the shape of the mean person round by round, so that fingers are matched to themselves.
+    """
+    inverse, shaped = np.linalg.pinv(body.components.reshape(len(body.components), -1)), body.vertices
+    for _ in range(ROUNDS - 1):
+        chosen, barycentric, distance = closest_on_mesh(shaped, mean, faces)
+        nearest = np.einsum("vkc,vk->vc", mean[faces[chosen]], barycentric)
+        print(f"body to the mean person: {1e3 * distance.mean():.2f} mm")
+        shaped, _ = body.shaped((nearest - body.vertices).reshape(-1) @ inverse)
+    return closest_on_mesh(shaped, mean, faces)[:2]
 
 
 def posed_people(
