@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -40,8 +41,9 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     parent = path if path.is_dir() else path.parent
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name[:PREFIX_LENGTH]}-", dir=parent))
-    try:
+    temporary = parent / f".{path.name[:PREFIX_LENGTH]}-{secrets.token_hex(8)}"
+    try:  # from before the folder exists: a signal may come as soon as it does
+        temporary.mkdir(mode=0o700)
         yield temporary
         path.mkdir(exist_ok=True)
         for file in temporary.iterdir():
