@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import io
 import shutil
-import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -177,11 +177,10 @@ def test_frames_of_another_format_in_the_output_folder_are_an_error(tmp_path):
 
 def test_existing_output_folder_needs_no_writable_parent(tmp_path, monkeypatch):
     (tmp_path / "disk").mkdir()
-    beside = []
-    make = tempfile.mkdtemp
-    monkeypatch.setattr(tempfile, "mkdtemp", lambda **options: beside.append(options["dir"]) or make(**options))
+    made, make = [], Path.mkdir
+    monkeypatch.setattr(Path, "mkdir", lambda path, *args, **options: made.append(path) or make(path, *args, **options))
     save_clip(Clip.still(zoo.cube()), tmp_path / "disk")
-    assert beside == [tmp_path / "disk"]
+    assert [path.parent for path in made if path.name.startswith(".")] == [tmp_path / "disk"]
     assert [path.name for path in (tmp_path / "disk").iterdir()] == ["0000.obj"]
 
 
