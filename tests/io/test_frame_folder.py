@@ -180,7 +180,7 @@ def test_existing_output_folder_needs_no_writable_parent(tmp_path, monkeypatch):
     made, make = [], Path.mkdir
     monkeypatch.setattr(Path, "mkdir", lambda path, *args, **options: made.append(path) or make(path, *args, **options))
     save_clip(Clip.still(zoo.cube()), tmp_path / "disk")
-    assert [path.parent for path in made if path.name.startswith(".")] == [tmp_path / "disk"]
+    assert {path.parent for path in made if path.name.startswith(".")} == {tmp_path / "disk"}
     assert [path.name for path in (tmp_path / "disk").iterdir()] == ["0000.obj"]
 
 
