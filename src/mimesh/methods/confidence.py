@@ -93,8 +93,7 @@ class Confidence:
         """Compute entropy and limb shares from skinning weights of points that are spread evenly over the surface."""
         entropy = -(weights * np.log(np.maximum(weights, 1e-12))).sum(axis=1).mean()
         share = weights.mean(axis=0)
-        tops = {limb: joints.index(top) for limb, top in LIMBS.items() if top in joints}
-        limbs = {limb: float(share[descendants([top], parents)].sum()) for limb, top in tops.items()}
+        limbs = {limb: float(share[of_limb].sum()) for limb, of_limb in limb_joints(joints, parents).items()}
         return cls(prediction_spread, float(entropy), limbs)
 
     def features(self) -> dict[str, float]:
@@ -202,6 +201,12 @@ class Confidence:
         least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart / rest)
         share = max(self.limbs.get(limb, 1.0) / rest, SMALLEST_SHARE)
         return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
+
+
+def limb_joints(names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, list[int]]:
+    """List the joints of each of LIMBS that a skeleton has, by their indices."""
+    tops = {limb: names.index(top) for limb, top in LIMBS.items() if top in names}
+    return {limb: list(descendants([top], parents)) for limb, top in tops.items()}
 
 
 def largest_flexion(joints: Float[np.ndarray, "J 3"], names: tuple[str, ...]) -> float:

@@ -18,8 +18,7 @@ from ...bodies.character_limbs import SIDES
 from ...bodies.hands import hand_joints
 from ...bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ...core.geometry import nearest_rotation
-from ...core.rig import descendants
-from ..confidence import LIMBS, mean_angle
+from ..confidence import limb_joints, mean_angle
 from .joint_targets import JointTargets
 
 if TYPE_CHECKING:
@@ -178,7 +177,7 @@ def fit_body(
 def _limb_points() -> dict[str, Bool[np.ndarray, " N"]]:
     """Limb -> mask of the body's points that are weighted mostly to its joints."""
     body = sampled_body()
-    joints = {limb: descendants([body.names.index(top)], body.parents) for limb, top in LIMBS.items()}
+    joints = limb_joints(body.names, body.parents)
     return {limb: body.weights[:, indices].sum(axis=1) > 0.5 for limb, indices in joints.items()}
 
 

@@ -209,8 +209,9 @@ class MimeMethod:
         else:
             rig, confidence, fit = self._with_corrections(mean, confidence, sample, queries, self.identity_targets)
             confidence = self._with_weights(confidence, rig.weights[len(vertices) :])
-        weights, nearest = rig.weights[: len(vertices)], fit.nearest(vertices) if fit else None
-        if fit and nearest:
+        weights, nearest = rig.weights[: len(vertices)], None
+        if fit:
+            nearest = fit.nearest(vertices)
             weights = fit.blended_weights(weights, nearest)
         weights = clean_weights(weights, vertices, faces, self.parents, nearest)
         return dataclasses.replace(rig, weights=weights), confidence

@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...core.geometry import edges, factor, links, vertex_areas
 from ...core.rig import descendants
-from ..confidence import LIMBS
+from ..confidence import limb_joints
 from .body_fit import NearestBody, sampled_body
 
 RIGID_SHARE, SMALL_SHARE, SMALL_AREA, BODY_SHARE = 0.65, 0.5, 0.01, 0.3
@@ -89,11 +89,12 @@ def _rigid_pieces(
     rigid = (area > 0) & ((share > RIGID_SHARE) | (small & (share > SMALL_SHARE)))
     if nearest is not None:
         parts = ~rigid & (area > 0) & (area < LARGEST_PART * area.sum())
-        blocks = parts & (np.bincount(piece) <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
+        size = np.bincount(piece)
+        blocks = parts & (size <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
         for k in np.flatnonzero(blocks):
             joint[k], rigid[k] = _block_joint(summed[k]), True
         far = parts & ~blocks & (median(nearest.distance, piece, np.arange(count)) > FAR)
-        members = np.split(np.argsort(piece, kind="stable"), np.cumsum(np.bincount(piece))[:-1])
+        members = np.split(np.argsort(piece, kind="stable"), np.cumsum(size)[:-1])
         for k in np.flatnonzero(far):
             joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
     return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
@@ -109,9 +110,9 @@ def _block_joint(weights: Float[np.ndarray, " J"]) -> int:
 
 @cache
 def _limbs() -> list[Int[np.ndarray, " L"]]:
-    """List the joints of the trunk and of each of LIMBS of the shipped body."""
+    """List the joints of the trunk and of each limb of the shipped body."""
     body = sampled_body()
-    limbs = [np.array(descendants([body.names.index(top)], body.parents)) for top in LIMBS.values()]
+    limbs = [np.array(joints) for joints in limb_joints(body.names, body.parents).values()]
     return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]
 
 
