@@ -105,3 +105,12 @@ class SkinnedCharacter:
         mesh = permute_vertices(self.mesh, order)
         rows = {name: getattr(self, name)[order] for name in ("joint_of", "weights", "points")}
         return dataclasses.replace(self, mesh=mesh, **rows)
+
+    def turned(self, turn: Float[np.ndarray, "3 3"]) -> SkinnedCharacter:
+        """Turn the character about the origin."""
+        transform = np.eye(4)
+        transform[:3, :3] = turn
+        mesh = dataclasses.replace(self.mesh, vertices=self.mesh.vertices @ turn.T)
+        return dataclasses.replace(
+            self, mesh=mesh, T_world_joint=transform @ self.T_world_joint, points=self.points @ turn.T
+        )

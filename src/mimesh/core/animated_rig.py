@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from .mesh import Mesh
 from .rig import Rig
-from .skinning import SkinnedMesh
+from .skinning import SkinnedMesh, place_joints
 
 INFLUENCES = 4
 """Joints per vertex in a written file. Readers of glTF 2.0 must support 4, and many game engines support no more."""
 CHECKED_FRAMES = 16
 """Frames, evenly spread, in which the reduced weights are compared with the full ones."""
+
+
+class WritableRig(Protocol):
+    """The rig of a file, which can be written again with a further animation."""
+
+    def write(self, skeleton: AnimatedRig, name: str, fps: float, path: Path) -> None:
+        """Write the file with a new animation of this name."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +42,23 @@ class AnimatedRig:
     """World rotation of every joint in every frame."""
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
+    own: WritableRig | None = None
+    """The rig of the mesh's own file, if these joints are joints of it: it writes that file again."""
+
+    motion: str = "motion"
+    """Name of the animation."""
+
+    def transforms(self) -> Float[np.ndarray, "T J 4 4"]:
+        """Compute the transform of points that each joint moves, from rest to every frame."""
+        turn = self.rotation @ self.rig.rotation.swapaxes(-1, -2)
+        bones = self.rig.bones(self.parents)
+        positions = np.stack(
+            [place_joints(root, bones, rotation, self.parents) for root, rotation in zip(self.root, self.rotation, strict=True)]
+        )
+        transforms = np.tile(np.eye(4), (*turn.shape[:2], 1, 1))
+        transforms[..., :3, :3] = turn
+        transforms[..., :3, 3] = positions - (turn @ self.rig.joints[..., None])[..., 0]
+        return transforms
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
         """Select the INFLUENCES joints with the largest weights of each vertex, and scale these weights to sum to 1."""

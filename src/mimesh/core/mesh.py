@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from .errors import InputError
 from .frame_buffer import each_frame
+from .person_motion import JointSource
 
 
 @runtime_checkable
@@ -95,6 +96,8 @@ class Clip:
     fps: float = 30.0
     headings: Float[np.ndarray, "T 3"] | None = None
     """Facing direction of the person in every frame (y up), if joints define it; None: detected from the shape."""
+    skeleton: JointSource | None = None
+    """Joints of the file in the same frames, if it has any."""
 
     @classmethod
     def still(cls, mesh: Mesh) -> Clip:
@@ -179,7 +182,8 @@ def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
         )
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)
     headings = None if clip.headings is None else clip.headings[start:stop:step]
-    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings)
+    skeleton = None if clip.skeleton is None else clip.skeleton.cut(slice(start, stop, step))
+    return dataclasses.replace(clip, vertices=vertices, fps=clip.fps / step, headings=headings, skeleton=skeleton)
 
 
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:

@@ -103,6 +103,12 @@ class Normalization:
         return self.detected and self.margin < UNSURE
 
 
+def axis_name(direction: Float[np.ndarray, " 3"]) -> str:
+    """Return the name of the coordinate axis nearest to a direction, such as "-z"."""
+    k = int(np.abs(direction).argmax())
+    return AXES[k if direction[k] > 0 else k + 3]
+
+
 def parse_axis(axis: str | None, option: str) -> str | None:
     """Parse an axis name: "y", "Y" and "+y" give "+y", None gives None. Errors name `option`.
 

@@ -145,6 +145,36 @@ class SkinnedMesh:
         blocks = tuple(SkinBlock.of(vertices[some], rig.weights[some], rig) for some in rows)
         return cls(parents, rig.bones(parents), blocks, np.argsort(order))
 
+    @classmethod
+    def of_influences(
+        cls,
+        joint_of: Int[np.ndarray, "V K"],
+        weights: Float[np.ndarray, "V K"],
+        points: Float[np.ndarray, "V K 3"],
+        rig: Rig,
+        parents: tuple[int, ...],
+    ) -> SkinnedMesh:
+        """Pack vertices that have a rest position of their own for each of their K influences.
+
+        Args:
+            joint_of: joint of each influence.
+            weights: of each influence.
+            points: position of the vertex at rest under each influence alone.
+            rig: its weights are the sums of the influences' by joint.
+        """
+        local = np.einsum("vklm,vkl->vkm", rig.rotation[joint_of], points - rig.joints[joint_of])
+        packed = weights[..., None] * np.concatenate([local, np.ones((*weights.shape, 1))], axis=-1)
+        block = _blocks(rig.weights)
+        order = np.argsort(block, kind="stable")
+        blocks = []
+        for rows in np.split(order, np.flatnonzero(np.diff(block[order])) + 1):
+            joints = np.flatnonzero(rig.weights[rows].any(axis=0))
+            column = np.searchsorted(joints, joint_of[rows]).clip(max=len(joints) - 1)
+            of_block = np.zeros((len(rows), len(joints), 4))
+            np.add.at(of_block, (np.arange(len(rows))[:, None], column), packed[rows])
+            blocks.append(SkinBlock(joints, of_block.reshape(len(rows), -1).astype(np.float32)))
+        return cls(parents, rig.bones(parents), tuple(blocks), np.argsort(order))
+
     def part(self, vertices: Int[np.ndarray, " P"]) -> SkinnedMesh:
         """Select some vertices, which may repeat."""
         starts = np.cumsum([0, *(len(block.packed) for block in self.blocks)])

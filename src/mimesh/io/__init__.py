@@ -194,7 +194,10 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
     with writing(path), whole_file(path) as temporary:
-        write_gltf_skinned(skeleton, fps, temporary)
+        if skeleton.own is not None:
+            skeleton.own.write(skeleton, skeleton.motion, fps, temporary)
+        else:
+            write_gltf_skinned(skeleton, fps, temporary)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

@@ -7,18 +7,20 @@ The identity has a normalisation of its own; all frames of the driving have that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies.joint_names import ancestors
 from ..core.foot_planting import PosedJoints, plant_feet
+from ..core.geometry import rotate_between, unit_vectors
 from ..core.joint_tracks import JointTrack, root_path
 from ..core.mesh import Clip, Mesh
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
-from ..core.soles import Feet
+from ..core.soles import Feet, Soles, find_soles
 from ..core.surface_points import SurfacePoints
 from .confidence import Confidence
 from .root_motion import check_size
@@ -84,6 +86,85 @@ class MotionMethod(Method, Protocol):
         ...
 
 
+def linked_to_body(joints: tuple[str, ...], parents: tuple[int, ...], driving: tuple[str, ...]) -> LinkedJoints:
+    """Find the joint of a driving that each joint of a person follows."""
+    index = {name: k for k, name in enumerate(driving)}
+    above = tuple(tuple(joints[k] for k in ancestors(parents, j)) for j in range(len(joints)))
+    return LinkedJoints(driving, _nearest_known(above, index), {})
+
+
+def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
+    """Return the index of the first known name of each row; that of the root, which comes first, if there is none."""
+    return np.array([next((index[name] for name in names if name in index), 0) for names in above])
+
+
+@dataclass(frozen=True, eq=False)
+class KnownIdentity:
+    """An identity whose file has joints and skinning weights, normalised."""
+
+    joints: tuple[str, ...]
+    """Names of the joints that move with the hips, the hips first."""
+    parents: tuple[int, ...]
+    rig: Rig
+    """The rotations are those from the T-pose to rest of the person's joint that each joint is, or belongs to."""
+    skinned: SkinnedMesh
+    legs: tuple[tuple[int, ...], ...]
+    """Hip, knee and ankle of each leg that has all three."""
+    leg: float
+    """Length of a leg."""
+    person: Mapping[str, int]
+    """Joints that are those of a person: name -> index."""
+    above: tuple[tuple[str, ...], ...]
+    """For each joint, the person's joints that it is or is below, the nearest first."""
+    whole: Mapping[str, str]
+    """Person's joints that move a whole limb, and the one at the other end of the limb."""
+    directions: Mapping[str, Float[np.ndarray, " 3"]]
+    """Direction of these limbs in a T-pose."""
+
+    def linked(self, driving: tuple[str, ...]) -> LinkedJoints:
+        """Find the joint of a driving that each joint follows."""
+        index = {name: k for k, name in enumerate(driving)}
+        follows = _nearest_known(self.above, index)
+        whole = {
+            self.person[name]: (index[end], self.directions[name])
+            for name, end in self.whole.items()
+            if name in index and end in index
+        }
+        return LinkedJoints(driving, follows, whole)
+
+
+@dataclass(frozen=True, eq=False)
+class KnownDriving:
+    """A driving clip whose file has joints, normalised."""
+
+    joints: tuple[str, ...]
+    """Names of the person's joints, the hips first."""
+    track: JointTrack
+    leg: float
+    weights: Float[np.ndarray, "U J"] | None
+    """Skinning weights of the clip's vertices."""
+    legs: tuple[tuple[int, ...], ...]
+    """Hip, knee and ankle of each leg that has all three."""
+    parents: tuple[int, ...]
+
+    def soles(self, samples: SurfacePoints, vertices: Float[np.ndarray, "U 3"]) -> Soles:
+        """Find the contact points of the feet among samples of the surface, in the first frame."""
+        if self.weights is None:
+            return ()
+        weights = (samples.barycentric[..., None] * self.weights[samples.corners]).sum(axis=1)
+        rig = Rig(self.track.rotation[0], self.track.positions[0], weights)
+        return find_soles(samples.points(vertices), rig, self.legs, self.parents)
+
+
+@runtime_checkable
+class RigMethod(SkinnedMethod, Protocol):
+    """A method with joints that takes those of the files, where these have them. Only these support `--rig own`."""
+
+    def with_rigs(self, identity: KnownIdentity | None, driving: KnownDriving | None) -> Method:
+        """Return this method with the known joints of the identity, of the driving, or of both."""
+        ...
+
+
 @runtime_checkable
 class CorrectableMethod(SkinnedMethod, Protocol):
     """A method with joints that takes known positions of some of them. Only these support `--joints`."""
@@ -101,17 +182,46 @@ class CorrectableMethod(SkinnedMethod, Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class LinkedJoints:
+    """The joint of the driving that each joint of an identity with other joints follows."""
+
+    driving: tuple[str, ...]
+    """Names of the D joints of the driving."""
+    follows: Int[np.ndarray, " J"]
+    """Index of that joint. An identity's joint without a counterpart follows that of the nearest joint above it."""
+    whole: Mapping[int, tuple[int, Float[np.ndarray, " 3"]]]
+    """Joints of the identity that move a whole limb: index of the driving's joint at the other end of the limb, and
+    direction of the limb in a T-pose."""
+
+    def rotations(
+        self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
+    ) -> Float[np.ndarray, "T J 3 3"]:
+        """Return the rotations of the identity's joints; a whole limb points from the driving's first joint to its end.
+
+        So an arm of one joint has the direction from shoulder to hand when the driving bends its elbow.
+        """
+        linked = rotation[:, self.follows]
+        for joint, (end, direction) in self.whole.items():
+            start = self.follows[joint]
+            old = unit_vectors(rotation[:, start] @ direction)
+            new = unit_vectors(positions[:, end] - positions[:, start])
+            columns = (rotate_between(old, new, rotation[:, start, :, k]) for k in range(3))
+            linked[:, joint] = np.stack(list(columns), axis=-1)
+        return linked
+
+
+@dataclass(frozen=True, eq=False)
 class SkinnedDrive:
     """An identity with joints, ready to be driven: a `Drive` that also gives the motion of its joints."""
 
     joints: tuple[str, ...]
-    """Names of the joints."""
+    """Names of the identity's joints."""
     rig: Rig
     """Joints, and skinning weights of all V vertices, in the identity's normalisation."""
     skinned: SkinnedMesh
     """The identity's distinct positions (W <= V), skinned."""
     follow: Callable[[Float[np.ndarray, "U 3"]], Pose]
-    """Maps the vertices of a driving frame to the pose of the driving's joints."""
+    """Maps the vertices of a driving frame to the pose of the driving's joints; not used where these are known."""
     stride: float
     """The identity's displacement over the driving's, each in its normalisation: the ratio of leg lengths."""
     feet: Feet | None
@@ -120,18 +230,30 @@ class SkinnedDrive:
     """Index of each vertex among the distinct positions."""
     name: str
     """Name of the driving, for error messages."""
-    confidence: tuple[Confidence, Confidence] | None = None
-    """Confidence of the predictions for the identity and for the driving; None from a method that gives none."""
+    confidence: tuple[Confidence | None, Confidence | None] | None = None
+    """Confidence of the predictions for the identity and for the driving; None where there were none."""
+    known: JointTrack | None = None
+    """Motion of the driving's joints over the whole clip, where its file has it."""
+    linked: LinkedJoints | None = None
+    """Which joint of the driving each joint of the identity follows; None: the one at its own place."""
 
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the identity's vertices for every driving frame."""
-        return (self.posed(rotation, self.stride * positions[0]) for rotation, positions in self._poses(frames))
+        """Yield the identity's vertices for every driving frame; of a known motion, for all frames from its first."""
+        for rotation, positions in self._poses(frames):
+            yield self.posed(self._linked(rotation[None], positions[None])[0], self.stride * positions[0])
+
+    def at(self, frames: list[int]) -> SkinnedDrive:
+        """Return the drive for some frames of the clip; only a known motion depends on which these are."""
+        if self.known is None:
+            return self
+        known = replace(self.known, rotation=self.known.rotation[frames], positions=self.known.positions[frames])
+        return replace(self, known=known)
 
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
         """Return the motion of the driving's joints and soles over all frames."""
         poses, soles = [], []
-        for vertices in check_size(frames, self.name):
-            poses.append(self.follow(vertices))
+        for t, vertices in enumerate(check_size(frames, self.name)):
+            poses.append(self.driving_pose(t, vertices))
             if self.feet is not None:
                 soles.append(self.feet.driving_soles(vertices))
         rotation, positions = (np.stack(arrays) for arrays in zip(*poses, strict=True))
@@ -148,7 +270,8 @@ class SkinnedDrive:
             ground: correct root path and legs so that soles stand where the driving's do.
         """
         scale = (self.stride if across is None else across, self.stride)
-        posed = PosedJoints(track.rotation, root_path(track, *scale, in_place))
+        rotation = self._linked(track.rotation, track.positions)
+        posed = PosedJoints(rotation, root_path(track, *scale, in_place))
         if not ground or self.feet is None:
             return posed
         # In place, feet slide as they should: only heights are corrected.
@@ -158,5 +281,21 @@ class SkinnedDrive:
         """Return the identity's vertices for world rotations of the joints and a position of the root joint."""
         return self.skinned.posed(rotation, root).take(self.group, axis=0)
 
+    def driving_pose(self, t: int, vertices: Float[np.ndarray, "U 3"]) -> Pose:
+        """Return the pose of the driving's joints in frame t of the clip, which has these vertices."""
+        if self.known is None:
+            return self.follow(vertices)
+        return self.known.rotation[t], self.known.positions[t]
+
+    @property
+    def driving_joints(self) -> tuple[str, ...]:
+        """Names of the driving's joints."""
+        return self.joints if self.linked is None else self.linked.driving
+
     def _poses(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Pose]:
-        return (self.follow(vertices) for vertices in check_size(frames, self.name))
+        return (self.driving_pose(t, vertices) for t, vertices in enumerate(check_size(frames, self.name)))
+
+    def _linked(
+        self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
+    ) -> Float[np.ndarray, "T J 3 3"]:
+        return rotation if self.linked is None else self.linked.rotations(rotation, positions)

@@ -10,9 +10,10 @@ import numpy as np
 from ..bodies import load_body
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
+from ..core.person_motion import KnownJoints, PersonMotion
 from .amass import archive_names, is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
-from .motion import Motion, motion_clip, resample
+from .motion import Motion, joint_tracks, leg_length, motion_clip, resample
 from .retarget import retarget
 
 BVH = ".bvh"
@@ -73,7 +74,15 @@ def played(motion: Motion, progress: Progress | None = None) -> Clip:
     clip = motion_clip(load_body(), None, motion, progress, np.float32)
     first = dataclasses.replace(clip.mesh, vertices=np.asarray(clip.vertices[0], np.float64), up="+y")
     hips = motion.rotmat[:, motion.joint_names.index("Hips")]
-    return dataclasses.replace(clip, mesh=first, headings=hips[..., 2])
+    skeleton = KnownJoints(_joints_on_body(motion))
+    return dataclasses.replace(clip, mesh=first, headings=hips[..., 2], skeleton=skeleton)
+
+
+def _joints_on_body(motion: Motion) -> PersonMotion:
+    """Compute the joints of the shipped body in a motion, and their weights on its surface."""
+    body = load_body()
+    rotation, positions = joint_tracks(body, motion)
+    return PersonMotion(motion.joint_names, rotation, positions, leg_length(body.joints, body.joint_names), body.weights)
 
 
 def first_frame(motion: Motion) -> Mesh:

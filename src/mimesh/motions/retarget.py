@@ -9,6 +9,8 @@ exactly the directions of the source's, whatever the rest poses are.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Float
 
@@ -102,23 +104,33 @@ def axes_from_rest(rest: Float[np.ndarray, "J 3"], index: dict[str, int]) -> Flo
 def alignments(
     rest: Float[np.ndarray, "J 3"], index: dict[str, int], body: RiggedBody
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Compute the rotation A_j (see the module) of limbs, hands (that of the forearm) and feet; others have none.
+    """Compute the rotation A_j (see the module) of limbs, hands and feet; other joints have none."""
+    return limb_alignments({joint: rest[index[tail]] - rest[index[joint]] for joint, tail in BONES.items()}, body)
+
+
+def limb_alignments(
+    bones: Mapping[str, Float[np.ndarray, " 3"]], body: RiggedBody
+) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute the rotation A_j of the joint of each bone, of hands (that of the forearm) and of feet.
 
     A foot gets only the part of its shin's rotation in the frontal plane: capture skeletons spread their legs at rest
     with soles perpendicular to the shin in that plane, while the pitch of ankle and toes is that of a flat sole, as in
     the body's rest pose.
+
+    Args:
+        bones: vectors of limb bones at rest, of a person who faces +z.
     """
     aligned = {}
-    for joint, tail in BONES.items():
+    for joint, bone in bones.items():
+        tail = BONES[joint]
         body_bone = body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
-        source_bone = rest[index[tail]] - rest[index[joint]]
-        aligned[joint] = rotation_between(body_bone, source_bone)
+        aligned[joint] = rotation_between(body_bone, bone)
         if tail.endswith("Hand"):
             aligned[tail] = aligned[joint]
         if tail.endswith("Foot"):
             frontal = np.array([1.0, 1.0, 0.0])
             toes = tail.replace("Foot", "ToeBase")
-            aligned[tail] = aligned[toes] = rotation_between(body_bone * frontal, source_bone * frontal)
+            aligned[tail] = aligned[toes] = rotation_between(body_bone * frontal, bone * frontal)
     return aligned
 
 

@@ -106,8 +106,8 @@ def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, Jo
         return None
     vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
     identity = prepared.identity_norm.undo(drive.rig.joints)
-    driving = norm.undo(drive.follow(vertices)[1])
-    return _named(drive, identity), _named(drive, driving)
+    driving = norm.undo(drive.driving_pose(frame, vertices)[1])
+    return _named(drive.joints, identity), _named(drive.driving_joints, driving)
 
 
 def shown_bones() -> dict[str, str | None]:
@@ -122,8 +122,8 @@ def shown_bones() -> dict[str, str | None]:
     return bones
 
 
-def _named(drive: SkinnedDrive, joints: Float[np.ndarray, "J 3"]) -> JointPositions:
-    return without_fingers(dict(zip(drive.joints, joints, strict=True)))
+def _named(names: tuple[str, ...], joints: Float[np.ndarray, "J 3"]) -> JointPositions:
+    return without_fingers(dict(zip(names, joints, strict=True)))
 
 
 def _read(given: GivenJoints, source: str) -> JointCorrections | None:

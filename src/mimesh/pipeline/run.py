@@ -21,7 +21,7 @@ from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import AXES, ORIENTATIONS, Normalization, parse_axis
+from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_axis
 from ..core.rig import Rig
 from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
@@ -29,11 +29,10 @@ from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
+from .rigs import Axes, Rigs
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
-Axes = tuple[str | None, str | None, str | None, str | None]
-"""Up and front of the identity, up and front of the driving; None is detected."""
 KEYFRAMES = 16
 """Largest number of frames, evenly spread over a clip, that a method gets in `prepare`."""
 MOTION_FRAMES = 120
@@ -52,6 +51,8 @@ class MotionOptions:
     """Has no effect on a single pose, nor with a method without joints."""
     smooth: float = 0.0
     skinned: bool = False
+    rig: str = "own"
+    """One of `rigs.RIGS`. Other values have no effect on a method without joints."""
 
     def check(self, method: Method) -> None:
         """Raise InputError if a value is not allowed, or needs joints and the method has none."""
@@ -61,7 +62,7 @@ class MotionOptions:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
-                if field.name != "ground" and getattr(self, field.name) != field.default:
+                if field.name not in ("ground", "rig") and getattr(self, field.name) != field.default:
                     raise InputError(
                         f"--{field.name}: expected a model with joints (mime), found {method.name}; choose it with -m"
                     )
@@ -109,6 +110,8 @@ class Prepared:
     """The identity, normalised."""
     refinement: Refinement | None
     """Refines results; None leaves them as they are."""
+    rigs: Rigs = Rigs()
+    """The rigs of the files that are used."""
 
     def with_refinement(self, refine: bool | None) -> Prepared:
         """Switch refinement on or off; None takes the method's default."""
@@ -134,10 +137,12 @@ def prepare(
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+    rigs = Rigs.read(identity, clip, options.rig)
+    axes = rigs.axes(axes)
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
     options.check(method)
-    drive = _prepared_drive(method, identity, clip, first, norms, corrections)
+    drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
     if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None:
         corrected = (
@@ -146,9 +151,9 @@ def prepare(
         )
         if corrected != norms:  # `reorient` returns the same object where it changes nothing
             norms = corrected
-            drive = _prepared_drive(method, identity, clip, first, norms, corrections)
+            drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     rest = _normalised(identity, norms[0])
-    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None).with_refinement(refine)
+    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
 
 
 def _prepared_drive(
@@ -158,8 +163,10 @@ def _prepared_drive(
     first: Mesh,
     norms: tuple[Normalization, Normalization],
     corrections: Corrections,
+    rigs: Rigs,
 ) -> Drive:
-    """Prepare a method with the corrected joints."""
+    """Prepare a method with the rigs of the files and the corrected joints."""
+    method = rigs.apply(method, clip.fps, norms)
     corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
     if isinstance(corrected, MotionMethod):
         corrected = corrected.with_motion(_surface_motion(clip, norms[1]))
@@ -171,7 +178,7 @@ def reorient(
     mesh: Mesh,
     norm: Normalization,
     axes: tuple[str | None, str | None],
-    confidence: Confidence,
+    confidence: Confidence | None,
 ) -> Normalization:
     """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
 
@@ -179,7 +186,7 @@ def reorient(
     orientations that the axes of the user and the file allow, 4 where up is known. The one with the lowest entropy of
     skinning weights wins, and the axes of the hips predicted in it, rounded to the mesh's, are the new up and front.
     """
-    if not norm.detected or confidence.recognised:
+    if not norm.detected or confidence is None or confidence.recognised:
         return norm
     up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
     up = norm.up if norm.up_from == "file" else up
@@ -191,7 +198,7 @@ def reorient(
         predictions.append((entropy, candidate, hips))
     lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
     # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
-    names = tuple(_nearest_axis(best.rotation.T @ hips[:, k]) for k in (1, 2))
+    names = tuple(axis_name(best.rotation.T @ hips[:, k]) for k in (1, 2))
     chosen = Normalization.fit(mesh, *names) if names in allowed else best
     detected = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
     # A small gain may be noise of the prediction: the detector's axes are then kept.
@@ -210,7 +217,8 @@ def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
     # Frame 0 is needed too: it fixes the position of the whole clip, and the size of results of some methods.
     indices = [0] if t == 0 else [0, t]
     driving = (prepared.driving_norm.apply(np.asarray(prepared.clip.vertices[k], np.float64)) for k in indices)
-    refined = _refined(prepared.drive(driving), prepared.refinement, Timer())
+    drive = prepared.drive.at(indices) if isinstance(prepared.drive, SkinnedDrive) else prepared.drive
+    refined = _refined(drive(driving), prepared.refinement, Timer())
     shift, frames = _aligned(refined, prepared.rest.vertices)
     *_, vertices = frames
     return prepared.identity_norm.undo(vertices + shift)
@@ -275,11 +283,12 @@ def play(
     skeleton = driving_joints = None
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
-        driving_joints = without_fingers(dict(zip(motion.drive.joints, positions, strict=True)))
-        skeleton = _animated_rig(identity, motion, identity_norm, shift)
+        driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
+        skeleton = _animated_rig(prepared, motion, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
+    notes += prepared.rigs.notes
     notes += tuple(getattr(identity.source, "notes", ()))
     return MovedIdentity(moved, skeleton, report, notes, driving_joints)
 
@@ -316,8 +325,9 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
     notes = ()
     if motion.drive.confidence is not None:
         for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
-            report[which] |= confidence.facts()
-            notes += confidence.notes(name)
+            if confidence is not None:
+                report[which] |= confidence.facts()
+                notes += confidence.notes(name)
     moved = [side.lower() for side in SIDES if finger_joints(side)[0] in motion.drive.joints]
     report["fingers"] = moved  # of these hands; elsewhere fingers follow the hand
     speeds = foot_skate(motion.posed, motion.track, motion.drive.feet, motion.scale)
@@ -373,17 +383,13 @@ def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]
     return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
 
 
-def _animated_rig(
-    identity: Mesh, motion: _JointMotion, norm: Normalization, shift: Float[np.ndarray, " 3"]
-) -> AnimatedRig:
+def _animated_rig(prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
     """Return the rig and its motion in the identity's axes, unit and position."""
+    identity, norm, own = prepared.identity, prepared.identity_norm, prepared.rigs.identity
     undo, drive = norm.rotation.T, motion.drive
     rig = Rig(undo @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
     rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
-    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root)
-
-
-def _nearest_axis(direction: Float[np.ndarray, " 3"]) -> str:
-    """Return the name of the coordinate axis nearest to a direction, such as "-z"."""
-    k = int(np.abs(direction).argmax())
-    return AXES[k if direction[k] > 0 else k + 3]
+    if own is not None:
+        identity = identity.with_vertices(own.humanoid.character.mesh.vertices)
+    name = prepared.clip.mesh.name
+    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root, own, name)

@@ -20,7 +20,7 @@ from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, select_channels
-from .bake import bake_frames
+from .bake import bake_frames, frame_times
 from .blend_shapes import fit_blend_shapes
 from .build import build_document
 from .check import is_supported
@@ -28,6 +28,7 @@ from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import is_motion, read_motion_clip, read_motion_mesh
+from .own_rig import GltfJoints, has_skin
 from .read import RestScene, read_rest
 
 
@@ -81,7 +82,8 @@ def read_gltf_clip(
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = bake_frames(document, mesh.source.rest, channels, fps)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
-    return Clip(mesh.with_vertices(vertices[0]), vertices, fps)
+    skeleton = GltfJoints(mesh, channels, frame_times(document, channels, fps)) if has_skin(mesh) else None
+    return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -76,19 +77,11 @@ def read_rigged_character(
         raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh; give them with --clips")
     mesh, scene = read_rest(document)
     check_mesh(mesh, path)
-    bones = vrm_bones(document)
-    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(bones.values())
-    bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
-    try:
-        rig, nodes, facing = _standing(mesh, document, bound, joint_nodes, bones)
-    except InputError:
-        if not document.gltf.get("skins"):
-            raise
-        rig, nodes, facing = _standing(mesh, document, scene, joint_nodes, bones)
-        bound = scene
-    known = {name: nodes.index(node) for name, node in bones.items()}
+    standing = read_standing(mesh, document, scene)
+    rig, nodes, bound = carried_part(standing.rig), standing.nodes, standing.scene
+    known, facing = standing.known, standing.facing
     turn = facing_rotation(facing)
-    rig = _turned(rig, turn)
+    rig = rig.turned(turn)
     joints = name_limb_joints(rig, path, known)
     clips = read_clips(document, bound.T_world_node[nodes], nodes, rig.parents, left_out)
     file_parents, poses = rig.parents, sampled_poses(clips, rig, turn)
@@ -148,33 +141,64 @@ def _moving_nodes(document: Document) -> set[int]:
     }
 
 
-def _standing(
-    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int], bones: dict[str, int]
-) -> tuple[SkinnedCharacter, list[int], str]:
-    """Read the rig with the nodes of `scene` as its rest pose: the rig, its joints' nodes, and where it faces.
+@dataclass(frozen=True, eq=False)
+class StandingCharacter:
+    """A character of a glTF file in a rest pose in which it stands."""
+
+    rig: SkinnedCharacter
+    """All vertices of the Mesh; joint frames without scales."""
+    nodes: list[int]
+    """Node of each joint."""
+    facing: str
+    """Where it faces, such as +z."""
+    known: dict[str, int]
+    """Joints that the file itself names: joint of the shipped body -> index."""
+    scene: RestScene
+    """The scene with its nodes in that pose."""
+
+
+def read_standing(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+    """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where the bind pose does not stand.
 
     Raises:
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
     """
+    bones = vrm_bones(document)
+    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(bones.values())
+    bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
+    try:
+        return _standing(mesh, document, bound, joint_nodes, bones)
+    except InputError:
+        if not document.gltf.get("skins"):
+            raise
+        return _standing(mesh, document, scene, joint_nodes, bones)
+
+
+def _standing(
+    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int], bones: dict[str, int]
+) -> StandingCharacter:
+    """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
     path = document.path
     rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
     if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
         raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
-    rig = _carried(rig)
     frames = np.tile(np.eye(4), (len(nodes), 1, 1))
     frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
     frames[:, :3, 3] = rig.joints
-    rig = dataclasses.replace(rig, T_world_joint=frames)
-    joints = name_sided_joints(rig, path, {name: nodes.index(node) for name, node in bones.items()})
-    _check_one_skeleton(rig, joints, path)
-    height = np.ptp(rig.mesh.vertices[:, 1])
+    at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
+    rig = dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames)
+    known = {name: nodes.index(node) for name, node in bones.items()}
+    part, joints = carried_part(rig), name_sided_joints(rig, path, known)
+    _check_one_skeleton(part, joints, path)
+    height = np.ptp(part.mesh.vertices[:, 1])
     hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))
     trunk = shoulders - hips
     upright = trunk[1] > UPRIGHT * np.linalg.norm(trunk)
-    if not (upright and hips[1] - rig.mesh.vertices[:, 1].min() > SHORTEST_LEG * height):
+    if not (upright and hips[1] - part.mesh.vertices[:, 1].min() > SHORTEST_LEG * height):
         raise InputError(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
                          "turn it, or leave it out")  # fmt: skip
-    return rig, nodes, find_facing(rig, joints, "-z" if vrm_version(document) == 0 else "+z")
+    facing = find_facing(part, joints, "-z" if vrm_version(document) == 0 else "+z")
+    return StandingCharacter(rig, nodes, facing, known, scene)
 
 
 def find_facing(rig: SkinnedCharacter, joints: dict[str, int], rule: str) -> str:
@@ -233,8 +257,8 @@ def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: Pat
                          "export it alone")  # fmt: skip
 
 
-def _carried(rig: SkinnedCharacter) -> SkinnedCharacter:
-    """Leave out triangles that no joint carries (a floor, a stand), and vertices without triangles; move to rest."""
+def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
+    """Leave out triangles that no joint carries (a floor, a stand), and vertices without triangles."""
     carried = (rig.weights * (rig.joint_of < len(rig.parents))).sum(axis=1) > 0
     faces = rig.mesh.faces[carried[rig.mesh.faces].all(axis=1)]
     used: Bool[np.ndarray, " V"] = np.zeros(len(carried), bool)
@@ -242,14 +266,6 @@ def _carried(rig: SkinnedCharacter) -> SkinnedCharacter:
     if not used.any():
         raise InputError(f"{rig.mesh.name}: expected triangles that joints carry, found none; bind the mesh again")
     points, weights = rig.points[used], rig.weights[used]
-    vertices = (weights[..., None] * points).sum(axis=1)
-    mesh = Mesh(vertices, (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
+    mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
     return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
 
-
-def _turned(rig: SkinnedCharacter, turn: Float[np.ndarray, "3 3"]) -> SkinnedCharacter:
-    """Turn a rig about the vertical."""
-    frames = np.tile(np.eye(4), (len(rig.parents), 1, 1))
-    frames[:, :3, :3], frames[:, :3, 3] = turn @ rig.T_world_joint[:, :3, :3], rig.joints @ turn.T
-    mesh = dataclasses.replace(rig.mesh, vertices=rig.mesh.vertices @ turn.T)
-    return dataclasses.replace(rig, mesh=mesh, T_world_joint=frames, points=rig.points @ turn.T)

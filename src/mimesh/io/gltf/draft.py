@@ -148,14 +148,15 @@ class AccessorCopier:
     """Copies accessors of an opened document into a new draft, each at most once.
 
     Extensions that are not supported may refer to accessors and buffer views in unknown places. A document that uses
-    one is copied as a whole, with all indices unchanged; data that is replaced then stays in the file unused.
+    one is copied as a whole, with all indices unchanged; data that is replaced then stays in the file unused. `whole`
+    does that with any document.
     """
 
-    def __init__(self, document: Document) -> None:
+    def __init__(self, document: Document, whole: bool = False) -> None:
         self.document = document
         gltf = copy.deepcopy(document.gltf)
         self.draft = Draft(gltf)
-        self.copies_all = not all(is_supported(name) for name in gltf.get("extensionsUsed", []))
+        self.copies_all = whole or not all(is_supported(name) for name in gltf.get("extensionsUsed", []))
         self.new_index: dict[int, int] = {}
         """Index in the draft of each copied accessor."""
         if self.copies_all:

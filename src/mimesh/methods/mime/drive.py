@@ -18,16 +18,17 @@ from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
 from ...core.mesh import Clip, Mesh
+from ...core.joint_tracks import JointTrack
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles
 from ...core.surface_points import SurfacePoints
-from ..base import Pose, SkinnedDrive, SurfaceMotion
+from ..base import KnownDriving, KnownIdentity, LinkedJoints, Pose, SkinnedDrive, SurfaceMotion, linked_to_body
 from ..confidence import MAX_UNMATCHED_SURFACE, Confidence, largest_flexion, mean_angle
 from ..npt import generator
 from .body_fit import BodyFit, SurfaceSample, fit_body, sampled_body
@@ -48,6 +49,8 @@ ENSEMBLE, WEIGHT_ENSEMBLE = 8, 3
 weights too (of 6,890 vertices they cost four times as much as the joints)."""
 REFERENCE_ENSEMBLE = 4
 """Predictions for the reference among the keyframes of a clip; each other keyframe gets one."""
+SOLE_SAMPLES = 8192
+"""Points of a driving's surface among which those of the soles are, where its joints are known."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
 RETRIES, DISAGREEMENT = 4, 15.0
@@ -72,6 +75,37 @@ class KeyframePrediction:
     """All samples of the surface, more than are tracked."""
     soles: Soles = ()
     """Contact points of the soles, as indices of samples."""
+
+
+@dataclass(frozen=True, eq=False)
+class IdentityReading:
+    """The joints of an identity: of its file, or predicted."""
+
+    vertices: Float[np.ndarray, "W 3"]
+    joints: tuple[str, ...]
+    parents: tuple[int, ...]
+    rig: Rig
+    group: Int[np.ndarray, " V"]
+    """Index of each vertex of the mesh among `vertices`."""
+    legs: tuple[tuple[int, ...], ...]
+    leg: float
+    confidence: Confidence | None = None
+    skinned: SkinnedMesh | None = None
+    """The skinned mesh of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class DrivingReading:
+    """The joints of a driving clip: of its file, or predicted and tracked."""
+
+    joints: tuple[str, ...]
+    follow: Callable[[Float[np.ndarray, "U 3"]], Pose]
+    leg: float
+    samples: SurfacePoints
+    soles: Soles
+    confidence: Confidence | None = None
+    keyframes: KeyframePrediction | None = None
+    known: JointTrack | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +135,10 @@ class MimeMethod:
     """Joints of the driving that the user has corrected, in its last keyframe."""
     motion: SurfaceMotion | None = None
     """Motion of the driving's surface, which says whether fingers ever move; without it the keyframes do."""
+    known_identity: KnownIdentity | None = None
+    """Joints of the identity that its file has."""
+    known_driving: KnownDriving | None = None
+    """Joints of the driving that its file has."""
 
     @cached_property
     def network(self) -> JointNetwork:
@@ -124,43 +162,81 @@ class MimeMethod:
         )
         return dataclasses.replace(self, identity_targets=identity_targets, driving_targets=driving_targets)
 
+    def with_rigs(self, identity: KnownIdentity | None, driving: KnownDriving | None) -> MimeMethod:
+        """Return this method with the known joints of the identity, of the driving, or of both."""
+        return dataclasses.replace(self, known_identity=identity, known_driving=driving)
+
     def with_motion(self, motion: SurfaceMotion) -> MimeMethod:
         """Return this method with the motion of the driving's surface in more frames than the keyframes."""
         return dataclasses.replace(self, motion=motion)
 
     def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
-        """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those."""
+        """Predict the joints of the identity and of the driving's keyframes; later frames are tracked from those.
+
+        Joints that the files have (`with_rigs`) are not predicted.
+        """
         identity, driving = face_outward(identity), dataclasses.replace(driving, mesh=face_outward(driving.mesh))
-        ranked = canonical_order(identity.vertices)
         # The two meshes are independent: the identity is prepared in a second thread.
         with ThreadPoolExecutor(1) as executor:
-            identity_rig = executor.submit(self._rig, identity)
-            follow, keyframes = self._follow(driving)
-            rig, confidence = identity_rig.result()
-        vertices = ranked.merge(identity.vertices)
-        body = WeightedMesh(vertices, ranked.group[identity.faces], rig, rig.weights)
-        fingers = self._moving_fingers(body, driving, keyframes)
-        full_rig, joints, parents = with_fingers(rig, self.joints, self.parents, fingers)
-        skinned = SkinnedMesh.of(vertices, full_rig, parents)
+            reading = executor.submit(self._read_identity, identity)
+            theirs = self._read_driving(driving)
+            mine = reading.result()
+        full_rig, joints, parents, follow = mine.rig, mine.joints, mine.parents, theirs.follow
+        if mine.skinned is None and theirs.keyframes is not None:  # both were predicted, so fingers may be, too
+            body = WeightedMesh(mine.vertices, mine.group[identity.faces], mine.rig, mine.rig.weights)
+            fingers = self._moving_fingers(body, driving, theirs.keyframes)
+            full_rig, joints, parents = with_fingers(mine.rig, joints, parents, fingers)
+            follow = follow_fingers(follow, fingers)
+        skinned = mine.skinned or SkinnedMesh.of(mine.vertices, full_rig, parents)
+        confidences = mine.confidence, theirs.confidence
         return SkinnedDrive(
             joints=joints,
-            rig=dataclasses.replace(full_rig, weights=full_rig.weights.take(ranked.group, axis=0)),
+            rig=dataclasses.replace(full_rig, weights=full_rig.weights.take(mine.group, axis=0)),
             skinned=skinned,
-            follow=follow_fingers(follow, fingers),
+            follow=follow,
             # Steps scale with the length of the legs.
-            stride=leg_length(rig.joints, self.legs) / keyframes.leg,
-            feet=Feet.of(
-                self.legs,
-                keyframes.leg,
-                find_soles(vertices, rig, self.legs, self.parents),
-                skinned,
-                keyframes.soles,
-                keyframes.samples,
-            ),
-            group=ranked.group,
+            stride=mine.leg / theirs.leg,
+            feet=_feet(mine, theirs, skinned),
+            group=mine.group,
             name=driving.mesh.name,
-            confidence=(_without_shares(confidence, identity), _without_shares(keyframes.confidence, driving.mesh)),
+            confidence=confidences if any(confidences) else None,
+            known=theirs.known,
+            linked=self._linked(theirs),
         )
+
+    def _read_identity(self, mesh: Mesh) -> IdentityReading:
+        """Return the joints of the identity: those of its file, else predicted ones."""
+        known = self.known_identity
+        if known is not None:
+            group = np.arange(len(mesh.vertices))
+            skinned = (known.joints, known.parents, known.rig, group, known.legs, known.leg)
+            return IdentityReading(mesh.vertices, *skinned, skinned=known.skinned)
+        ranked = canonical_order(mesh.vertices)
+        rig, confidence = self._rig(mesh)
+        leg = leg_length(rig.joints, self.legs)
+        merged = (ranked.merge(mesh.vertices), self.joints, self.parents, rig, ranked.group, self.legs, leg)
+        return IdentityReading(*merged, confidence=_without_shares(confidence, mesh))
+
+    def _read_driving(self, clip: Clip) -> DrivingReading:
+        """Return the joints of the driving: those of its file, else predicted and tracked ones."""
+        known = self.known_driving
+        if known is None:
+            follow, keyframes = self._follow(clip)
+            confidence = _without_shares(keyframes.confidence, clip.mesh)
+            return DrivingReading(
+                self.joints, follow, keyframes.leg, keyframes.samples, keyframes.soles, confidence, keyframes
+            )
+        samples = SurfacePoints.of(clip.mesh, SOLE_SAMPLES, generator(self.seed, 1))
+        soles = known.soles(samples, clip.vertices[0])
+        return DrivingReading(known.joints, _unread, known.leg, samples, soles, known=known.track)
+
+    def _linked(self, theirs: DrivingReading) -> LinkedJoints | None:
+        """Return which joint of the driving each joint of the identity follows, where the two have not the same."""
+        if self.known_identity is not None:
+            return self.known_identity.linked(theirs.joints)
+        if theirs.known is None:
+            return None
+        return linked_to_body(self.joints, self.parents, theirs.joints)
 
     def _moving_fingers(
         self, identity: WeightedMesh, driving: Clip, keyframes: KeyframePrediction
@@ -338,6 +414,18 @@ class MimeMethod:
             confidence = dataclasses.replace(confidence, prediction_spread=CONTRADICTION)
         rig = Rig(mean.rotation, joints, weights)
         return KeyframePrediction(t, tracked.points(frames[t]), rig, leg, confidence, samples)
+
+
+def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -> Feet | None:
+    """Find the contact points of the feet that both have."""
+    if len(mine.legs) != len(theirs.soles):
+        return None
+    soles = find_soles(mine.vertices, mine.rig, mine.legs, mine.parents)
+    return Feet.of(mine.legs, theirs.leg, soles, skinned, theirs.soles, theirs.samples)
+
+
+def _unread(vertices: Float[np.ndarray, "U 3"]) -> Pose:
+    raise ValueError("the joints of this driving are known for each frame: call driving_pose")
 
 
 def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:

@@ -1,0 +1,63 @@
+"""PersonMotion: the joints of a person over time, where a file has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True, eq=False)
+class PersonMotion:
+    """Joints of a person in T frames of a clip, in the clip's axes and unit."""
+
+    joints: tuple[str, ...]
+    """Names: joints of the shipped body and of fingers, the hips first. Joints that the file lacks are left out."""
+    rotation: Float[np.ndarray, "T J 3 3"]
+    """World rotation of each joint since the T-pose of the shipped body (y up, +z front)."""
+    positions: Float[np.ndarray, "T J 3"]
+    leg: float
+    """Length of a leg, from hip to ankle."""
+    weights: Float[np.ndarray, "V J"] | None = None
+    """Weight of each joint on the vertices of the clip; None: not known."""
+
+    front: str | None = None
+    """Axis to the person's front at rest, such as "+z"; None: not known."""
+
+    def cut(self, frames: slice) -> PersonMotion:
+        """Select frames."""
+        return replace(self, rotation=self.rotation[frames], positions=self.positions[frames])
+
+
+@runtime_checkable
+class JointSource(Protocol):
+    """The joints of the file that a clip was read from (see `Clip.skeleton`), read when they are needed."""
+
+    def cut(self, frames: slice) -> JointSource:
+        """Select frames of the clip."""
+        ...
+
+    def person(self) -> PersonMotion:
+        """Read the joints.
+
+        Raises:
+            InputError: they are not those of a person.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class KnownJoints:
+    """Joints that have been read already."""
+
+    motion: PersonMotion
+
+    def cut(self, frames: slice) -> KnownJoints:
+        """Select frames of the clip."""
+        return KnownJoints(self.motion.cut(frames))
+
+    def person(self) -> PersonMotion:
+        """Return the joints."""
+        return self.motion

@@ -1,0 +1,222 @@
+"""The own rig of a glTF character: reads it, moves it, and writes its file again with a further animation.
+
+The file keeps everything: the bytes of its buffers, nodes, names, skins, morph targets, materials, extensions and
+animations. The new animation comes first, because programs that play one animation play the first.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from ...bodies.character_pool import facing_rotation, sampled_poses
+from ...core.animated_rig import AnimatedRig
+from ...core.errors import InputError
+from ...core.geometry import nearest_rotation
+from ...core.mesh import Mesh
+from ...core.normalization import axis_name
+from ...core.person_motion import PersonMotion
+from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
+from .animation import AnimationChannel
+from .bake import sample_nodes
+from .character import read_clips, read_standing
+from .draft import AccessorCopier
+from .edit import GltfSource
+from .read import RestScene
+from .scene import DEFAULT_TRS, local_matrices, node_parents, sort_parents_first
+
+NodeTracks = dict[tuple[int, str], Float[np.ndarray, "T C"]]
+"""Animated values: (node, target path) -> value in every frame."""
+UNSKINNED = 0.02
+"""Largest share of vertices without any joint; more of them is a damaged skin."""
+SHEAR = 1e-3
+"""Largest deviation of a joint's axes from right angles: node transforms cannot hold shears (glTF 2.0, 3.5.3)."""
+UNCHANGED = 1e-6
+"""Difference, relative to the size of the character, below which a node keeps the value of its file."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnRig:
+    """The rig of a character in a glTF file."""
+
+    source: GltfSource
+    humanoid: HumanoidRig
+    nodes: list[int]
+    """Node of each joint of the character."""
+    scene: RestScene
+    """The scene in the rest pose of the character."""
+
+    def tracks(self, joints: list[int], transforms: Float[np.ndarray, "T K 4 4"]) -> NodeTracks:
+        """Compute the animated values of the file's nodes that give some joints a motion.
+
+        Args:
+            joints: indices of joints of the character.
+            transforms: rigid transform of each of them from the rest pose to every frame, in the world of the file.
+        """
+        document = self.source.document
+        parent = node_parents(document)
+        static = local_matrices(document)
+        moved = {self.nodes[joint]: transforms[:, k] for k, joint in enumerate(joints)}
+        world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
+        tracks: NodeTracks = {}
+        size = float(np.ptp(self.humanoid.character.mesh.vertices, axis=0).max())
+        for node in sort_parents_first(document, parent):
+            above = world[parent[node]]
+            if node not in moved:
+                world[node] = above @ static[node]
+                continue
+            world[node] = moved[node] @ self.scene.T_world_node[node]
+            local = np.linalg.inv(above) @ world[node]
+            tracks |= _node_tracks(document.gltf["nodes"][node], node, local, size)
+        return tracks
+
+    def write(self, skeleton: AnimatedRig, name: str, fps: float, path: Path) -> None:
+        """Write the file with a further animation, which comes first."""
+        self.write_tracks(self.tracks(self.humanoid.tree()[0], skeleton.transforms()), name, fps, path)
+
+    def write_tracks(self, tracks: NodeTracks, name: str, fps: float, path: Path) -> None:
+        """Write the file with a further animation of some nodes."""
+        copier = AccessorCopier(self.source.document, whole=True)
+        draft = copier.draft
+        nodes = draft.gltf["nodes"]
+        for node in {node for node, _ in tracks}:
+            if "matrix" in nodes[node]:  # animated nodes must not have a matrix (glTF 2.0, 3.5.3)
+                nodes[node] = _without_matrix(nodes[node])
+        frames = max((len(values) for values in tracks.values()), default=1)
+        times = draft.add_floats(np.arange(frames)[:, None] / fps, bounds=True)
+        samplers, channels = [], []
+        for (node, target), values in tracks.items():
+            samplers.append({"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)})
+            channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": target}})
+        animation = {"name": name, "samplers": samplers, "channels": channels}
+        draft.gltf["animations"] = [animation, *copy.deepcopy(draft.gltf.get("animations", []))]
+        draft.save(path)
+
+
+def read_own_rig(mesh: Mesh) -> OwnRig:
+    """Read the rig of a mesh that comes from a glTF file.
+
+    Raises:
+        InputError: no skin, a damaged one, or joints that are not those of a person; the message says why.
+    """
+    source = mesh.source
+    if not isinstance(source, GltfSource) or not source.document.gltf.get("skins"):
+        raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
+    document = source.document
+    path = document.path
+    standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
+    rig, nodes = standing.rig, standing.nodes
+    _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    turn = facing_rotation(standing.facing)
+
+    def poses() -> np.ndarray:
+        rest = standing.scene.T_world_node[nodes]
+        return sampled_poses(read_clips(document, rest, nodes, rig.parents, lambda name: False), rig, np.eye(3))
+
+    humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
+    return OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
+
+
+def has_skin(mesh: Mesh) -> bool:
+    """Return whether a mesh comes from a glTF file with a skin."""
+    return isinstance(mesh.source, GltfSource) and bool(mesh.source.document.gltf.get("skins"))
+
+
+@dataclass(frozen=True, eq=False)
+class GltfJoints:
+    """The joints of a glTF file in the frames of a clip that was read from it (`Clip.skeleton`)."""
+
+    mesh: Mesh
+    channels: list[AnimationChannel]
+    times: Float[np.ndarray, " T"]
+
+    def cut(self, frames: slice) -> GltfJoints:
+        """Select frames of the clip."""
+        return dataclasses.replace(self, times=self.times[frames])
+
+    def person(self) -> PersonMotion:
+        """Read the joints of a person.
+
+        Raises:
+            InputError: as `read_own_rig`.
+        """
+        rig = read_own_rig(self.mesh)
+        humanoid, document = rig.humanoid, rig.source.document
+        names = ("Hips", *(name for name in humanoid.joints if name != "Hips"))
+        of_name = [humanoid.joints[name] for name in names]
+        nodes = [rig.nodes[joint] for joint in of_name]
+        world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, self.channels, self.times)])
+        if not np.isfinite(world).all():
+            raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
+        rest_inverse = np.linalg.pinv(rig.scene.T_world_node[nodes][:, :3, :3])
+        moved = nearest_rotation(world[..., :3, :3] @ rest_inverse)
+        frames = np.stack([humanoid.frames[name] for name in names])
+        character = humanoid.character
+        column_of = {joint: k for k, joint in enumerate(of_name)}
+        weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
+        front = axis_name(humanoid.turn[2])
+        return PersonMotion(names, moved @ frames, world[..., :3, 3], humanoid.leg, weights, front)
+
+
+def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+    """Check that vertices have joints, and that joints can be animated.
+
+    Raises:
+        InputError: they do not, or cannot.
+    """
+    loose = float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
+    if loose > UNSKINNED:
+        raise InputError(f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without")
+    linear = T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)]), :3, :3]
+    scale = np.linalg.norm(linear, axis=1)
+    if not (scale > 0).all():
+        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing")
+    unit = linear / scale[:, None]
+    if np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR or (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)).any():
+        raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
+
+
+def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> NodeTracks:
+    """Decompose local transforms into those of translation, rotation and scale that differ from the file's."""
+    from scipy.spatial.transform import Rotation
+
+    own = entry if "matrix" not in entry else _without_matrix(entry)
+    translation, quaternion, scale = (np.array(own.get(key, default), float) for key, default in DEFAULT_TRS.items())
+    safe = np.where(scale == 0, 1.0, scale)
+    linear = local[:, :3, :3] / safe  # columns without the file's scale
+    factor = np.cbrt(np.abs(np.linalg.det(linear)))
+    rotation = Rotation.from_matrix(nearest_rotation(linear)).as_quat()
+    rotation *= np.where((rotation[:1] @ quaternion)[:, None] < 0, -1, 1)
+    flips = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    rotation[1:] *= flips[:, None]
+    found: NodeTracks = {}
+    reach = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size  # unit of the parent
+    if np.abs(local[:, :3, 3] - translation).max() > UNCHANGED * reach:
+        found[node, "translation"] = local[:, :3, 3]
+    if np.abs(rotation - quaternion).max() > UNCHANGED:
+        found[node, "rotation"] = rotation
+    if np.abs(factor - 1).max() > SHEAR:
+        found[node, "scale"] = factor[:, None] * safe
+    return found
+
+
+def _without_matrix(entry: dict[str, Any]) -> dict[str, Any]:
+    """Replace the matrix of a node by translation, rotation and scale."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    scale *= -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
+    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1, scale))
+    properties = {
+        "translation": matrix[:3, 3].tolist(),
+        "rotation": Rotation.from_matrix(rotation).as_quat().tolist(),
+        "scale": scale.tolist(),
+    }
+    return {key: value for key, value in entry.items() if key != "matrix"} | properties

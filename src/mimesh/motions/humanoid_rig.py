@@ -1,0 +1,199 @@
+"""A rigged humanoid of any maker, whose joints are known by name, and how its rest pose differs from a T-pose.
+
+The rotation of joint j since the T-pose of the shipped body is D_j(t) = M_j(t) A_j, where M_j is the rotation since the
+character's own rest pose and A_j (`frames`) takes the T-pose to that rest pose. D_j means the same for all characters:
+it turns the limbs of each of them to the same directions. So M_j(t) of an identity is D_j(t) of a driving times A_j^T.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody
+from ..bodies.character_limbs import Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
+from ..bodies.hands import body_with_fingers
+from ..bodies.joint_names import FINGERS, ancestors, named_fingers
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.geometry import unit_vectors
+from ..core.rig import descendants
+from .rest_calibration import rotation_between
+from .retarget import BONES, limb_alignments
+
+SIDES = ("Left", "Right")
+LEG = ("UpLeg", "Leg", "Foot")
+"""Joints of a leg from hip to ankle, without their side."""
+WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}
+"""Joints that stand for a whole limb in figures of blocks, and the joint at the limb's other end."""
+KNUCKLES = tuple(f"Hand{finger}1" for finger in FINGERS[1:])
+"""First joints of the fingers without the thumb, without their side."""
+
+
+@dataclass(frozen=True, eq=False)
+class HumanoidRig:
+    """A character at rest with the joints that are known by name, in the axes and unit of its file."""
+
+    character: SkinnedCharacter
+    """All joints; feet on roots of their own are children of their shins."""
+    joints: dict[str, int]
+    """Joint of the shipped body, or a finger's -> index of the character's joint."""
+    frames: dict[str, Float[np.ndarray, "3 3"]]
+    """Rotation A_j of each named joint from the T-pose (y up, +z front) to the character's rest pose."""
+    limbs: dict[str, Limb]
+    """Limbs in the axes of the file."""
+    turn: Float[np.ndarray, "3 3"]
+    """Rotation from the file's axes to y up, +z front."""
+
+    @property
+    def legs(self) -> tuple[tuple[int, ...], ...]:
+        """Hip, knee and ankle of each leg that has all three."""
+        chains = (tuple(self.joints.get(side + part, -1) for part in LEG) for side in SIDES)
+        return tuple(chain for chain in chains if -1 not in chain)
+
+    @property
+    def leg(self) -> float:
+        """Mean length of the legs, from hip to ankle; of a leg of one joint, to its sole."""
+        lengths = []
+        for side in SIDES:
+            chain = [self.limbs[side + part] for part in LEG[:2] if side + part in self.limbs]
+            lengths.append(sum(float(np.linalg.norm(limb.end - limb.start)) for limb in chain))
+        return float(np.mean(lengths))
+
+    @property
+    def whole_limbs(self) -> dict[str, str]:
+        """Joints that stand for a whole limb, and the joint of a person at the limb's other end."""
+        lower = {"Arm": "ForeArm", "UpLeg": "Leg"}
+        return {
+            side + part: side + end
+            for side in SIDES
+            for part, end in WHOLE.items()
+            if side + lower[part] not in self.joints
+        }
+
+    def tree(self) -> tuple[list[int], tuple[int, ...]]:
+        """Select the joints that move with the hips, the hips first, and the parent of each among them.
+
+        Besides those below the hips these are the joints elsewhere that move vertices: they go with the hips. Others
+        (handles of the animator, a root) stay as they are.
+        """
+        hips, parents = self.joints["Hips"], self.character.parents
+        below = descendants([hips], parents)
+        weighted = np.unique(self.character.joint_of[self.character.weights > 0]).tolist()
+        # The chain from a part that moves vertices up to the hips' tree or a root turns as one with the hips.
+        others = [j for j in weighted if j < len(parents) and j not in below]
+        kept = [hips, *(j for j in below if j != hips), *others]
+        place = {joint: k for k, joint in enumerate(kept)}
+        above = [-1]
+        for joint in kept[1:]:
+            chain = [j for j in ancestors(parents, joint)[1:] if j in place]
+            above.append(place[chain[0]] if chain else 0)
+        if all(parent < k for k, parent in enumerate(above)):
+            return kept, tuple(above)
+        depth = [_depth(above, k) for k in range(len(kept))]
+        order = np.argsort(depth, kind="stable")
+        rank = np.argsort(order)
+        return [kept[k] for k in order], tuple(int(rank[above[k]]) if above[k] >= 0 else -1 for k in order)
+
+
+def humanoid_rig(
+    character: SkinnedCharacter,
+    turn: Float[np.ndarray, "3 3"],
+    known: Mapping[str, int],
+    poses: Callable[[], Float[np.ndarray, "N J 4 4"]],
+    path: object,
+) -> tuple[HumanoidRig, list[int]]:
+    """Find the limbs of a character and calibrate its rest pose.
+
+    Args:
+        character: at rest, in the axes of its file.
+        turn: rotation about the vertical that makes it face +z.
+        known: joints that the file itself names, in place of those found by their names.
+        poses: makes transforms of each joint from rest to some poses; called if a foot is not below its shin.
+        path: in error messages.
+
+    Returns the rig, and the order of its joints: joint k is joint `order[k]` of `character`.
+
+    Raises:
+        InputError: limbs are not found by name, or are no chains.
+    """
+    facing = character.turned(turn)
+    joints = name_limb_joints(facing, path, known)
+    loose = any(
+        f"{side}Foot" in joints
+        and joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) not in ancestors(facing.parents, joints[f"{side}Foot"])
+        for side in SIDES
+    )
+    facing, joints, order = attach_feet(facing, joints, poses() if loose else np.zeros((0, 1, 4, 4)), path)
+    hands = {name: joints[name] for name in joints if name.endswith("Hand")}
+    joints |= named_fingers(facing.joint_names, facing.parents, hands)
+    moving = moves_vertices(facing)
+    joints = {name: joint for name, joint in joints.items() if moving[joint] or name in ("Hips", "Head")}
+    limbs = find_limbs(facing, joints, path)
+    frames = rest_frames(facing.joints, joints, limbs)
+    back = turn.T
+    rig = HumanoidRig(
+        facing.turned(back),
+        joints,
+        {name: back @ frame for name, frame in frames.items()},
+        {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
+        turn,
+    )
+    return rig, order.tolist()
+
+
+def rest_frames(
+    rest: Float[np.ndarray, "J 3"], joints: Mapping[str, int], limbs: Mapping[str, Limb]
+) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute A_j (see the module) of all named joints of a character that faces +z."""
+    body = body_with_fingers()
+    bones = {name: limb.end - limb.start for name, limb in limbs.items() if name in BONES}
+    aligned = limb_alignments(bones, body)
+    frames = {name: aligned.get(name, np.eye(3)) for name in joints}
+    positions = {name: rest[joint] for name, joint in joints.items()}
+    for side in SIDES:
+        if f"{side}Hand" in joints:
+            frames |= _hand_frames(positions, frames[f"{side}Hand"], side, body)
+    return frames
+
+
+def _hand_frames(
+    rest: Mapping[str, Float[np.ndarray, " 3"]], hand: Float[np.ndarray, "3 3"], side: str, body: RiggedBody
+) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Align a hand by its knuckles, and each finger joint by its bone; the last of a finger follows the one before.
+
+    With one knuckle only the direction of the hand is known, without one nothing: then it is as `hand`.
+    """
+    t_pose = {name: body.joints[j] for j, name in enumerate(body.joint_names)}
+    wrist, knuckles = f"{side}Hand", [side + knuckle for knuckle in KNUCKLES if side + knuckle in rest]
+    if knuckles:
+        along, old_along = (np.mean([at[name] for name in knuckles], axis=0) - at[wrist] for at in (rest, t_pose))
+        hand = rotation_between(hand @ old_along, along) @ hand
+        if len(knuckles) > 1:
+            across, old_across = (at[knuckles[0]] - at[knuckles[-1]] for at in (rest, t_pose))
+            hand = _axes(along, across) @ _axes(old_along, old_across).T
+    frames = {wrist: hand}
+    for finger in FINGERS:
+        frame = hand
+        chain = [name for k in (1, 2, 3) if (name := f"{side}Hand{finger}{k}") in rest]
+        for name, tail in zip(chain, [*chain[1:], None], strict=True):
+            if tail is not None:
+                frame = rotation_between(frame @ (t_pose[tail] - t_pose[name]), rest[tail] - rest[name]) @ frame
+            frames[name] = frame
+    return frames
+
+
+def _axes(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Build axes with the first along a vector and the second in the plane of both vectors."""
+    x = unit_vectors(first)
+    y = unit_vectors(second - (second @ x) * x)
+    return np.stack([x, y, np.cross(x, y)], axis=1)
+
+
+def _depth(parents: list[int], joint: int) -> int:
+    depth = 0
+    while parents[joint] >= 0:
+        joint, depth = parents[joint], depth + 1
+    return depth

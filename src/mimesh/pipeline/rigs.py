@@ -1,0 +1,140 @@
+"""Read the rigs of the files of a transfer, and pass them to a method: joints that a file has are not predicted."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import load_body
+from ..bodies.joint_names import ancestors, finger_joints
+from ..core.errors import InputError
+from ..core.joint_tracks import JointTrack
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import Normalization, axis_name
+from ..core.person_motion import PersonMotion
+from ..core.rig import Rig
+from ..core.skinning import SkinnedMesh
+from ..io.gltf.own_rig import OwnRig, has_skin, read_own_rig
+from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
+from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
+
+Axes = tuple[str | None, str | None, str | None, str | None]
+"""Up and front of the identity, up and front of the driving; None is detected."""
+RIGS = ("own", "mimesh", "none")
+"""Choices of `--rig`: the file's own rig where it has a sound one, the rig that mimesh finds, or points only."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rigs:
+    """The rigs that the files of a transfer have and that are used."""
+
+    identity: OwnRig | None = None
+    driving: PersonMotion | None = None
+    notes: tuple[str, ...] = ()
+    """Rigs that are not used, and why."""
+
+    @classmethod
+    def read(cls, identity: Mesh, clip: Clip, choice: str = "own") -> Rigs:
+        """Read the rigs of both files, where these have any; the identity's only if the choice is "own".
+
+        Raises:
+            InputError: a choice that is none of RIGS.
+        """
+        if choice not in RIGS:
+            raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
+        own, driving, notes = None, None, []
+        if choice == "own" and has_skin(identity):
+            try:
+                own = read_own_rig(identity)
+            except InputError as error:
+                notes.append(f"the rig of {identity.name} is not used, joints are found on its surface: {error}")
+        if clip.skeleton is not None:
+            try:
+                driving = clip.skeleton.person()
+            except InputError as error:
+                notes.append(f"the joints of {clip.mesh.name} are not used, they are found on its surface: {error}")
+        return cls(own, driving, tuple(notes))
+
+    def axes(self, axes: Axes) -> Axes:
+        """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
+        identity, driving = axes[:2], axes[2:]
+        if self.identity is not None and identity == (None, None):
+            identity = "+y", axis_name(self.identity.humanoid.turn[2])
+        if self.driving is not None and self.driving.front is not None and driving == (None, None):
+            driving = "+y", self.driving.front
+        return (*identity, *driving)
+
+    def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
+        """Return the method with the rigs; methods without joints are left as they are."""
+        if not isinstance(method, RigMethod) or (self.identity is None and self.driving is None):
+            return method
+        identity = None if self.identity is None else known_identity(self.identity.humanoid, norms[0])
+        driving = None if self.driving is None else known_driving(self.driving, fps, norms[1])
+        return method.with_rigs(identity, driving)
+
+
+def known_identity(humanoid: HumanoidRig, norm: Normalization) -> KnownIdentity:
+    """Normalise the rig of an identity and select the joints that move with its hips."""
+    character = humanoid.character
+    kept, parents = humanoid.tree()
+    of_joint = {joint: name for name, joint in reversed(humanoid.joints.items())}
+    place = {joint: k for k, joint in enumerate(kept)}
+    person_above = [
+        tuple(of_joint[kept[k]] for k in ancestors(parents, j) if kept[k] in of_joint) for j in range(len(kept))
+    ]
+    frames = np.stack([humanoid.frames[names[0] if names else "Hips"] for names in person_above])
+    columns = character.nearest_columns(place, 0)
+    weights = character.summed_weights(columns, len(kept))
+    rig = Rig(norm.rotation @ frames, norm.apply(character.joints[kept]), weights)
+    points = norm.apply(character.points.reshape(-1, 3)).reshape(character.points.shape)
+    skinned = SkinnedMesh.of_influences(columns[character.joint_of], character.weights, points, rig, parents)
+    body = load_body()
+    directions = {
+        name: _unit(body.joints[body.joint(end)] - body.joints[body.joint(name)])
+        for name, end in humanoid.whole_limbs.items()
+    }
+    return KnownIdentity(
+        joints=tuple(character.joint_names[j] for j in kept),
+        parents=parents,
+        rig=rig,
+        skinned=skinned,
+        legs=tuple(tuple(place[j] for j in leg) for leg in humanoid.legs),
+        leg=humanoid.leg / norm.radius,
+        person={name: place[joint] for name, joint in humanoid.joints.items() if joint in place},
+        above=tuple(person_above),
+        whole=humanoid.whole_limbs,
+        directions=directions,
+    )
+
+
+def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> KnownDriving:
+    """Normalise the joints of a driving clip."""
+    positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
+    track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
+    index = {name: k for k, name in enumerate(motion.joints)}
+    chains = (tuple(index.get(side + part, -1) for part in LEG) for side in SIDES)
+    legs = tuple(chain for chain in chains if -1 not in chain)
+    return KnownDriving(
+        motion.joints, track, motion.leg / norm.radius, motion.weights, legs, person_parents(motion.joints)
+    )
+
+
+def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:
+    """Return the parent of each joint among some joints of a person, the hips first: the nearest one above it."""
+    body = load_body()
+    above = {name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)}
+    for side in SIDES:
+        hand = f"{side}Hand"
+        fingers = finger_joints(side)
+        for k, name in enumerate(fingers):
+            chain = list(fingers[k - k % 3 : k])[::-1]
+            above[name] = [*chain, hand, *above[hand]]
+    index = {name: k for k, name in enumerate(names)}
+    return tuple(next((index[name] for name in above[own] if name in index), -1 if k == 0 else 0) for k, own in enumerate(names))
+
+
+def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:
+    return vector / np.linalg.norm(vector)
