@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -17,14 +15,6 @@ INFLUENCES = 4
 """Joints per vertex in a written file. Readers of glTF 2.0 must support 4, and many game engines support no more."""
 CHECKED_FRAMES = 16
 """Frames, evenly spread, in which the reduced weights are compared with the full ones."""
-
-
-class WritableRig(Protocol):
-    """The rig of a file, which can be written again with a further animation."""
-
-    def write(self, skeleton: AnimatedRig, name: str, fps: float, path: Path) -> None:
-        """Write the file with a new animation of this name."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +32,6 @@ class AnimatedRig:
     """World rotation of every joint in every frame."""
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
-    own: WritableRig | None = None
-    """The rig of the mesh's own file, if these joints are joints of it: it writes that file again."""
-
-    motion: str = "motion"
-    """Name of the animation."""
 
     def transforms(self) -> Float[np.ndarray, "T J 4 4"]:
         """Compute the transform of points that each joint moves, from rest to every frame."""

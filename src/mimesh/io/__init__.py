@@ -28,6 +28,7 @@ from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
     from ..core.animated_rig import AnimatedRig
+    from .gltf.own_rig import OwnAnimation
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -191,13 +192,26 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
     from .gltf.skinned import write_gltf_skinned
 
     path = Path(path)
+    _must_be_gltf(path)
+    with writing(path), whole_file(path) as temporary:
+        write_gltf_skinned(skeleton, fps, temporary)
+
+
+def save_on_own_rig(animation: OwnAnimation, path: str | Path) -> None:
+    """Write the identity's own glTF file with a new animation of its own bones.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    path = Path(path)
+    _must_be_gltf(path)
+    with writing(path), whole_file(path) as temporary:
+        animation.write(temporary)
+
+
+def _must_be_gltf(path: Path) -> None:
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
-    with writing(path), whole_file(path) as temporary:
-        if skeleton.own is not None:
-            skeleton.own.write(skeleton, skeleton.motion, fps, temporary)
-        else:
-            write_gltf_skinned(skeleton, fps, temporary)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

@@ -108,6 +108,7 @@ def animate(
     ground: bool = True,
     smooth: float = 0.0,
     skinned: bool = False,
+    rig: str = "own",
     progress: Progress | None = None,
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
@@ -131,6 +132,8 @@ def animate(
             corrected, with "drop" only heights.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
         skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
+        rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
+            its surface.
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames
@@ -147,7 +150,7 @@ def animate(
         clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
-    options = MotionOptions(root, ground, smooth, skinned)
+    options = MotionOptions(root, ground, smooth, skinned, rig)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     notes = moved.notes
     if len(clip) == 1:
@@ -164,6 +167,7 @@ def animate(
         identity,
         clip,
         moved.driving_joints,
+        moved.own,
     )
 
 

@@ -22,6 +22,7 @@ from ..io import save_clip, save_mesh
 
 if TYPE_CHECKING:
     from ..player.pack import Panel
+    from ..io.gltf.own_rig import OwnAnimation
     from ..player.page import Download
 
 LARGEST_DOWNLOAD = 32 * 2**20
@@ -190,6 +191,8 @@ class ClipResult(_Playable):
     """The clip whose motion was taken, for the same; its frames stay in memory, or on disk if they are many."""
     driving_joints: dict[str, Float[np.ndarray, " 3"]] | None = field(default=None, repr=False)
     """Joint -> position found in the first driving frame, in its file's axes, unit and position."""
+    own: OwnAnimation | None = field(default=None, repr=False)
+    """The motion on the bones of the identity's own file, if it has a rig that is used."""
 
     @property
     def fps(self) -> float:
@@ -229,8 +232,12 @@ class ClipResult(_Playable):
         Raises:
             InputError: the model has no joints.
         """
-        from ..io import save_skinned
+        from ..io import save_on_own_rig, save_skinned
 
+        if self.own is not None:
+            with self.seconds.step("write"):
+                save_on_own_rig(self.own, Path(path))
+            return Path(path)
         if self.skeleton is None:
             raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
         with self.seconds.step("write"):

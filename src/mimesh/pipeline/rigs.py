@@ -17,14 +17,16 @@ from ..core.normalization import Normalization, axis_name
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
-from ..io.gltf.own_rig import OwnRig, has_skin, read_own_rig
+from ..io.gltf.edit import GltfSource
+from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
+from ..io.gltf.shared_skeleton import SharedMotion, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
 from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
-RIGS = ("own", "mimesh", "none")
-"""Choices of `--rig`: the file's own rig where it has a sound one, the rig that mimesh finds, or points only."""
+RIGS = ("own", "mimesh")
+"""Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +35,8 @@ class Rigs:
 
     identity: OwnRig | None = None
     driving: PersonMotion | None = None
+    copied: SharedMotion | None = None
+    """The driving's animation, where both files have the same skeleton; then nothing else is needed."""
     notes: tuple[str, ...] = ()
     """Rigs that are not used, and why."""
 
@@ -45,18 +49,23 @@ class Rigs:
         """
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
-        own, driving, notes = None, None, []
-        if choice == "own" and has_skin(identity):
+        own, driving, copied, notes = None, None, None, []
+        kept = choice == "own" and has_rig(identity)
+        if kept:
             try:
                 own = read_own_rig(identity)
             except InputError as error:
                 notes.append(f"the rig of {identity.name} is not used, joints are found on its surface: {error}")
+        if kept and isinstance(clip.skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
+            copied = copy_motion(identity.source, clip.skeleton)
+            if copied is not None and (copied.same_rest or own is None):
+                return cls(copied=copied)
         if clip.skeleton is not None:
             try:
                 driving = clip.skeleton.person()
             except InputError as error:
                 notes.append(f"the joints of {clip.mesh.name} are not used, they are found on its surface: {error}")
-        return cls(own, driving, tuple(notes))
+        return cls(own, driving, None, tuple(notes))
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""

@@ -23,6 +23,9 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_axis
 from ..core.rig import Rig
+from ..io.gltf.edit import GltfSource
+from ..io.gltf.own_rig import OwnAnimation
+from ..io.gltf.shared_skeleton import SharedMotion
 from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
@@ -54,6 +57,11 @@ class MotionOptions:
     rig: str = "own"
     """One of `rigs.RIGS`. Other values have no effect on a method without joints."""
 
+    @property
+    def changes_motion(self) -> bool:
+        """Whether the result differs from the driving's motion on the same skeleton."""
+        return self.root != "scale" or self.smooth > 0
+
     def check(self, method: Method) -> None:
         """Raise InputError if a value is not allowed, or needs joints and the method has none."""
         if self.root not in ROOTS:
@@ -75,6 +83,8 @@ class MovedIdentity:
     vertices: Float[np.ndarray, "T V 3"]
     skeleton: AnimatedRig | None
     """Joints, skinning weights and motion of the identity, if the method has joints."""
+    own: OwnAnimation | None
+    """The motion on the bones of the identity's own file, if it has a rig that is used."""
     report: dict
     notes: tuple[str, ...]
     driving_joints: JointPositions | None = None
@@ -127,17 +137,18 @@ def prepare(
     refine: bool | None,
     options: MotionOptions,
     corrections: Corrections = NO_CORRECTIONS,
+    rigs: Rigs | None = None,
 ) -> Prepared:
     """Normalise both inputs, choose the method and prepare it.
 
-    The options are only checked here; `play` applies them.
+    The options are only checked here; `play` applies them. Rigs are read if none are given.
 
     Raises:
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-    rigs = Rigs.read(identity, clip, options.rig)
+    rigs = Rigs.read(identity, clip, options.rig) if rigs is None else rigs
     axes = rigs.axes(axes)
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
@@ -242,8 +253,33 @@ def move(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     with timer.step("prepare"):
-        prepared = prepare(identity, clip, choice, axes, refine, options, corrections)
+        rigs = Rigs.read(identity, clip, options.rig)
+        if rigs.copied is None or options.changes_motion:
+            prepared = prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+    if rigs.copied is not None and not options.changes_motion:
+        return copy_animation(identity, clip, rigs.copied, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
+
+
+def copy_animation(
+    identity: Mesh,
+    clip: Clip,
+    copied: SharedMotion,
+    timer: Timer,
+    progress: Progress | None,
+    dtype: type[np.floating],
+) -> MovedIdentity:
+    """Move an identity whose skeleton is the driving's: the joints get the same values, nothing is planted or placed."""
+    assert isinstance(identity.source, GltfSource)
+    own = OwnAnimation(identity.source, clip.mesh.name, copied.tracks, clip.fps, len(clip))
+    moved = allocate_frames(len(clip), len(identity.vertices), dtype)
+    with timer.step("drive"):
+        for t, vertices in enumerate(own.vertices()):
+            moved[t] = vertices
+            if progress is not None:
+                progress(t + 1, len(clip))
+    report = {**quality(identity, moved), **accelerations(clip, moved), "rig": "own", "copied": True}
+    return MovedIdentity(moved, None, own, report, ())
 
 
 def play(
@@ -280,17 +316,18 @@ def play(
     report = _report(prepared, moved)
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
-    skeleton = driving_joints = None
+    skeleton = driving_joints = own = None
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
         skeleton = _animated_rig(prepared, motion, shift)
+        own = _own_animation(prepared, skeleton)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
     notes += prepared.rigs.notes
-    notes += tuple(getattr(identity.source, "notes", ()))
-    return MovedIdentity(moved, skeleton, report, notes, driving_joints)
+    notes += () if own is not None else tuple(getattr(identity.source, "notes", ()))
+    return MovedIdentity(moved, skeleton, own, report, notes, driving_joints)
 
 
 def _report(prepared: Prepared, moved: Float[np.ndarray, "T V 3"]) -> dict:
@@ -391,5 +428,13 @@ def _animated_rig(prepared: Prepared, motion: _JointMotion, shift: Float[np.ndar
     rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
     if own is not None:
         identity = identity.with_vertices(own.humanoid.character.mesh.vertices)
-    name = prepared.clip.mesh.name
-    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root, own, name)
+    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root)
+
+
+def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | None:
+    """Return the motion on the bones of the identity's own file, if its rig is used."""
+    own, clip = prepared.rigs.identity, prepared.clip
+    if own is None:
+        return None
+    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
+    return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip))

@@ -20,7 +20,7 @@ from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, select_channels
-from .bake import bake_frames, frame_times
+from .bake import bake_frames
 from .blend_shapes import fit_blend_shapes
 from .build import build_document
 from .check import is_supported
@@ -28,7 +28,7 @@ from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
 from .motion import is_motion, read_motion_clip, read_motion_mesh
-from .own_rig import GltfJoints, has_skin
+from .own_rig import GltfJoints
 from .read import RestScene, read_rest
 
 
@@ -73,17 +73,33 @@ def read_gltf_clip(
     """
     document = open_document(path)
     if is_motion(document):
-        return read_motion_clip(document, fps, animation, progress)
+        clip = read_motion_clip(document, fps, animation, progress)
+        return dataclasses.replace(clip, skeleton=_joints(document, animation, clip, None))
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
-        return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+        clip = Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+        return dataclasses.replace(clip, skeleton=still_joints(mesh))
     channels = select_channels(document, animation)
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     count, frames = bake_frames(document, mesh.source.rest, channels, fps)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
-    skeleton = GltfJoints(mesh, channels, frame_times(document, channels, fps)) if has_skin(mesh) else None
+    skeleton = GltfJoints(document, channels, np.arange(count) / fps, mesh)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)
+
+
+def still_joints(mesh: Mesh) -> GltfJoints | None:
+    """Return the joints of a mesh as its glTF file has them at rest; None for other files, and moved vertices."""
+    source = mesh.source
+    if not isinstance(source, GltfSource) or not np.array_equal(mesh.vertices, source.vertices):
+        return None
+    return GltfJoints(source.document, [], np.zeros(1), mesh)
+
+
+def _joints(document: Document, animation: str | None, clip: Clip, mesh: Mesh | None) -> GltfJoints:
+    """Return the joints of a clip without a mesh, which the shipped body plays."""
+    played = None if clip.skeleton is None else clip.skeleton.person()
+    return GltfJoints(document, select_channels(document, animation), np.arange(len(clip)) / clip.fps, mesh, played)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:

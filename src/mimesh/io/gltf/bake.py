@@ -84,8 +84,32 @@ def _pose_frames(
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     """Yield the vertices of the Mesh in each frame."""
     morphing = {channel.node for channel in channels if channel.path == "weights"}
+    yield from _posed_blocks(document, rest, morphing, sample_nodes(document, channels, times))
+
+
+def pose_frames(
+    document: Document, rest: RestScene, values: AnimatedValues, frames: int
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in frames in which some properties of nodes have given values."""
+
+    def blocks() -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
+        for start in range(0, frames, FRAMES_PER_BLOCK):
+            some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
+            count = min(FRAMES_PER_BLOCK, frames - start)
+            yield some, world_matrices(document, animated_matrices(document, some, count))
+
+    return _posed_blocks(document, rest, {node for node, path in values if path == "weights"}, blocks())
+
+
+def _posed_blocks(
+    document: Document,
+    rest: RestScene,
+    morphing: set[int],
+    blocks: Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]],
+) -> Iterator[Float[np.ndarray, "V 3"]]:
+    """Yield the vertices of the Mesh in each frame of blocks of frames, as `sample_nodes` yields them."""
     parts = [_prepare_vertices(document, span, span.node in morphing) for span in rest.vertex_ranges]
-    for values, T_world_node in sample_nodes(document, channels, times):
+    for values, T_world_node in blocks:
         morph_weights = {node: value for (node, path), value in values.items() if path == "weights"}
         # Positions of one frame at a time: only node transforms are computed for a whole block.
         for t in range(len(T_world_node)):

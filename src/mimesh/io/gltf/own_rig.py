@@ -1,13 +1,14 @@
 """The own rig of a glTF character: reads it, moves it, and writes its file again with a further animation.
 
 The file keeps everything: the bytes of its buffers, nodes, names, skins, morph targets, materials, extensions and
-animations. The new animation comes first, because programs that play one animation play the first.
+animations.
 """
 
 from __future__ import annotations
 
 import copy
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.character_pool import facing_rotation, sampled_poses
-from ...core.animated_rig import AnimatedRig
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh
@@ -24,8 +24,9 @@ from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimationChannel
-from .bake import sample_nodes
+from .bake import pose_frames, sample_nodes
 from .character import read_clips, read_standing
+from .document import Document
 from .draft import AccessorCopier
 from .edit import GltfSource
 from .read import RestScene
@@ -76,26 +77,39 @@ class OwnRig:
             tracks |= _node_tracks(document.gltf["nodes"][node], node, local, size)
         return tracks
 
-    def write(self, skeleton: AnimatedRig, name: str, fps: float, path: Path) -> None:
-        """Write the file with a further animation, which comes first."""
-        self.write_tracks(self.tracks(self.humanoid.tree()[0], skeleton.transforms()), name, fps, path)
 
-    def write_tracks(self, tracks: NodeTracks, name: str, fps: float, path: Path) -> None:
-        """Write the file with a further animation of some nodes."""
+@dataclass(frozen=True, eq=False)
+class OwnAnimation:
+    """A new animation of the nodes of a glTF file, with which the file can be written again."""
+
+    source: GltfSource
+    name: str
+    tracks: NodeTracks
+    fps: float
+    frames: int
+
+    def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh in every frame."""
+        return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
+
+    def write(self, path: Path) -> None:
+        """Write the file with the animation, which comes first: programs that play one play the first."""
         copier = AccessorCopier(self.source.document, whole=True)
         draft = copier.draft
         nodes = draft.gltf["nodes"]
-        for node in {node for node, _ in tracks}:
+        for node in {node for node, _ in self.tracks}:
             if "matrix" in nodes[node]:  # animated nodes must not have a matrix (glTF 2.0, 3.5.3)
-                nodes[node] = _without_matrix(nodes[node])
-        frames = max((len(values) for values in tracks.values()), default=1)
-        times = draft.add_floats(np.arange(frames)[:, None] / fps, bounds=True)
+                properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
+                nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
+        times = draft.add_floats(np.arange(self.frames)[:, None] / self.fps, bounds=True)
         samplers, channels = [], []
-        for (node, target), values in tracks.items():
-            samplers.append({"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)})
+        for (node, target), values in self.tracks.items():
+            output = draft.add_floats(values.reshape(-1, 1) if target == "weights" else values)
+            samplers.append({"input": times, "interpolation": "LINEAR", "output": output})
             channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": target}})
-        animation = {"name": name, "samplers": samplers, "channels": channels}
-        draft.gltf["animations"] = [animation, *copy.deepcopy(draft.gltf.get("animations", []))]
+        if channels:
+            animation = {"name": self.name, "samplers": samplers, "channels": channels}
+            draft.gltf["animations"] = [animation, *copy.deepcopy(draft.gltf.get("animations", []))]
         draft.save(path)
 
 
@@ -106,7 +120,7 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
         InputError: no skin, a damaged one, or joints that are not those of a person; the message says why.
     """
     source = mesh.source
-    if not isinstance(source, GltfSource) or not source.document.gltf.get("skins"):
+    if not isinstance(source, GltfSource) or not has_rig(mesh):
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
     document = source.document
     path = document.path
@@ -123,22 +137,34 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
     return OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
 
 
-def has_skin(mesh: Mesh) -> bool:
-    """Return whether a mesh comes from a glTF file with a skin."""
-    return isinstance(mesh.source, GltfSource) and bool(mesh.source.document.gltf.get("skins"))
+def has_rig(mesh: Mesh) -> bool:
+    """Return whether a mesh comes from a glTF file with a skin or with moving parts."""
+    if not isinstance(mesh.source, GltfSource):
+        return False
+    gltf = mesh.source.document.gltf
+    return bool(gltf.get("skins") or gltf.get("animations"))
 
 
 @dataclass(frozen=True, eq=False)
 class GltfJoints:
     """The joints of a glTF file in the frames of a clip that was read from it (`Clip.skeleton`)."""
 
-    mesh: Mesh
+    document: Document
     channels: list[AnimationChannel]
     times: Float[np.ndarray, " T"]
+    mesh: Mesh | None
+    """The mesh that the clip shows; None: the file has no mesh."""
+    played: PersonMotion | None = None
+    """Joints of the body that plays the motion of a file without a mesh."""
 
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
-        return dataclasses.replace(self, times=self.times[frames])
+        played = None if self.played is None else self.played.cut(frames)
+        return dataclasses.replace(self, times=self.times[frames], played=played)
+
+    def values(self) -> NodeTracks:
+        """Sample the animated values of all nodes."""
+        return {(channel.node, channel.path): channel.sample(self.times) for channel in self.channels}
 
     def person(self) -> PersonMotion:
         """Read the joints of a person.
@@ -146,12 +172,16 @@ class GltfJoints:
         Raises:
             InputError: as `read_own_rig`.
         """
+        if self.mesh is None:
+            assert self.played is not None
+            return self.played
         rig = read_own_rig(self.mesh)
-        humanoid, document = rig.humanoid, rig.source.document
+        humanoid, document = rig.humanoid, self.document
         names = ("Hips", *(name for name in humanoid.joints if name != "Hips"))
         of_name = [humanoid.joints[name] for name in names]
         nodes = [rig.nodes[joint] for joint in of_name]
-        world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, self.channels, self.times)])
+        blocks = sample_nodes(document, self.channels, self.times)
+        world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
         if not np.isfinite(world).all():
             raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
         rest_inverse = np.linalg.pinv(rig.scene.T_world_node[nodes][:, :3, :3])
@@ -182,41 +212,37 @@ def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> 
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
+def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
+    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
+    from scipy.spatial.transform import Rotation
+
+    if "matrix" not in entry:
+        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
+    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
+    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
+    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
+    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
+
+
 def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> NodeTracks:
     """Decompose local transforms into those of translation, rotation and scale that differ from the file's."""
     from scipy.spatial.transform import Rotation
 
-    own = entry if "matrix" not in entry else _without_matrix(entry)
-    translation, quaternion, scale = (np.array(own.get(key, default), float) for key, default in DEFAULT_TRS.items())
-    safe = np.where(scale == 0, 1.0, scale)
-    linear = local[:, :3, :3] / safe  # columns without the file's scale
+    own = node_properties(entry)
+    scale = np.where(own["scale"] == 0, 1.0, own["scale"])
+    linear = local[:, :3, :3] / scale  # columns without the file's scale
     factor = np.cbrt(np.abs(np.linalg.det(linear)))
     rotation = Rotation.from_matrix(nearest_rotation(linear)).as_quat()
-    rotation *= np.where((rotation[:1] @ quaternion)[:, None] < 0, -1, 1)
-    flips = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-    rotation[1:] *= flips[:, None]
+    # Signs as in the frame before, for programs that interpolate without taking the shorter arc.
+    signs = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    rotation[1:] *= signs[:, None]
+    rotation *= -1.0 if rotation[0] @ own["rotation"] < 0 else 1.0
     found: NodeTracks = {}
-    reach = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size  # unit of the parent
-    if np.abs(local[:, :3, 3] - translation).max() > UNCHANGED * reach:
+    unit = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size
+    if np.abs(local[:, :3, 3] - own["translation"]).max() > UNCHANGED * unit:
         found[node, "translation"] = local[:, :3, 3]
-    if np.abs(rotation - quaternion).max() > UNCHANGED:
+    if np.abs(rotation - own["rotation"]).max() > UNCHANGED:
         found[node, "rotation"] = rotation
     if np.abs(factor - 1).max() > SHEAR:
-        found[node, "scale"] = factor[:, None] * safe
+        found[node, "scale"] = factor[:, None] * scale
     return found
-
-
-def _without_matrix(entry: dict[str, Any]) -> dict[str, Any]:
-    """Replace the matrix of a node by translation, rotation and scale."""
-    from scipy.spatial.transform import Rotation
-
-    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
-    scale = np.linalg.norm(matrix[:3, :3], axis=0)
-    scale *= -1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0
-    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1, scale))
-    properties = {
-        "translation": matrix[:3, 3].tolist(),
-        "rotation": Rotation.from_matrix(rotation).as_quat().tolist(),
-        "scale": scale.tolist(),
-    }
-    return {key: value for key, value in entry.items() if key != "matrix"} | properties

@@ -1,0 +1,150 @@
+"""Copies an animation to another file with the same skeleton: nodes are matched by name, values are taken as they are.
+
+Any kind of character will do, because nothing has to be known about its joints. Rest poses are compared in the frames
+of the joints' parents, as the inverse bind matrices have them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from .animation import animated_nodes
+from .document import Document
+from .edit import GltfSource
+from .motion import PLAYED_PATHS, rest_matrices
+from .own_rig import GltfJoints, NodeTracks, node_properties
+from .scene import local_matrices, node_parents, world_matrices
+
+SAME_ROTATION, SAME_BONE = 0.01, 0.002
+"""Largest differences of rest poses that count as the same: of the joints' axes, and of bones in lengths of the
+longest bone."""
+SHARED = 1.0
+"""Share of the identity's joints that the driving file must have, by name and parent."""
+
+
+@dataclass(frozen=True, eq=False)
+class SharedMotion:
+    """An animation copied from a file with the same skeleton."""
+
+    tracks: NodeTracks
+    same_rest: bool
+    """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
+
+
+def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
+    """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
+    mine, theirs = identity.document, driving.document
+    joints = _joint_nodes(mine)
+    pairs = _pairs(mine, theirs, joints)
+    if len(pairs) < max(SHARED * len(joints), 2):
+        return None
+    my_rest, their_rest = (_parent_frames(document, pairs_of) for document, pairs_of in (
+        (mine, list(pairs)), (theirs, list(pairs.values()))))
+    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(initial=0)
+    lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
+    longest = max(lengths[0].max(initial=0), 1e-12)
+    moved = np.abs(my_rest[:, :3, 3] - their_rest[:, :3, 3]).max(initial=0) / longest
+    above_same = _same_above(mine, theirs, pairs)
+    if turned > SAME_ROTATION or not above_same:
+        return None
+    same_rest = bool(moved < SAME_BONE)
+    scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
+    values = driving.values()
+    tracks: NodeTracks = {}
+    for k, (node, other) in enumerate(pairs.items()):
+        own, static = (node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other)))
+        for path in ("translation", "rotation", "scale"):
+            value = values.get((other, path), np.array(static[path], float)[None])
+            if path == "translation" and not same_rest:
+                value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
+            if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
+                value = value[:1]
+            if len(value) > 1 or np.abs(value - own[path]).max() > 0:
+                tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
+    return SharedMotion(tracks | _other_tracks(mine, theirs, values, set(tracks)), same_rest)
+
+
+def _joint_nodes(document: Document) -> list[int]:
+    """List the nodes that are joints of skins; of a file without skins, those that animations move."""
+    joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
+    return sorted(joints or animated_nodes(document, PLAYED_PATHS))
+
+
+def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
+    """Match joints to nodes of another file with the same name, whose parents match too."""
+    their_names = _names(theirs)
+    unique = {name: node for node, name in enumerate(their_names) if Counter(their_names)[name] == 1}
+    my_names, my_parents, their_parents = _names(mine), node_parents(mine), node_parents(theirs)
+    if mine is theirs:
+        return {node: node for node in joints}
+    pairs = {}
+    for node in joints:
+        other, above = unique.get(my_names[node]), my_parents[node]
+        if other is None:
+            continue
+        their_above = their_parents[other]
+        if above in set(joints) and (their_above < 0 or their_names[their_above] != my_names[above]):
+            continue
+        pairs[node] = other
+    return pairs
+
+
+def _names(document: Document) -> list[str]:
+    return [str(node.get("name", f"node{number}")) for number, node in enumerate(document.gltf.get("nodes", []))]
+
+
+def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K 4 4"]:
+    """Compute the transform of each node at rest in its parent's frame, in the unit of the parent."""
+    world, parent = rest_matrices(document), node_parents(document)
+    static = local_matrices(document)
+    chosen = set(nodes)
+    frames = [
+        np.linalg.pinv(world[parent[node]]) @ world[node] if parent[node] in chosen else static[node] for node in nodes
+    ]
+    return np.array(frames).reshape(-1, 4, 4)
+
+
+def _unit_axes(frames: Float[np.ndarray, "K 4 4"]) -> Float[np.ndarray, "K 3 3"]:
+    linear = frames[:, :3, :3]
+    return linear / np.maximum(np.linalg.norm(linear, axis=1, keepdims=True), 1e-12)
+
+
+def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:
+    """Tell whether the nodes above the roots of both skeletons have the same axes and unit."""
+    my_world, their_world = (world_matrices(document, local_matrices(document)) for document in (mine, theirs))
+    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    for node, other in pairs.items():
+        if my_parents[node] in pairs:
+            continue
+        above = [
+            np.eye(4) if parents[n] < 0 else world[parents[n]]
+            for world, parents, n in ((my_world, my_parents, node), (their_world, their_parents, other))
+        ]
+        size = np.abs(above[0][:3, :3]).max()
+        if np.abs(above[0][:3, :3] - above[1][:3, :3]).max() > SAME_ROTATION * size:
+            return False
+    return True
+
+
+def _other_tracks(mine: Document, theirs: Document, values: NodeTracks, done: set[tuple[int, str]]) -> NodeTracks:
+    """Copy the values of nodes that are no joints, by name: morph weights of a mesh with as many targets, props."""
+    their_names, my_names = _names(theirs), _names(mine)
+    tracks: NodeTracks = {}
+    for (other, path), value in values.items():
+        nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
+        for node in nodes[:1]:
+            fits = path != "weights" or value.shape[1] == _target_count(mine, node)
+            if fits and (node, path) not in done and not any(n == node for n, _ in done):
+                tracks[node, path] = value
+    return tracks
+
+
+def _target_count(document: Document, node: int) -> int:
+    mesh: Any = document.gltf["nodes"][node].get("mesh")
+    primitives = [] if mesh is None else document.gltf["meshes"][mesh]["primitives"]
+    return max((len(primitive.get("targets", [])) for primitive in primitives), default=0)
