@@ -53,20 +53,38 @@ Ground = Annotated[
     typer.Option("--ground/--no-ground", help="Plant soles where DRIVING's stand, by root path and legs (mime)."),
 ]
 Smooth = Annotated[float, typer.Option(metavar="SECONDS", help="Average the motion of joints over time (mime).")]
+Rig = Annotated[
+    str,
+    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
+]
 Joints = Annotated[
     Path | None,
     typer.Option(help="Joints of IDENTITY picked by hand; by default IDENTITY's .joints.json (mime).", metavar="FILE"),
 ]
-DrivingJoints = Annotated[
+DrivingRig = Annotated[
+    str,
+    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
+]
+Joints = Annotated[
     Path | None, typer.Option(help="The same of DRIVING, beside which it is found, too (mime).", metavar="FILE")
 ]
-NoJoints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
-SaveJoints = Annotated[
+NoRig = Annotated[
+    str,
+    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
+]
+Joints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
+SaveRig = Annotated[
+    str,
+    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
+]
+Joints = Annotated[
     Path | None, typer.Option(help="Write the joints found on IDENTITY, to be edited (mime).", metavar="FILE")
 ]
-SaveDrivingJoints = Annotated[
-    Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")
+SaveDrivingRig = Annotated[
+    str,
+    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
 ]
+Joints = Annotated[Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
@@ -83,6 +101,7 @@ def transfer(
     refine: Refine = None,
     reference: Reference = None,
     markers: Markers = None,
+    rig: Rig = "own",
     joints: Joints = None,
     driving_joints: DrivingJoints = None,
     no_joints: NoJoints = False,
@@ -119,6 +138,7 @@ def transfer(
         seed=seed,
         reference=reference,
         markers=markers,
+        rig=rig,
         joints=corrected.identity,
         driving_joints=corrected.driving,
     )
@@ -150,6 +170,7 @@ def animate(
     root: Root = "scale",
     ground: Ground = True,
     smooth: Smooth = 0.0,
+    rig: Rig = "own",
     joints: Joints = None,
     driving_joints: DrivingJoints = None,
     no_joints: NoJoints = False,
@@ -193,6 +214,7 @@ def animate(
             seed=seed,
             reference=reference,
             markers=markers,
+            rig=rig,
             start=start,
             stop=stop,
             step=step,

@@ -38,7 +38,10 @@ class AnimatedRig:
         turn = self.rotation @ self.rig.rotation.swapaxes(-1, -2)
         bones = self.rig.bones(self.parents)
         positions = np.stack(
-            [place_joints(root, bones, rotation, self.parents) for root, rotation in zip(self.root, self.rotation, strict=True)]
+            [
+                place_joints(root, bones, rotation, self.parents)
+                for root, rotation in zip(self.root, self.rotation, strict=True)
+            ]
         )
         transforms = np.tile(np.eye(4), (*turn.shape[:2], 1, 1))
         transforms[..., :3, :3] = turn

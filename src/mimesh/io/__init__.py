@@ -197,8 +197,11 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
         write_gltf_skinned(skeleton, fps, temporary)
 
 
-def save_on_own_rig(animation: OwnAnimation, path: str | Path) -> None:
+def save_on_own_rig(animation: OwnAnimation, path: str | Path, pose: bool = False) -> None:
     """Write the identity's own glTF file with a new animation of its own bones.
+
+    Args:
+        pose: put the bones into the first frame instead, without an animation.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
@@ -206,11 +209,11 @@ def save_on_own_rig(animation: OwnAnimation, path: str | Path) -> None:
     path = Path(path)
     _must_be_gltf(path)
     with writing(path), whole_file(path) as temporary:
-        animation.write(temporary)
+        animation.write_pose(temporary) if pose else animation.write(temporary)
 
 
 def _must_be_gltf(path: Path) -> None:
-    if path.suffix.lower() not in (".glb", ".gltf"):
+    if path.suffix.lower() not in (".glb", ".gltf", ".vrm"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
 
 

@@ -7,6 +7,7 @@ it turns the limbs of each of them to the same directions. So M_j(t) of an ident
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -178,7 +179,7 @@ def _hand_frames(
     for finger in FINGERS:
         frame = hand
         chain = [name for k in (1, 2, 3) if (name := f"{side}Hand{finger}{k}") in rest]
-        for name, tail in zip(chain, [*chain[1:], None], strict=True):
+        for name, tail in itertools.zip_longest(chain, chain[1:]):
             if tail is not None:
                 frame = rotation_between(frame @ (t_pose[tail] - t_pose[name]), rest[tail] - rest[name]) @ frame
             frames[name] = frame

@@ -82,7 +82,9 @@ def _joints_on_body(motion: Motion) -> PersonMotion:
     """Compute the joints of the shipped body in a motion, and their weights on its surface."""
     body = load_body()
     rotation, positions = joint_tracks(body, motion)
-    return PersonMotion(motion.joint_names, rotation, positions, leg_length(body.joints, body.joint_names), body.weights)
+    return PersonMotion(
+        motion.joint_names, rotation, positions, leg_length(body.joints, body.joint_names), body.weights
+    )
 
 
 def first_frame(motion: Motion) -> Mesh:

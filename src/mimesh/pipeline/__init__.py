@@ -17,6 +17,7 @@ from ..methods.base import Method
 from ..methods.find import find_method
 from .corrections import Corrections, GivenJoints
 from .result import ClipResult, Result, Timer
+from .rigs import still_clip
 from .run import Choice, MotionOptions, move
 
 
@@ -34,6 +35,7 @@ def transfer(
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
+    rig: str = "own",
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
 ) -> Result:
@@ -55,6 +57,8 @@ def transfer(
         refine: smooth the result, keeping the identity's surface details; None leaves it to the model.
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
+        rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
+            its surface, and its skin is dropped.
         joints: positions of some of the identity's joints, where the model finds them wrongly (mime only): joint ->
             (x, y, z) in the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are
             the keys of `Result.joints`.
@@ -68,9 +72,10 @@ def transfer(
         identity, driving = _read_mesh(identity), _read_mesh(driving)
     axes = (up, front, driving_up, driving_front)
     choice = _choice(model, ensemble, seed, reference, markers)
-    clip = Clip.still(driving)
+    clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
-    moved = move(identity, clip, choice, axes, refine, timer, corrections=corrections)
+    options = MotionOptions(rig=rig)
+    moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
     mesh = identity.with_vertices(moved.vertices[0])
     return Result(
         mesh,
@@ -82,6 +87,7 @@ def transfer(
         driving,
         moved.skeleton,
         moved.driving_joints,
+        moved.own,
     )
 
 
@@ -132,8 +138,7 @@ def animate(
             corrected, with "drop" only heights.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
         skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
-        rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
-            its surface.
+        rig: see `transfer`.
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames

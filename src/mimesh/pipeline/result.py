@@ -18,13 +18,15 @@ from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
-from ..io import save_clip, save_mesh
+from ..io import save_clip, save_mesh, save_on_own_rig
 
 if TYPE_CHECKING:
-    from ..player.pack import Panel
     from ..io.gltf.own_rig import OwnAnimation
+    from ..player.pack import Panel
     from ..player.page import Download
 
+GLTF = (".glb", ".gltf", ".vrm")
+"""Suffixes of files that hold joints."""
 LARGEST_DOWNLOAD = 32 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
 
@@ -153,6 +155,8 @@ class Result(_Playable):
     """Joints, skinning weights and pose of the identity, if the model has joints."""
     driving_joints: dict[str, Float[np.ndarray, " 3"]] | None = field(default=None, repr=False)
     """Joint -> position found on the driving mesh, in its file's axes, unit and position, if the model has joints."""
+    own: OwnAnimation | None = field(default=None, repr=False)
+    """The pose of the bones of the identity's own file, if it has a rig that is used."""
 
     @property
     def vertices(self) -> Float[np.ndarray, "V 3"]:
@@ -167,10 +171,17 @@ class Result(_Playable):
         return None if self.driving is None else Clip.still(self.driving)
 
     def save(self, path: str | Path) -> Path:
-        """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file."""
+        """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file.
+
+        A rigged glTF identity that moved on its own bones stays rigged: its bones are in the pose.
+        """
+        path = Path(path)
         with self.seconds.step("write"):
-            save_mesh(self.mesh, Path(path))
-        return Path(path)
+            if self.own is not None and path.suffix.lower() in GLTF:
+                save_on_own_rig(self.own, path, pose=True)
+            else:
+                save_mesh(self.mesh, path)
+        return path
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +243,7 @@ class ClipResult(_Playable):
         Raises:
             InputError: the model has no joints.
         """
-        from ..io import save_on_own_rig, save_skinned
+        from ..io import save_skinned
 
         if self.own is not None:
             with self.seconds.step("write"):

@@ -17,6 +17,7 @@ from ..core.normalization import Normalization, axis_name
 from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
+from ..io.gltf import still_joints
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.shared_skeleton import SharedMotion, copy_motion
@@ -27,6 +28,10 @@ Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
+
+
+LYING = 0.9
+"""Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,7 @@ class Rigs:
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
         own, driving, copied, notes = None, None, None, []
-        kept = choice == "own" and has_rig(identity)
+        kept = choice == "own" and has_rig(identity) and still_joints(identity) is not None
         if kept:
             try:
                 own = read_own_rig(identity)
@@ -72,8 +77,8 @@ class Rigs:
         identity, driving = axes[:2], axes[2:]
         if self.identity is not None and identity == (None, None):
             identity = "+y", axis_name(self.identity.humanoid.turn[2])
-        if self.driving is not None and self.driving.front is not None and driving == (None, None):
-            driving = "+y", self.driving.front
+        if self.driving is not None and driving in ((None, None), ("+y", None)):
+            driving = "+y", self.driving.front or heading_axis(self.driving.rotation[0, 0])
         return (*identity, *driving)
 
     def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
@@ -83,6 +88,22 @@ class Rigs:
         identity = None if self.identity is None else known_identity(self.identity.humanoid, norms[0])
         driving = None if self.driving is None else known_driving(self.driving, fps, norms[1])
         return method.with_rigs(identity, driving)
+
+
+def still_clip(mesh: Mesh) -> Clip:
+    """Make a clip of one frame of a mesh, with the joints of its file."""
+    return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
+
+
+def heading_axis(hips: Float[np.ndarray, "3 3"]) -> str:
+    """Return the horizontal axis nearest to where a person faces, from the rotation of the hips since the T-pose.
+
+    Of a person who lies on the front or the back it is the direction from the hips to the head, or its opposite.
+    """
+    front, up = hips[:, 2], hips[:, 1]
+    if abs(front[1]) > LYING:
+        front = -np.sign(front[1]) * up
+    return axis_name(front * [1, 0, 1])
 
 
 def known_identity(humanoid: HumanoidRig, norm: Normalization) -> KnownIdentity:
@@ -134,7 +155,9 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
 def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:
     """Return the parent of each joint among some joints of a person, the hips first: the nearest one above it."""
     body = load_body()
-    above = {name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)}
+    above = {
+        name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)
+    }
     for side in SIDES:
         hand = f"{side}Hand"
         fingers = finger_joints(side)
@@ -142,7 +165,9 @@ def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:
             chain = list(fingers[k - k % 3 : k])[::-1]
             above[name] = [*chain, hand, *above[hand]]
     index = {name: k for k, name in enumerate(names)}
-    return tuple(next((index[name] for name in above[own] if name in index), -1 if k == 0 else 0) for k, own in enumerate(names))
+    return tuple(
+        next((index[name] for name in above[own] if name in index), -1 if k == 0 else 0) for k, own in enumerate(names)
+    )
 
 
 def _unit(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:

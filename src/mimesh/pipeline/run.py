@@ -269,7 +269,7 @@ def copy_animation(
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Move an identity whose skeleton is the driving's: the joints get the same values, nothing is planted or placed."""
+    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted."""
     assert isinstance(identity.source, GltfSource)
     own = OwnAnimation(identity.source, clip.mesh.name, copied.tracks, clip.fps, len(clip))
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)

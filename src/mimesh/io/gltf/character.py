@@ -268,4 +268,3 @@ def carried_part(rig: SkinnedCharacter) -> SkinnedCharacter:
     points, weights = rig.points[used], rig.weights[used]
     mesh = Mesh(rig.mesh.vertices[used], (np.cumsum(used) - 1)[faces], name=rig.mesh.name)
     return dataclasses.replace(rig, mesh=mesh, joint_of=rig.joint_of[used], weights=weights, points=points)
-

@@ -27,7 +27,7 @@ from .animation import AnimationChannel
 from .bake import pose_frames, sample_nodes
 from .character import read_clips, read_standing
 from .document import Document
-from .draft import AccessorCopier
+from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .read import RestScene
 from .scene import DEFAULT_TRS, local_matrices, node_parents, sort_parents_first
@@ -92,15 +92,16 @@ class OwnAnimation:
         """Yield the vertices of the Mesh in every frame."""
         return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
 
+    def write_pose(self, path: Path) -> None:
+        """Write the file with its nodes as they are in the first frame, and nothing else changed."""
+        draft = self._copy()
+        for (node, target), values in self.tracks.items():
+            draft.gltf["nodes"][node][target] = values[0].tolist()
+        draft.save(path)
+
     def write(self, path: Path) -> None:
         """Write the file with the animation, which comes first: programs that play one play the first."""
-        copier = AccessorCopier(self.source.document, whole=True)
-        draft = copier.draft
-        nodes = draft.gltf["nodes"]
-        for node in {node for node, _ in self.tracks}:
-            if "matrix" in nodes[node]:  # animated nodes must not have a matrix (glTF 2.0, 3.5.3)
-                properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
-                nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
+        draft = self._copy()
         times = draft.add_floats(np.arange(self.frames)[:, None] / self.fps, bounds=True)
         samplers, channels = [], []
         for (node, target), values in self.tracks.items():
@@ -111,6 +112,19 @@ class OwnAnimation:
             animation = {"name": self.name, "samplers": samplers, "channels": channels}
             draft.gltf["animations"] = [animation, *copy.deepcopy(draft.gltf.get("animations", []))]
         draft.save(path)
+
+    def _copy(self) -> Draft:
+        """Copy the document, with properties in place of the matrix of each node that moves.
+
+        Animated nodes must not have a matrix (glTF 2.0, 3.5.3 Transformations).
+        """
+        draft = AccessorCopier(self.source.document, whole=True).draft
+        nodes = draft.gltf["nodes"]
+        for node in {node for node, _ in self.tracks}:
+            if "matrix" in nodes[node]:
+                properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
+                nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
+        return draft
 
 
 def read_own_rig(mesh: Mesh) -> OwnRig:
@@ -208,7 +222,10 @@ def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> 
     if not (scale > 0).all():
         raise InputError(f"{path}: expected joints with a size, found one scaled to nothing")
     unit = linear / scale[:, None]
-    if np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR or (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)).any():
+    if (
+        np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR
+        or (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)).any()
+    ):
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 

@@ -43,8 +43,10 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     pairs = _pairs(mine, theirs, joints)
     if len(pairs) < max(SHARED * len(joints), 2):
         return None
-    my_rest, their_rest = (_parent_frames(document, pairs_of) for document, pairs_of in (
-        (mine, list(pairs)), (theirs, list(pairs.values()))))
+    my_rest, their_rest = (
+        _parent_frames(document, pairs_of)
+        for document, pairs_of in ((mine, list(pairs)), (theirs, list(pairs.values())))
+    )
     turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(initial=0)
     lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
     longest = max(lengths[0].max(initial=0), 1e-12)

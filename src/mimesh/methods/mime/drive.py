@@ -22,8 +22,8 @@ from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.geometry import vertex_normals
-from ...core.mesh import Clip, Mesh
 from ...core.joint_tracks import JointTrack
+from ...core.mesh import Clip, Mesh
 from ...core.rig import Rig, leg_length
 from ...core.skinning import SkinnedMesh
 from ...core.soles import Feet, Soles, find_soles

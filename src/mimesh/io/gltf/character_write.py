@@ -1,0 +1,90 @@
+"""Writes a rigged character with its clips as a glTF file: a tree of joints, one skinned mesh, an animation a clip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from ...bodies.character_pool import CharacterClip, PoolCharacter
+from ...core.geometry import vertex_normals
+from .draft import ARRAY_BUFFER, Draft
+
+FLOAT, UNSIGNED_SHORT = 5126, 5123
+"""Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
+
+
+def write_character(character: PoolCharacter, path: Path, clips: Mapping[str, CharacterClip], fps: float) -> None:
+    """Write a character of a pool, facing +z, with the hierarchy of joints of its file and some of its clips."""
+    rig = character.rig
+    draft = Draft({"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"name": "scene"}], "nodes": []})
+    in_file = np.argsort(character.order)  # index in the rig of each joint of the file
+    world = rig.T_world_joint[in_file]
+    parents = character.file_parents
+    for j, parent in enumerate(parents):
+        local = world[j] if parent < 0 else np.linalg.inv(world[parent]) @ world[j]
+        draft.gltf["nodes"].append(_node(rig.joint_names[in_file[j]], local, parents, j))
+    draft.gltf["nodes"].append({"name": character.meta.file, "mesh": 0, "skin": 0})
+    draft.gltf["scenes"][0]["nodes"] = [*(j for j, parent in enumerate(parents) if parent < 0), len(parents)]
+    draft.gltf["meshes"] = [{"name": character.meta.file, "primitives": [_primitive(draft, character)]}]
+    inverse = np.linalg.inv(world)
+    inverse[:, 3] = [0, 0, 0, 1]
+    view = draft.add_view(inverse.swapaxes(-1, -2).reshape(-1, 16).astype("<f4"))
+    accessor = {"bufferView": view, "componentType": FLOAT, "count": len(parents), "type": "MAT4"}
+    draft.gltf["skins"] = [{"joints": list(range(len(parents))), "inverseBindMatrices": draft.add_accessor(accessor)}]
+    draft.gltf["animations"] = [_animation(draft, character, name, clip, fps) for name, clip in clips.items()]
+    draft.save(path)
+
+
+def _node(name: str, local: Float[np.ndarray, "4 4"], parents: tuple[int, ...], joint: int) -> dict:
+    from scipy.spatial.transform import Rotation
+
+    node = {
+        "name": name,
+        "translation": local[:3, 3].tolist(),
+        "rotation": Rotation.from_matrix(local[:3, :3]).as_quat().tolist(),
+    }
+    children = [j for j, parent in enumerate(parents) if parent == joint]
+    return node | ({"children": children} if children else {})
+
+
+def _primitive(draft: Draft, character: PoolCharacter) -> dict:
+    rig = character.rig
+    vertices, faces = rig.mesh.vertices, rig.mesh.faces
+    attributes = {
+        "POSITION": draft.add_floats(vertices, ARRAY_BUFFER, bounds=True),
+        "NORMAL": draft.add_floats(vertex_normals(vertices, faces), ARRAY_BUFFER),
+    }
+    columns = -(-rig.weights.shape[1] // 4)
+    padding = ((0, 0), (0, 4 * columns - rig.weights.shape[1]))
+    weights = np.pad(rig.weights, padding)
+    joints = np.where(weights > 0, character.order[np.pad(rig.joint_of, padding).clip(max=len(rig.parents) - 1)], 0)
+    for k in range(columns):
+        some = slice(4 * k, 4 * k + 4)
+        view = draft.add_view(joints[:, some].astype("<u2"), target=ARRAY_BUFFER)
+        accessor = {"bufferView": view, "componentType": UNSIGNED_SHORT, "count": len(joints), "type": "VEC4"}
+        attributes[f"JOINTS_{k}"] = draft.add_accessor(accessor)
+        attributes[f"WEIGHTS_{k}"] = draft.add_floats(weights[:, some], ARRAY_BUFFER)
+    return {"attributes": attributes, "indices": draft.add_indices(faces)}
+
+
+def _animation(draft: Draft, character: PoolCharacter, name: str, clip: CharacterClip, fps: float) -> dict:
+    """Add a clip: the rotation of every joint, and the translation of those that move; roots are turned to face +z."""
+    from scipy.spatial.transform import Rotation
+
+    times = draft.add_floats(np.arange(len(clip))[:, None] / fps, bounds=True)
+    samplers, channels = [], []
+    for j, parent in enumerate(character.file_parents):
+        rotation, translation = clip.rotations[:, j], clip.translations[:, j]
+        if parent < 0:
+            turn = Rotation.from_matrix(character.turn)
+            rotation, translation = (turn * Rotation.from_quat(rotation)).as_quat(), translation @ character.turn.T
+        outputs = {"rotation": rotation}
+        if np.ptp(translation, axis=0).max() > 0 or parent < 0:
+            outputs["translation"] = translation
+        for target, values in outputs.items():
+            samplers.append({"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)})
+            channels.append({"sampler": len(samplers) - 1, "target": {"node": j, "path": target}})
+    return {"name": name, "samplers": samplers, "channels": channels}
