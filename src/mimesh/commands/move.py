@@ -61,30 +61,14 @@ Joints = Annotated[
     Path | None,
     typer.Option(help="Joints of IDENTITY picked by hand; by default IDENTITY's .joints.json (mime).", metavar="FILE"),
 ]
-DrivingRig = Annotated[
-    str,
-    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
-]
-Joints = Annotated[
+DrivingJoints = Annotated[
     Path | None, typer.Option(help="The same of DRIVING, beside which it is found, too (mime).", metavar="FILE")
 ]
-NoRig = Annotated[
-    str,
-    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
-]
-Joints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
-SaveRig = Annotated[
-    str,
-    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
-]
-Joints = Annotated[
+NoJoints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.json beside IDENTITY and DRIVING.")]
+SaveJoints = Annotated[
     Path | None, typer.Option(help="Write the joints found on IDENTITY, to be edited (mime).", metavar="FILE")
 ]
-SaveDrivingRig = Annotated[
-    str,
-    typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
-]
-Joints = Annotated[Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")]
+SaveDrivingJoints = Annotated[Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 

@@ -90,6 +90,10 @@ class Rigs:
         return method.with_rigs(identity, driving)
 
 
+NO_RIGS = Rigs()
+"""All joints are found on the surfaces."""
+
+
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))

@@ -32,7 +32,7 @@ from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
-from .rigs import Axes, Rigs
+from .rigs import NO_RIGS, Axes, Rigs
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -120,7 +120,7 @@ class Prepared:
     """The identity, normalised."""
     refinement: Refinement | None
     """Refines results; None leaves them as they are."""
-    rigs: Rigs = Rigs()
+    rigs: Rigs = NO_RIGS
     """The rigs of the files that are used."""
 
     def with_refinement(self, refine: bool | None) -> Prepared:
