@@ -8,8 +8,8 @@ ignores extra bones still finds every named bone in its place.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -19,11 +19,9 @@ from ..core.errors import InputError
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig, descendants
 from ..core.skinning import blend_matrices, place_joints, skin_points
-from .engine_names import REQUIRED, SCHEMES, Scheme
+from .engine_names import REQUIRED, SCHEMES, RestPose, Scheme, check_layout
 from .joint_names import FINGERS
 
-RestPose = Literal["file", "T", "A"]
-"""Pose that a skeleton is bound in: that of the file, arms horizontal, or arms lowered by A_ANGLE."""
 A_ANGLE = 50.0
 """Degrees by which the arms of the A-pose are below the horizontal. Epic's documentation gives no angle; tutorials turn
 the mannequin's upper arms up by 50 degrees for a T-pose."""
@@ -59,7 +57,8 @@ def engine_rig(
     Raises:
         InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
     """
-    _check(skeleton, names, rest)
+    check_layout(names, rest)
+    _check_joints(skeleton, names, rest)
     scheme = SCHEMES[names]
     if not scheme.bones and not root_bone and rest == "file":
         return skeleton
@@ -69,12 +68,8 @@ def engine_rig(
     return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
 
 
-def _check(skeleton: AnimatedRig, names: str, rest: str) -> None:
-    """Check that the scheme and the rest pose exist, and that the rig has the joints they need."""
-    if names not in SCHEMES:
-        raise InputError(f"--names: expected one of {', '.join(SCHEMES)}, found {names!r}; choose one of them")
-    if rest not in ("file", "T", "A"):
-        raise InputError(f"--rest: expected file, T or A, found {rest!r}; choose one of them")
+def _check_joints(skeleton: AnimatedRig, names: str, rest: RestPose) -> None:
+    """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]
     if missing and (SCHEMES[names].bones or rest != "file"):
         option = f"--names {names}" if SCHEMES[names].bones else f"--rest {rest}"
@@ -156,7 +151,7 @@ def _turn_fingers(
     for finger in FINGERS:
         target = axes @ [left, 0.0, 1.0 if finger == "Thumb" else 0.0]
         chain = [limb[name] for k in (1, 2, 3) if (name := f"Hand{finger}{k}") in limb]
-        for joint, end in zip(chain, chain[1:], strict=False):
+        for joint, end in pairwise(chain):
             bone = skeleton.rig.joints[end] - skeleton.rig.joints[joint]
             turn[joint] = _swing(turn[joint] @ bone, target) @ turn[joint]
             turn[end] = turn[joint]
@@ -208,13 +203,14 @@ def _rest_vertices(
 class _Bones:
     """Bones that are collected one by one, each with its parent's index, its rest position and its motion."""
 
-    names: list[str]
-    parents: list[int]
-    source: list[int]
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    source: list[int] = field(default_factory=list)
     """Joint whose rotation a bone has."""
-    weighted: list[bool]
-    joints: list[Float[np.ndarray, " 3"]]
-    positions: list[Float[np.ndarray, "T 3"]]
+    weighted: list[bool] = field(default_factory=list)
+    """Whether a bone has that joint's weights, too."""
+    joints: list[Float[np.ndarray, " 3"]] = field(default_factory=list)
+    positions: list[Float[np.ndarray, "T 3"]] = field(default_factory=list)
 
     def add(
         self,
@@ -244,16 +240,14 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
     index = {name: j for j, name in enumerate(skeleton.names)}
     named = [index[joint] for joint in scheme.bones if joint in index]
     extra = [j for j in range(len(index)) if j not in set(named) and rig.weights[:, j].any()]
-    bones, placed = _Bones([], [], [], [], [], []), dict[int, int]()
-
+    bones, placed = _Bones(), dict[int, int]()
     for j in (*named, *extra):
         name = scheme.bones.get(skeleton.names[j], skeleton.names[j])
-        # A named bone hangs on a named one, an extra bone on any: extra bones are leaves of the scheme's hierarchy.
+        # Named bones come first, so the parent of one is a named bone; that of an extra bone may be either.
         parent = _placed_ancestor(skeleton.parents, j, placed)
         if name in scheme.inserted and parent >= 0:
             parent = _insert(bones, scheme.inserted[name], parent, rig.joints[j], skeleton)
         placed[j] = bones.add(name, parent, j, rig.joints[j], positions[:, j], True)
-
     weights = np.where(bones.weighted, rig.weights[:, bones.source], 0.0)
     new = Rig(rig.rotation[bones.source], np.stack(bones.joints), weights)
     paths = np.stack(bones.positions, axis=1)

@@ -92,9 +92,7 @@ class AnimatedRig:
         return float(np.linalg.norm(differences, axis=-1).max() / np.ptp(self.mesh.vertices, axis=0).max())
 
 
-def local_rotations(
-    rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]
-) -> Float[np.ndarray, "T J 3 3"]:
+def local_rotations(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 3 3"]:
     """Compute rotations in the frames of the parents from those in the world; the root's stays that in the world."""
     local = rotation.copy()
     above = list(parents[1:])
