@@ -33,7 +33,9 @@ def three() -> list[str]:
     folder, node = Path(os.environ.get("MIMESH_THREE", CLIENTS / "three")), shutil.which("node")
     modules = folder / "node_modules"
     if node is None or not (modules / "three").is_dir() or not (modules / "@pixiv" / "three-vrm").is_dir():
-        pytest.skip(f"no three.js and three-vrm in {folder}: run make clients with Node.js installed, or set MIMESH_THREE")
+        pytest.skip(
+            f"no three.js and three-vrm in {folder}: run make clients with Node.js installed, or set MIMESH_THREE"
+        )
     return [node, str(Path(__file__).with_name("play_skinned.mjs")), str(modules)]
 
 
