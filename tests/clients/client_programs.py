@@ -28,6 +28,17 @@ def validator() -> list[str]:
     return [node, str(Path(__file__).with_name("validate.cjs")), str(folder / "node_modules" / "gltf-validator")]
 
 
+def three() -> list[str]:
+    """Return the command that plays a skinned glTF file in three.js; the file and times in seconds are to be added."""
+    folder, node = Path(os.environ.get("MIMESH_THREE", CLIENTS / "three")), shutil.which("node")
+    modules = folder / "node_modules"
+    if node is None or not (modules / "three").is_dir() or not (modules / "@pixiv" / "three-vrm").is_dir():
+        pytest.skip(
+            f"no three.js and three-vrm in {folder}: run make clients with Node.js installed, or set MIMESH_THREE"
+        )
+    return [node, str(Path(__file__).with_name("play_skinned.mjs")), str(modules)]
+
+
 @functools.cache
 def _answers(program: Path, *arguments: str) -> bool:
     return program.is_file() and not subprocess.run([program, *arguments], capture_output=True).returncode

@@ -17,7 +17,7 @@ from mimesh.bodies.sampling import JOINT_LIMITS, lowered_arms, rotvec_to_rotmat,
 from mimesh.core.errors import InputError
 from mimesh.evaluate.cross_body import check_character, cross_body, find_landmarks, pose_at_rest, pose_on_rig
 from mimesh.evaluate.metrics import pmd_of_pair, resized
-from mimesh.io.gltf.skin import read_skin
+from mimesh.io.gltf.skin_file import read_skin
 from mimesh.motions.retarget import BONES, to_local
 
 SCHEMES = ("cmu", "mixamo", "quaternius", "kaykit", "unreal", "vroid")

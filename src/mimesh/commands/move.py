@@ -68,7 +68,22 @@ NoJoints = Annotated[bool, typer.Option("--no-joints", help="Ignore the .joints.
 SaveJoints = Annotated[
     Path | None, typer.Option(help="Write the joints found on IDENTITY, to be edited (mime).", metavar="FILE")
 ]
-SaveDrivingJoints = Annotated[Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")]
+SaveDrivingJoints = Annotated[
+    Path | None, typer.Option(help="Write those found on DRIVING's first frame (mime).", metavar="FILE")
+]
+Names = Annotated[
+    str,
+    typer.Option(
+        metavar="SCHEME", help="Bone names and hierarchy with --skinned: mixamo, unreal, vrm, godot, rigify or mimesh."
+    ),
+]
+RootBone = Annotated[
+    bool, typer.Option("--root-bone", help="Put the way over the ground on a bone above the hips (--skinned).")
+]
+Rest = Annotated[str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in (--skinned): file, T or A.")]
+OutputFps = Annotated[
+    float | None, typer.Option(help="Frame rate of the output, sampled from DRIVING's (--skinned): 30, 60.")
+]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
 
@@ -163,6 +178,10 @@ def animate(
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
     ] = False,
+    names: Names = "mimesh",
+    root_bone: RootBone = False,
+    rest: Rest = "file",
+    output_fps: OutputFps = None,
     blendshapes: BlendShapes = None,
     preview: Preview = True,
     open_it: Open = False,
@@ -182,6 +201,7 @@ def animate(
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     _check_clip_output(output, skinned, blendshapes)
+    layout = _checked_layout(skinned, names, root_bone, rest, output_fps)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
     with progress("frames", quiet or json) as advance:
@@ -213,9 +233,10 @@ def animate(
     result.seconds["load"] += seconds
     save_joint_files(result, identity, driving, save_joints, save_driving_joints, start)
     with progress("writing", quiet or json) as advance:
-        result.save_skinned(output) if skinned else result.save(output, blendshapes, advance)
+        result.save_skinned(output, **layout) if skinned else result.save(output, blendshapes, advance)
     notes = animations_note(clip.mesh, driving) if animation is None else ()
     notes += taken_rate_note(clip, driving) if fps is None else ()
+    notes += () if output_fps is None else (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",)
     shown = _write_preview(result, output, preview, open_it)
     _print_result(result, output, shown, json, quiet, notes, corrected.described())
 
@@ -311,6 +332,20 @@ def _check_clip_output(output: Path, skinned: bool, blendshapes: int | None) -> 
     if skinned and blendshapes:
         raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
     _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
+
+
+def _checked_layout(skinned: bool, names: str, root_bone: bool, rest: str, output_fps: float | None) -> dict[str, Any]:
+    """Check the options that are for skinned files before the work is done; returns them for `save_skinned`."""
+    from ..bodies.engine_names import check_layout
+    from ..core.errors import InputError
+
+    given = {"--names": names != "mimesh", "--root-bone": root_bone, "--rest": rest != "file"}
+    given["--output-fps"] = output_fps is not None
+    option = next((option for option, is_given in given.items() if is_given), None)
+    if option is not None and not skinned:
+        raise InputError(f"{option}: expected --skinned with it, found none; add it, or leave {option} out")
+    check_layout(names, rest, output_fps)
+    return {"names": names, "root_bone": root_bone, "rest": rest, "fps": output_fps}
 
 
 def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:

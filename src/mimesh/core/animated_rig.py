@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int
 
+from .geometry import slerp
 from .mesh import Mesh
 from .rig import Rig
 from .skinning import SkinnedMesh, place_joints
@@ -32,6 +33,41 @@ class AnimatedRig:
     """World rotation of every joint in every frame."""
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
+    positions: Float[np.ndarray, "T J 3"] | None = None
+    """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
+
+    def joint_positions(self) -> Float[np.ndarray, "T J 3"]:
+        """Return the position of every joint in every frame."""
+        if self.positions is not None:
+            return self.positions
+        bones = self.rig.bones(self.parents)
+        frames = zip(self.root, self.rotation, strict=True)
+        return np.stack([place_joints(root, bones, rotation, self.parents) for root, rotation in frames])
+
+    def local_positions(self) -> Float[np.ndarray, "T J 3"]:
+        """Compute the position of every joint in the frame of its parent; the root's is that in the world."""
+        local = self.joint_positions().copy()
+        above = list(self.parents[1:])
+        steps = local[:, 1:] - local[:, above]
+        local[:, 1:] = (self.rotation[:, above].swapaxes(-1, -2) @ steps[..., None])[..., 0]
+        return local
+
+    def resampled(self, fps: float, output_fps: float) -> AnimatedRig:
+        """Sample the motion, which has `fps` frames a second, at another rate, between frames as players of glTF do.
+
+        Rotations in the frames of the parents are interpolated by slerp, positions linearly.
+        """
+        before, after, fraction = frames_around(len(self.root), fps, output_fps)
+        rotations, positions = local_rotations(self.rotation, self.parents), self.local_positions()
+        rotations = slerp(rotations[before], rotations[after], fraction[:, None])
+        weight = fraction[:, None, None]
+        positions = positions[before] * (1 - weight) + positions[after] * weight
+        for j, parent in enumerate(self.parents):
+            if parent >= 0:
+                positions[:, j] = positions[:, parent] + (rotations[:, parent] @ positions[:, j, :, None])[..., 0]
+                rotations[:, j] = rotations[:, parent] @ rotations[:, j]
+        kept = None if self.positions is None else positions
+        return replace(self, rotation=rotations, root=positions[:, 0], positions=kept)
 
     def transforms(self) -> Float[np.ndarray, "T J 4 4"]:
         """Compute the transform of points that each joint moves, from rest to every frame."""
@@ -64,5 +100,29 @@ class AnimatedRig:
         np.put_along_axis(reduced, joints, weights, axis=1)
         skinned = SkinnedMesh.of(self.mesh.vertices, replace(self.rig, weights=reduced), self.parents)
         chosen = np.unique(np.linspace(0, len(frames) - 1, CHECKED_FRAMES).round().astype(int))
-        differences = [skinned.posed(self.rotation[t], self.root[t]) - frames[t] for t in chosen]
+        positions = None if self.positions is None else self.positions[chosen]
+        part = replace(self, rotation=self.rotation[chosen], root=self.root[chosen], positions=positions)
+        posed = map(skinned.posed_at, part.rotation, part.joint_positions())
+        differences = [vertices - frames[t] for t, vertices in zip(chosen, posed, strict=True)]
         return float(np.linalg.norm(differences, axis=-1).max() / np.ptp(self.mesh.vertices, axis=0).max())
+
+
+def local_rotations(rotation: Float[np.ndarray, "T J 3 3"], parents: tuple[int, ...]) -> Float[np.ndarray, "T J 3 3"]:
+    """Compute rotations in the frames of the parents from those in the world; the root's stays that in the world."""
+    local = rotation.copy()
+    above = list(parents[1:])
+    local[:, 1:] = rotation[:, above].swapaxes(-1, -2) @ rotation[:, 1:]
+    return local
+
+
+def frames_around(
+    count: int, fps: float, output_fps: float
+) -> tuple[Int[np.ndarray, " N"], Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Find, for each frame at another rate, the frames before and after it, and the fraction of the way between."""
+    last = count - 1
+    # The tolerance keeps the last frame when 1/fps came from a rounded "Frame Time: .0083333".
+    total = int(np.floor(last / fps * output_fps + 1e-3)) + 1
+    at = np.minimum(np.arange(total) * (fps / output_fps), last)
+    # A motion of one frame has only index 0.
+    before = np.minimum(np.floor(at).astype(int), max(last - 1, 0))
+    return before, np.minimum(before + 1, last), at - before

@@ -226,6 +226,17 @@ def rotate_between(
     return np.where(opposite, -vectors, turned)
 
 
+def slerp(
+    start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], fraction: Float[np.ndarray, "*B 1"]
+) -> Float[np.ndarray, "*B J 3 3"]:
+    """Interpolate rotations spherically: at `fraction` (0..1) of the smallest rotation from `start` to `stop`."""
+    from scipy.spatial.transform import Rotation
+
+    difference = Rotation.from_matrix((np.swapaxes(start, -1, -2) @ stop).reshape(-1, 3, 3)).as_rotvec()
+    fractions = np.broadcast_to(fraction, start.shape[:-2]).reshape(-1, 1)
+    return start @ Rotation.from_rotvec(difference * fractions).as_matrix().reshape(start.shape)
+
+
 def angles_between(
     first: Float[np.ndarray, "*#B 3 3"], second: Float[np.ndarray, "*#B 3 3"]
 ) -> Float[np.ndarray, "*C"]:

@@ -189,7 +189,13 @@ class SkinnedMesh:
 
     def posed(self, rotation: Float[np.ndarray, "J 3 3"], root: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "V 3"]:
         """Compute the vertices from the world rotation of every joint and the position of the root joint."""
-        transforms = np.concatenate([rotation.swapaxes(-1, -2), self.joint_positions(rotation, root)[:, None]], axis=1)
+        return self.posed_at(rotation, self.joint_positions(rotation, root))
+
+    def posed_at(
+        self, rotation: Float[np.ndarray, "J 3 3"], positions: Float[np.ndarray, "J 3"]
+    ) -> Float[np.ndarray, "V 3"]:
+        """Compute the vertices from the world rotation and position of every joint; bones may change their lengths."""
+        transforms = np.concatenate([rotation.swapaxes(-1, -2), positions[:, None]], axis=1)
         maps, vertices, start = transforms.astype(np.float32), np.empty((len(self.place), 3)), 0
         for block in self.blocks:
             of_block, end = maps[block.joints].reshape(-1, 3), start + len(block.packed)

@@ -27,7 +27,7 @@ from ..bodies.joint_names import named_joints, require_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from ..io.gltf.skin import read_skin
+from ..io.gltf.skin_file import read_skin
 from ..motions.retarget import BONES, NEEDED, alignments, to_local
 from .pairs import Pair, Pose, human
 from .protocols import Wide

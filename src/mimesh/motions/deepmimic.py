@@ -21,8 +21,9 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.errors import InputError
+from ..core.geometry import slerp
 from .bvh import Bvh
-from .motion import Motion, leg_length, rotmat_to_rotvec, slerp
+from .motion import Motion, leg_length, rotmat_to_rotvec
 from .retarget import retarget
 
 NUMBERS = 44

@@ -16,9 +16,10 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.joint_names import other_side
 from ..bodies.sampling import rotvec_to_rotmat
+from ..core.animated_rig import frames_around
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, store_frames
-from ..core.geometry import MIRROR, mirrored_rotations
+from ..core.geometry import MIRROR, mirrored_rotations, slerp
 from ..core.mesh import Clip
 
 LEG = ("LeftUpLeg", "LeftLeg", "LeftFoot")
@@ -79,27 +80,10 @@ def resample(motion: Motion, fps: float) -> Motion:
     """
     if not fps > 0:
         raise InputError(f"{motion.name}: expected a positive frame rate, found {fps:g}; give for example 30")
-    last = len(motion) - 1
-    # The tolerance keeps the last frame when 1/fps came from a rounded "Frame Time: .0083333".
-    count = int(np.floor(last / motion.fps * fps + 1e-3)) + 1
-    at = np.minimum(np.arange(count) * (motion.fps / fps), last)
-    # Frame indices before and after each output time; a motion of one frame has only index 0.
-    before = np.minimum(np.floor(at).astype(int), max(last - 1, 0))
-    after, fraction = np.minimum(before + 1, last), at - before
+    before, after, fraction = frames_around(len(motion), motion.fps, fps)
     rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])
     root = motion.root[before] * (1 - fraction[:, None]) + motion.root[after] * fraction[:, None]
     return dataclasses.replace(motion, rotmat=rotmat, root=root, fps=float(fps))
-
-
-def slerp(
-    start: Float[np.ndarray, "*B J 3 3"], stop: Float[np.ndarray, "*B J 3 3"], fraction: Float[np.ndarray, "*B 1"]
-) -> Float[np.ndarray, "*B J 3 3"]:
-    """Interpolate rotations spherically: at `fraction` (0..1) of the smallest rotation from `start` to `stop`."""
-    from scipy.spatial.transform import Rotation
-
-    difference = Rotation.from_matrix((np.swapaxes(start, -1, -2) @ stop).reshape(-1, 3, 3)).as_rotvec()
-    fractions = np.broadcast_to(fraction, start.shape[:-2]).reshape(-1, 1)
-    return start @ Rotation.from_rotvec(difference * fractions).as_matrix().reshape(start.shape)
 
 
 def rotmat_to_rotvec(rotmat: Float[np.ndarray, "*B 3 3"]) -> Float[np.ndarray, "*B 3"]:

@@ -21,6 +21,7 @@ from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh, save_on_own_rig
 
 if TYPE_CHECKING:
+    from ..bodies.engine_names import RestPose
     from ..io.gltf.own_rig import OwnAnimation
     from ..player.pack import Panel
     from ..player.page import Download
@@ -234,15 +235,30 @@ class ClipResult(_Playable):
             self.report["blendshapes_deviation"] = deviation
         return Path(path)
 
-    def save_skinned(self, path: str | Path) -> Path:
+    def save_skinned(
+        self,
+        path: str | Path,
+        names: str = "mimesh",
+        root_bone: bool = False,
+        rest: RestPose = "file",
+        fps: float | None = None,
+    ) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
         Such files are small for any length of clip, and game engines read them. Their deviation from the frames of
         this result is then in `report` ("skinned_deviation").
 
+        Args:
+            names: names and hierarchy of the bones: "mimesh", or as in "mixamo", "unreal", "vrm", "godot", "rigify".
+            root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
+            rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A".
+            fps: frame rate of the file, sampled from this result's; None keeps it.
+
         Raises:
-            InputError: the model has no joints.
+            InputError: the model has no joints, or not those of a person; no such names, pose or rate.
         """
+        from ..bodies.engine_names import check_layout
+        from ..bodies.engine_rig import engine_rig
         from ..io import save_skinned
 
         if self.own is not None:
@@ -251,7 +267,11 @@ class ClipResult(_Playable):
             return Path(path)
         if self.skeleton is None:
             raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
+        check_layout(names, rest, fps)
         with self.seconds.step("write"):
-            save_skinned(self.skeleton, self.fps, Path(path))
-        self.report["skinned_deviation"] = self.skeleton.deviation(self.clip.vertices)
+            facing = self.report["identity"]
+            rig = engine_rig(self.skeleton, names, root_bone, rest, up=facing["up"], front=facing["front"])
+            sampled = rig if fps is None else rig.resampled(self.fps, fps)
+            save_skinned(sampled, fps or self.fps, Path(path))
+        self.report["skinned_deviation"] = rig.deviation(self.clip.vertices)
         return Path(path)

@@ -20,7 +20,7 @@ from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_skinned
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import gltf_joints, read_skeleton
-from mimesh.io.gltf.skin import read_skin
+from mimesh.io.gltf.skin_file import read_skin
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
 from mimesh.motions.on_body import on_body

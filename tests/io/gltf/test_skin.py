@@ -10,7 +10,7 @@ from gltf_reference import ReferenceReader
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_mesh
-from mimesh.io.gltf.skin import read_skin
+from mimesh.io.gltf.skin_file import read_skin
 
 
 def body_of(sample: samples.Sample) -> dict:

@@ -1,4 +1,4 @@
-"""Reads rigged characters: the joints of a glTF file at rest, and the joints and weights of each vertex of its Mesh.
+"""Reads the joints of a glTF file at rest, and the joints and weights of each vertex of its Mesh.
 
 Several skins over one set of nodes (a character in pieces), several sets of influences, and unskinned meshes below a
 joint become one form: every vertex has K influences, each with a joint, a weight, and the position to which that joint
@@ -10,17 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from ...bodies.skinned_character import SkinnedCharacter
-from ...core.errors import InputError
 from ...core.mesh import Mesh
-from .. import load_mesh
 from .document import Document
-from .edit import GltfSource
 from .read import RestScene, VertexRange, get_primitive
 from .scene import (
     joint_matrices,
@@ -49,27 +45,6 @@ class _JointTree:
         while node >= 0 and node not in self.joint_of_node:
             node = self.node_parent[node]
         return self.joint_of_node.get(node, -1)
-
-
-def read_skin(path: str | Path) -> SkinnedCharacter:
-    """Read a .glb, .vrm or .gltf character with the joints of all skins that its default scene shows.
-
-    Morph targets stay at their default weights. Animations are not read.
-
-    Raises:
-        InputError: as `load_mesh`; another format; or a scene without a skinned mesh.
-    """
-    mesh = load_mesh(path)
-    source = mesh.source
-    if not isinstance(source, GltfSource):
-        raise InputError(
-            f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
-            "export the mesh and its armature together as glTF"
-        )
-    joint_nodes = skin_joints(source.document, source.rest)
-    if not joint_nodes:
-        raise InputError(f"{path}: expected a mesh with a skin, found none; export it together with its armature")
-    return rig_on_nodes(mesh, source.document, source.rest, joint_nodes)[0]
 
 
 def skin_joints(document: Document, rest: RestScene) -> set[int]:

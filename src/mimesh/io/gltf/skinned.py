@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from ...core.animated_rig import AnimatedRig
+from ...core.animated_rig import AnimatedRig, local_rotations
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
@@ -21,6 +21,9 @@ from .primitives import PrimitiveGroup
 
 UNSIGNED_BYTE, FLOAT = 5121, 5126
 """Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
+STILL = 1e-7
+"""Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
+stores positions no better."""
 
 
 def write_gltf_skinned(skeleton: AnimatedRig, fps: float, path: Path) -> None:
@@ -120,7 +123,8 @@ def _joint_animation(draft: Draft, skeleton: AnimatedRig, joint_nodes: list[int]
     """Return an animation with one key a frame: the rotation of every joint and the translation of the root."""
     times = draft.add_floats(np.arange(len(skeleton.root))[:, None] / fps, bounds=True)
     rotations = local_quaternions(skeleton, skeleton.rotation)
-    outputs = [(j, "rotation", rotations[:, j]) for j in range(len(joint_nodes))] + [(0, "translation", skeleton.root)]
+    outputs = [(j, "rotation", rotations[:, j]) for j in range(len(joint_nodes))]
+    outputs += [(j, "translation", path) for j, path in _moved_joints(skeleton).items()]
     samplers = [
         {"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)} for _, _, values in outputs
     ]
@@ -131,6 +135,19 @@ def _joint_animation(draft: Draft, skeleton: AnimatedRig, joint_nodes: list[int]
     return {"name": skeleton.mesh.name, "samplers": samplers, "channels": channels}
 
 
+def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
+    """Find the joints whose position in the frame of their parent changes: joint -> that position in every frame.
+
+    These are the root and, in rigs with an engine's layout, joints whose parent is not that of the original rig.
+    """
+    if skeleton.positions is None:
+        return {0: skeleton.root}
+    local, bones = skeleton.local_positions(), skeleton.rig.bones(skeleton.parents)
+    change = np.linalg.norm(local[:, 1:] - bones, axis=-1).max(axis=0)
+    moved = np.flatnonzero(change > STILL * np.ptp(skeleton.mesh.vertices, axis=0).max()) + 1
+    return {int(j): local[:, j] for j in (0, *moved)}
+
+
 def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
     """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w).
 
@@ -139,9 +156,7 @@ def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 
     """
     from scipy.spatial.transform import Rotation
 
-    local = rotation.copy()
-    parents = list(skeleton.parents[1:])
-    local[:, 1:] = rotation[:, parents].swapaxes(-1, -2) @ rotation[:, 1:]
+    local = local_rotations(rotation, skeleton.parents)
     quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
     flipped = (quat_xyzw[1:] * quat_xyzw[:-1]).sum(axis=-1) < 0
     sign = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)

@@ -1,0 +1,306 @@
+"""Give a rig the bone names, hierarchy, root bone and rest pose that a game engine or another program expects.
+
+The motion of every vertex stays. Joints of ours that a scheme does not have turn by up to 20 degrees (Neck1), so their
+weights cannot be given to their parents. They stay as extra bones: the bones below them are attached to the nearest
+named bone above, with the product of the rotations, and get a path of their own in its frame. So a program that
+ignores extra bones still finds every named bone in its place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from ..core.animated_rig import AnimatedRig
+from ..core.errors import InputError
+from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.rig import Rig, descendants
+from ..core.skinning import blend_matrices, place_joints, skin_points
+from .engine_names import REQUIRED, SCHEMES, RestPose, Scheme, check_layout
+from .joint_names import FINGERS
+
+A_ANGLE = 50.0
+"""Degrees by which the arms of the A-pose are below the horizontal. Epic's documentation gives no angle; tutorials turn
+the mannequin's upper arms up by 50 degrees for a T-pose."""
+LEG_TOLERANCE = 15.0
+"""Degrees from the vertical within which thighs and shins stay as they are: Godot's importer leaves bones alone that
+deviate no more from its reference pose (`fix_silhouette/threshold`)."""
+LEAST_DETERMINANT = 0.25
+"""Least determinant of a vertex's blended rotations from which on they are inverted. Two equal weights have it where
+their joints differ by 120 degrees."""
+
+
+def engine_rig(
+    skeleton: AnimatedRig,
+    names: str = "mimesh",
+    root_bone: bool = False,
+    rest: RestPose = "file",
+    *,
+    up: str = "+y",
+    front: str = "+z",
+) -> AnimatedRig:
+    """Rename and rearrange the joints of a rig as a scheme of SCHEMES has them.
+
+    With another scheme than ours, another rest pose or a root bone, all bones have the axes of the character at rest:
+    its left side, up and front.
+
+    Args:
+        root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
+        rest: the pose that the mesh is bound in. With T and A, vertices are where the rig's own skinning takes them
+            back to the file's exactly; other poses deviate where joints with different turns share a vertex.
+        up: axis of the file, such as "+y".
+        front: axis of the file.
+
+    Raises:
+        InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
+    """
+    check_layout(names, rest)
+    _check_joints(skeleton, names, rest)
+    scheme = SCHEMES[names]
+    if not scheme.bones and not root_bone and rest == "file":
+        return skeleton
+    axes = ROTATIONS[ORIENTATIONS.index((up, front))].T
+    bound = _bind(skeleton, rest, axes)
+    bound = _arrange(bound, scheme) if scheme.bones else bound
+    return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
+
+
+def _check_joints(skeleton: AnimatedRig, names: str, rest: RestPose) -> None:
+    """Check that a rig has the joints that a scheme or a rest pose needs."""
+    missing = [joint for joint in REQUIRED if joint not in skeleton.names]
+    if missing and (SCHEMES[names].bones or rest != "file"):
+        option = f"--names {names}" if SCHEMES[names].bones else f"--rest {rest}"
+        raise InputError(
+            f"{option}: expected joints for a whole person, found none for {', '.join(missing)}; leave the option out"
+        )
+
+
+def _bind(skeleton: AnimatedRig, rest: RestPose, axes: Float[np.ndarray, "3 3"]) -> AnimatedRig:
+    """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file)."""
+    old, positions = skeleton.rig, skeleton.joint_positions()
+    turn = _rest_turns(skeleton, rest, axes)  # of each joint, from the file's pose to the rest pose
+    above = list(skeleton.parents[1:])
+    joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
+    mesh = skeleton.mesh
+    if rest != "file":
+        vertices = _rest_vertices(mesh.vertices, old, turn, joints)
+        # The soles stay on their ground when legs are straightened.
+        rise = axes[:, 1] * ((mesh.vertices @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
+        joints, mesh = joints + rise, mesh.with_vertices(vertices + rise)
+    motion = skeleton.rotation @ old.rotation.swapaxes(-1, -2)  # of each joint, from the file's pose to each frame
+    rig = Rig(np.tile(axes, (len(joints), 1, 1)), joints, old.weights)
+    rotation = motion @ turn.swapaxes(-1, -2) @ axes
+    return replace(skeleton, mesh=mesh, rig=rig, rotation=rotation, root=positions[:, 0], positions=positions)
+
+
+def _rest_turns(skeleton: AnimatedRig, rest: RestPose, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "J 3 3"]:
+    """Compute the rotation of every joint, in the world, from the file's pose to a rest pose.
+
+    Arms, hands and legs get their directions; trunk and head stay, fingers of the A-pose stay with their hand.
+    """
+    turn = np.tile(np.eye(3), (len(skeleton.names), 1, 1))
+    if rest == "file":
+        return turn
+    index = {name: j for j, name in enumerate(skeleton.names)}
+    for side, left in (("Left", 1.0), ("Right", -1.0)):
+        limb = {name.removeprefix(side): j for name, j in index.items() if name.startswith(side)}
+        below = np.radians(A_ANGLE if rest == "A" else 0.0)
+        _turn_arm(turn, skeleton, limb, axes, axes @ [left * np.cos(below), -np.sin(below), 0.0])
+        if rest == "T":
+            _turn_fingers(turn, skeleton, limb, axes, left)
+        _turn_leg(turn, skeleton, limb, axes)
+    return turn
+
+
+def _turn_arm(
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    direction: Float[np.ndarray, " 3"],
+) -> None:
+    """Set the turns of a straight arm in some direction, palm down, and of all joints of its hand.
+
+    A joint's axes correspond to those of the shipped body, which is in the T-pose with its palms down: they say how
+    far the bone is twisted.
+    """
+    rig = skeleton.rig
+    finger = next((name for name in ("HandMiddle1", "HandIndex1", "HandFinger1") if name in limb), None)
+    for joint, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", finger)):
+        j = limb[joint]
+        turn[j] = axes @ rig.rotation[j].T
+        if end is not None:
+            turn[j] = _swing(turn[j] @ (rig.joints[limb[end]] - rig.joints[j]), direction) @ turn[j]
+    turn[descendants([limb["Hand"]], skeleton.parents)] = turn[limb["Hand"]]
+
+
+def _turn_fingers(
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    left: float,
+) -> None:
+    """Set the turns of straight fingers, and of a thumb half way between them and the front (VRM T-pose 1.7, 1.8).
+
+    The last joint of a finger, whose end is not known, turns with the one before.
+    """
+    for finger in FINGERS:
+        target = axes @ [left, 0.0, 1.0 if finger == "Thumb" else 0.0]
+        chain = [limb[name] for k in (1, 2, 3) if (name := f"Hand{finger}{k}") in limb]
+        for joint, end in pairwise(chain):
+            bone = skeleton.rig.joints[end] - skeleton.rig.joints[joint]
+            turn[joint] = _swing(turn[joint] @ bone, target) @ turn[joint]
+            turn[end] = turn[joint]
+
+
+def _turn_leg(
+    turn: Float[np.ndarray, "J 3 3"], skeleton: AnimatedRig, limb: dict[str, int], axes: Float[np.ndarray, "3 3"]
+) -> None:
+    """Set the turns of a leg that stands, with its foot to the front; the foot keeps its slope."""
+    joints, down = skeleton.rig.joints, -axes[:, 1]
+    for joint, end in (("UpLeg", "Leg"), ("Leg", "Foot")):
+        bone = joints[limb[end]] - joints[limb[joint]]
+        if bone @ down < np.cos(np.radians(LEG_TOLERANCE)) * np.linalg.norm(bone):
+            turn[limb[joint]] = _swing(bone, down)
+    if "ToeBase" in limb:
+        foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]
+        turn[[limb["Foot"], limb["ToeBase"]]] = _swing(foot - (foot @ down) * down, axes[:, 2])
+
+
+def _swing(old: Float[np.ndarray, " 3"], new: Float[np.ndarray, " 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the smallest rotation from one direction to another; opposite ones turn about any axis across."""
+    from scipy.spatial.transform import Rotation
+
+    axis = np.cross(old, new)
+    if np.linalg.norm(axis) < 1e-9 * np.linalg.norm(old) * np.linalg.norm(new):
+        axis = np.cross(old, np.eye(3)[np.abs(old).argmin()])
+    angle = np.arctan2(np.linalg.norm(np.cross(old, new)), old @ new)
+    return Rotation.from_rotvec(angle * axis / max(float(np.linalg.norm(axis)), 1e-12)).as_matrix()
+
+
+def _rest_vertices(
+    vertices: Float[np.ndarray, "V 3"], rig: Rig, turn: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """Compute vertices in a rest pose such that skinning from there to the file's pose gives the file's vertices.
+
+    Where joints of one vertex turn so differently that this has no stable solution, the vertices are skinned to the
+    rest pose instead.
+    """
+    back = turn.swapaxes(-1, -2)
+    blended = blend_matrices(rig.weights, back)
+    wanted = vertices - rig.weights @ (rig.joints - (back @ joints[..., None])[..., 0])
+    stable = np.linalg.det(blended) > LEAST_DETERMINANT
+    moved = skin_points(vertices, rig.weights, turn, joints - (turn @ rig.joints[..., None])[..., 0])
+    moved[stable] = np.linalg.solve(blended[stable], wanted[stable][..., None])[..., 0]
+    return moved
+
+
+@dataclass
+class _Bones:
+    """Bones that are collected one by one, each with its parent's index, its rest position and its motion."""
+
+    names: list[str] = field(default_factory=list)
+    parents: list[int] = field(default_factory=list)
+    source: list[int] = field(default_factory=list)
+    """Joint whose rotation a bone has."""
+    weighted: list[bool] = field(default_factory=list)
+    """Whether a bone has that joint's weights, too."""
+    joints: list[Float[np.ndarray, " 3"]] = field(default_factory=list)
+    positions: list[Float[np.ndarray, "T 3"]] = field(default_factory=list)
+
+    def add(
+        self,
+        name: str,
+        parent: int,
+        source: int,
+        joint: Float[np.ndarray, " 3"],
+        path: Float[np.ndarray, "T 3"],
+        weighted: bool,
+    ) -> int:
+        """Append a bone; returns its index."""
+        self.names.append(name)
+        self.parents.append(parent)
+        self.source.append(source)
+        self.weighted.append(weighted)
+        self.joints.append(joint)
+        self.positions.append(path)
+        return len(self.names) - 1
+
+
+def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
+    """Rename the joints that a scheme has, in its order and hierarchy, and add those that it has and we have not.
+
+    Other joints follow as extra bones under their own names if they move a vertex; those that move none are left out.
+    """
+    rig, positions = skeleton.rig, skeleton.joint_positions()
+    index = {name: j for j, name in enumerate(skeleton.names)}
+    named = [index[joint] for joint in scheme.bones if joint in index]
+    extra = [j for j in range(len(index)) if j not in set(named) and rig.weights[:, j].any()]
+    bones, placed = _Bones(), dict[int, int]()
+    for j in (*named, *extra):
+        name = scheme.bones.get(skeleton.names[j], skeleton.names[j])
+        # Named bones come first, so the parent of one is a named bone; that of an extra bone may be either.
+        parent = _placed_ancestor(skeleton.parents, j, placed)
+        if name in scheme.inserted and parent >= 0:
+            parent = _insert(bones, scheme.inserted[name], parent, rig.joints[j], skeleton)
+        placed[j] = bones.add(name, parent, j, rig.joints[j], positions[:, j], True)
+    weights = np.where(bones.weighted, rig.weights[:, bones.source], 0.0)
+    new = Rig(rig.rotation[bones.source], np.stack(bones.joints), weights)
+    paths = np.stack(bones.positions, axis=1)
+    return AnimatedRig(
+        skeleton.mesh,
+        tuple(bones.names),
+        tuple(bones.parents),
+        new,
+        skeleton.rotation[:, bones.source],
+        paths[:, 0],
+        paths,
+    )
+
+
+def _placed_ancestor(parents: tuple[int, ...], joint: int, placed: dict[int, int]) -> int:
+    """Find the bone of the nearest ancestor of a joint that has one; -1 for the root."""
+    above = parents[joint]
+    while above >= 0 and above not in placed:
+        above = parents[above]
+    return placed[above] if above >= 0 else -1
+
+
+def _insert(bones: _Bones, name: str, parent: int, end: Float[np.ndarray, " 3"], skeleton: AnimatedRig) -> int:
+    """Add a bone half way from its parent to a joint at rest, which moves with its parent; returns its index."""
+    source = bones.source[parent]
+    step = (end - bones.joints[parent]) / 2
+    motion = skeleton.rotation[:, source] @ skeleton.rig.rotation[source].T
+    path = bones.positions[parent] + motion @ step
+    return bones.add(name, parent, source, bones.joints[parent] + step, path, False)
+
+
+def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], moves: bool) -> AnimatedRig:
+    """Add a bone above the hips: on the ground below them at rest, with the axes of the character at rest.
+
+    It never turns. If it moves, it has the displacement of the hips over the ground, else it stands still.
+    """
+    rig, frames = skeleton.rig, len(skeleton.root)
+    ground = (skeleton.mesh.vertices @ up).min()
+    joint = rig.joints[0] + (ground - rig.joints[0] @ up) * up
+    path = np.tile(joint, (frames, 1))
+    if moves:
+        displacement = skeleton.root - rig.joints[0]
+        path = path + displacement - (displacement @ up)[:, None] * up
+    return AnimatedRig(
+        skeleton.mesh,
+        (name, *skeleton.names),
+        (-1, *(parent + 1 for parent in skeleton.parents)),
+        Rig(
+            np.concatenate([rig.rotation[:1], rig.rotation]),
+            np.concatenate([joint[None], rig.joints]),
+            np.pad(rig.weights, ((0, 0), (1, 0))),
+        ),
+        np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
+        path,
+        np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
+    )

@@ -1,0 +1,51 @@
+"""The options of `animate` for game engines: what they write, and one line where they do not fit."""
+
+import pytest
+from people import person, walk
+
+from mimesh.cli import run
+from mimesh.io import save_clip, save_mesh
+from mimesh.io.gltf.document import open_document
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("files")
+    save_mesh(person(0), folder / "hero.obj")
+    save_clip(walk(frames=3), folder / "walk.glb")
+    return folder
+
+
+def animate(files, *more):
+    words = ["animate", files / "hero.obj", files / "walk.glb", "-o", files / "out.glb", "--no-preview", *more]
+    return run([str(word) for word in words])
+
+
+def test_engine_names_root_bone_rest_and_rate(files, capsys):
+    options = ("--skinned", "--names", "unreal", "--root-bone", "--rest", "A", "--output-fps", "60")
+    assert animate(files, *options) == 0
+    assert "60 frames a second, sampled from 10" in capsys.readouterr().out
+    gltf = open_document(files / "out.glb").gltf
+    names = [gltf["nodes"][joint]["name"] for joint in gltf["skins"][0]["joints"]]
+    assert names[:3] == ["root", "pelvis", "spine_01"]
+    times = gltf["accessors"][gltf["animations"][0]["samplers"][0]["input"]]
+    assert (times["count"], round(times["max"][0], 6)) == (13, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--names", "unreal"), "--names: expected --skinned with it, found none; add it, or leave --names out"),
+        (("--root-bone",), "--root-bone: expected --skinned with it"),
+        (("--rest", "T"), "--rest: expected --skinned with it"),
+        (("--output-fps", "30"), "--output-fps: expected --skinned with it"),
+        (("--skinned", "--names", "maya"), "--names: expected one of mimesh, mixamo, unreal, vrm, godot, rigify"),
+        (("--skinned", "--rest", "sitting"), "--rest: expected one of file, T, A, found 'sitting'"),
+        (("--skinned", "--output-fps", "0"), "--output-fps: expected a positive frame rate, found 0"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_in_one_line(files, options, message, capsys):
+    assert animate(files, *options) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.strip().splitlines()) == 1

@@ -1,0 +1,133 @@
+"""Written files in the layouts of engines, read again: what docs/engines.md says of them holds in the file itself.
+
+Unity, Unreal and Godot are not run here; the rules are those of their documentation.
+"""
+
+import copy
+import dataclasses
+
+import numpy as np
+import pytest
+from engine_rigs import ROOTS, expected_parents, moving_rig, posed
+
+from mimesh.bodies.engine_names import SCHEMES
+from mimesh.bodies.engine_rig import engine_rig
+from mimesh.core.errors import InputError
+from mimesh.io import load_mesh, save_skinned
+from mimesh.io.gltf.document import open_document, read_accessor
+from mimesh.io.gltf.read import read_rest
+
+FPS = 30.0
+LAYOUTS = [(names, root, rest) for names in SCHEMES for root in (False, True) for rest in ("file", "T", "A")]
+
+
+def written(tmp_path, names, root_bone=True, rest="file", fingers=True):
+    rig = engine_rig(moving_rig(4, fingers, arms=10.0), names, root_bone, rest)
+    save_skinned(rig, FPS, tmp_path / f"{names}.glb")
+    return rig, open_document(tmp_path / f"{names}.glb")
+
+
+def parents_of(gltf):
+    """Node -> parent, by name."""
+    nodes = gltf["nodes"]
+    return {nodes[child]["name"]: node["name"] for node in nodes for child in node.get("children", [])}
+
+
+def frame_of(document, t):
+    """The file's vertices in frame t: read at rest after the values of frame t were written into the joint nodes."""
+    gltf = copy.deepcopy(document.gltf)
+    for channel in gltf["animations"][0]["channels"]:
+        values = read_accessor(document, gltf["animations"][0]["samplers"][channel["sampler"]]["output"])
+        gltf["nodes"][channel["target"]["node"]][channel["target"]["path"]] = values[t].astype(float).tolist()
+    return read_rest(dataclasses.replace(document, gltf=gltf))[0].vertices
+
+
+@pytest.mark.parametrize(("names", "root_bone", "rest"), LAYOUTS)
+def test_frames_of_the_file_are_those_of_the_rig(names, root_bone, rest, tmp_path):
+    rig, document = written(tmp_path, names, root_bone, rest)
+    size = np.ptp(rig.mesh.vertices, axis=0).max()
+    assert np.abs(load_mesh(tmp_path / f"{names}.glb").vertices - rig.mesh.vertices).max() < 1e-5 * size
+    for t in (0, 3):
+        assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1e-5 * size
+
+
+@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "mimesh"])
+def test_nodes_have_the_documented_names_and_parents(names, tmp_path):
+    _, document = written(tmp_path, names)
+    joints = document.gltf["skins"][0]["joints"]
+    nodes = document.gltf["nodes"]
+    found, wanted = parents_of(document.gltf), expected_parents(names, fingers=True)
+    assert {name: found.get(name) for name in wanted} == wanted
+    assert found[SCHEMES[names].bones["Hips"]] == ROOTS[names]
+    everywhere = [node["name"] for node in nodes]
+    assert all(everywhere.count(nodes[joint]["name"]) == 1 for joint in joints)
+    # One root of the skeleton, which is at the top of the scene and not turned or scaled by any node above it.
+    assert nodes[joints[0]]["name"] == ROOTS[names]
+    assert joints[0] in document.gltf["scenes"][0]["nodes"]
+    assert not any("scale" in node or "matrix" in node for node in nodes)
+
+
+@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "mimesh"])
+def test_bones_have_no_rotation_at_rest(names, tmp_path):
+    """Godot's profile wants no transform on the node of the skeleton, VRM 0.x bones without rotations."""
+    _, document = written(tmp_path, names, rest="T")
+    for joint in document.gltf["skins"][0]["joints"]:
+        assert np.allclose(document.gltf["nodes"][joint].get("rotation", [0, 0, 0, 1]), [0, 0, 0, 1], atol=1e-6)
+
+
+def test_only_bones_that_need_a_path_have_one(tmp_path):
+    """Godot and Unity drop positions of bones other than root and hips, so as few as possible are written."""
+    _, document = written(tmp_path, "rigify", fingers=False)
+    gltf = document.gltf
+    moved = {
+        gltf["nodes"][channel["target"]["node"]]["name"]
+        for channel in gltf["animations"][0]["channels"]
+        if channel["target"]["path"] == "translation"
+    }
+    assert moved == {"root", "DEF-spine", "DEF-thigh.L", "DEF-thigh.R"}
+
+
+def test_extra_bones_without_weights_are_left_out(tmp_path):
+    rig, _ = written(tmp_path, "vrm")
+    assert not {"LThumb", "LeftHandFinger1", "RThumb", "RightHandFinger1"} & set(rig.names)
+    assert {"LeftFingerBase", "RightFingerBase"} <= set(rig.names)
+
+
+@pytest.mark.parametrize("fps", [10.0, 30.0, 60.0])
+def test_sampled_rates_keep_the_duration_and_the_frames_they_share(fps, tmp_path):
+    rig = engine_rig(moving_rig(5), "unreal", True)
+    sampled = rig.resampled(FPS, fps)
+    assert len(sampled.root) == int((len(rig.root) - 1) / FPS * fps + 1e-6) + 1
+    step = {10.0: (1, 3), 30.0: (1, 1), 60.0: (2, 1)}[fps]
+    assert np.allclose(posed(sampled, step[0]), posed(rig, step[1]), atol=1e-9)
+    save_skinned(sampled, fps, tmp_path / "a.glb")
+    times = open_document(tmp_path / "a.glb").gltf["accessors"]
+    assert any(np.isclose(accessor.get("max", [0])[0], (len(sampled.root) - 1) / fps) for accessor in times)
+
+
+def test_half_way_between_frames_is_what_a_player_of_gltf_shows(tmp_path):
+    rig = moving_rig(6)
+    sampled = rig.resampled(30.0, 60.0)
+    assert sampled.positions is None
+    between = sampled.rotation[1, 0]
+    half = rig.rotation[0, 0].T @ between
+    assert np.allclose(half @ half, rig.rotation[0, 0].T @ rig.rotation[1, 0])
+    assert np.allclose(sampled.root[1], (rig.root[0] + rig.root[1]) / 2)
+
+
+def test_a_result_is_saved_with_engine_names(tmp_path):
+    from people import person, walk
+
+    from mimesh.pipeline import animate
+
+    result = animate(person(0), walk(frames=3))
+    before = result.report | {}
+    result.save_skinned(tmp_path / "plain.glb")
+    plain = result.report["skinned_deviation"]
+    result.save_skinned(tmp_path / "a.glb", names="unreal", root_bone=True, fps=60.0)
+    assert np.isclose(result.report["skinned_deviation"], plain, atol=1e-6)
+    gltf = open_document(tmp_path / "a.glb").gltf
+    assert gltf["nodes"][gltf["skins"][0]["joints"][0]]["name"] == "root"
+    assert {key: value for key, value in result.report.items() if key in before} == before
+    with pytest.raises(InputError, match="--names: expected one of"):
+        result.save_skinned(tmp_path / "a.glb", names="maya")
