@@ -13,7 +13,7 @@ from mimesh.core.geometry import unit_vectors
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
 from mimesh.core.rig import Rig
 
-ENGINES = tuple(name for name in SCHEMES if name != "mimesh")
+ENGINES = tuple(name for name in SCHEMES if name != "own")
 FACINGS = (("+y", "+z"), ("+z", "-y"), ("+y", "-x"))
 VRM_REQUIRED = (
     "hips spine head leftUpperLeg leftLowerLeg leftFoot rightUpperLeg rightLowerLeg rightFoot "

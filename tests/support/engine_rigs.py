@@ -96,7 +96,7 @@ FINGER_WORDS = {
     "rigify": ["f_index", "f_middle", "f_ring", "f_pinky"],
 }
 NAMESPACE = {"mixamo": "mixamorig:"}
-ROOTS = {"mimesh": "Root", "mixamo": "Root", "unreal": "root", "vrm": "Root", "godot": "Root", "rigify": "root"}
+ROOTS = {"own": "Root", "mixamo": "Root", "unreal": "root", "vrm": "Root", "godot": "Root", "rigify": "root"}
 
 
 def expected_parents(scheme: str, fingers: bool) -> dict[str, str]:

@@ -91,7 +91,7 @@ _METACARPALS = {
     for finger in ("index", "middle", "ring", "pinky")
 }
 SCHEMES = {
-    "mimesh": Scheme("mimesh", {}, root="Root"),
+    "own": Scheme("own", {}, root="Root"),
     "mixamo": Scheme(
         "Mixamo",
         _bones(
@@ -146,8 +146,8 @@ SCHEMES = {
 """Schemes by their name in `--names`."""
 
 
-def check_layout(names: str, rest: str, fps: float | None = None) -> None:
-    """Check that a scheme, a rest pose and a frame rate exist.
+def check_layout(names: str, rest: str, fps: float | None = None) -> Scheme:
+    """Check that a scheme, a rest pose and a frame rate exist; return the scheme.
 
     Raises:
         InputError: one of them does not; the message names the option of the command line.
@@ -158,3 +158,4 @@ def check_layout(names: str, rest: str, fps: float | None = None) -> None:
         raise InputError(f"--rest: expected one of {', '.join(get_args(RestPose))}, found {rest!r}; choose one of them")
     if fps is not None and not 0 < fps < float("inf"):
         raise InputError(f"--output-fps: expected a positive frame rate, found {fps:g}; give for example 30")
+    return SCHEMES[names]

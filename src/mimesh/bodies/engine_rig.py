@@ -35,7 +35,7 @@ their joints differ by 120 degrees."""
 
 def engine_rig(
     skeleton: AnimatedRig,
-    names: str = "mimesh",
+    names: str = "own",
     root_bone: bool = False,
     rest: RestPose = "file",
     *,
@@ -57,9 +57,8 @@ def engine_rig(
     Raises:
         InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
     """
-    check_layout(names, rest)
+    scheme = check_layout(names, rest)
     _check_joints(skeleton, names, rest)
-    scheme = SCHEMES[names]
     if not scheme.bones and not root_bone and rest == "file":
         return skeleton
     axes = ROTATIONS[ORIENTATIONS.index((up, front))].T

@@ -74,7 +74,7 @@ SaveDrivingJoints = Annotated[
 Names = Annotated[
     str,
     typer.Option(
-        metavar="SCHEME", help="Bone names and hierarchy with --skinned: mixamo, unreal, vrm, godot, rigify or mimesh."
+        metavar="SCHEME", help="Bone names and hierarchy with --skinned: mixamo, unreal, vrm, godot, rigify; own keeps the names."
     ),
 ]
 RootBone = Annotated[
@@ -178,7 +178,7 @@ def animate(
     skinned: Annotated[
         bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
     ] = False,
-    names: Names = "mimesh",
+    names: Names = "own",
     root_bone: RootBone = False,
     rest: Rest = "file",
     output_fps: OutputFps = None,
@@ -339,7 +339,7 @@ def _checked_layout(skinned: bool, names: str, root_bone: bool, rest: str, outpu
     from ..bodies.engine_names import check_layout
     from ..core.errors import InputError
 
-    given = {"--names": names != "mimesh", "--root-bone": root_bone, "--rest": rest != "file"}
+    given = {"--names": names != "own", "--root-bone": root_bone, "--rest": rest != "file"}
     given["--output-fps"] = output_fps is not None
     option = next((option for option, is_given in given.items() if is_given), None)
     if option is not None and not skinned:

@@ -72,16 +72,9 @@ class AnimatedRig:
     def transforms(self) -> Float[np.ndarray, "T J 4 4"]:
         """Compute the transform of points that each joint moves, from rest to every frame."""
         turn = self.rotation @ self.rig.rotation.swapaxes(-1, -2)
-        bones = self.rig.bones(self.parents)
-        positions = np.stack(
-            [
-                place_joints(root, bones, rotation, self.parents)
-                for root, rotation in zip(self.root, self.rotation, strict=True)
-            ]
-        )
         transforms = np.tile(np.eye(4), (*turn.shape[:2], 1, 1))
         transforms[..., :3, :3] = turn
-        transforms[..., :3, 3] = positions - (turn @ self.rig.joints[..., None])[..., 0]
+        transforms[..., :3, 3] = self.joint_positions() - (turn @ self.rig.joints[..., None])[..., 0]
         return transforms
 
     def strongest(self) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:

@@ -238,7 +238,7 @@ class ClipResult(_Playable):
     def save_skinned(
         self,
         path: str | Path,
-        names: str = "mimesh",
+        names: str = "own",
         root_bone: bool = False,
         rest: RestPose = "file",
         fps: float | None = None,
@@ -249,7 +249,8 @@ class ClipResult(_Playable):
         this result is then in `report` ("skinned_deviation").
 
         Args:
-            names: names and hierarchy of the bones: "mimesh", or as in "mixamo", "unreal", "vrm", "godot", "rigify".
+            names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own" keeps them.
+                Bones of the identity's own rig are renamed where they are.
             root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
             rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A".
             fps: frame rate of the file, sampled from this result's; None keeps it.
@@ -261,13 +262,18 @@ class ClipResult(_Playable):
         from ..bodies.engine_rig import engine_rig
         from ..io import save_skinned
 
+        scheme = check_layout(names, rest, fps)
         if self.own is not None:
+            if rest != "file":
+                raise InputError(f"--rest {rest}: expected file, the identity's own rig stays as it is bound; "
+                                 "leave it out, or choose --rig mimesh")  # fmt: skip
+            root = scheme.root if root_bone or scheme.has_root else None
+            own = self.own.with_layout(scheme.bones, root)
             with self.seconds.step("write"):
-                save_on_own_rig(self.own, Path(path))
+                save_on_own_rig(own if fps is None else own.resampled(fps), Path(path))
             return Path(path)
         if self.skeleton is None:
             raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
-        check_layout(names, rest, fps)
         with self.seconds.step("write"):
             facing = self.report["identity"]
             rig = engine_rig(self.skeleton, names, root_bone, rest, up=facing["up"], front=facing["front"])

@@ -64,7 +64,7 @@ class Rigs:
         if kept and isinstance(clip.skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
             copied = copy_motion(identity.source, clip.skeleton)
             if copied is not None and (copied.same_rest or own is None):
-                return cls(copied=copied)
+                return cls(own, copied=copied)
         if clip.skeleton is not None:
             try:
                 driving = clip.skeleton.person()

@@ -25,7 +25,6 @@ from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_a
 from ..core.rig import Rig
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.own_rig import OwnAnimation
-from ..io.gltf.shared_skeleton import SharedMotion
 from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
@@ -257,21 +256,22 @@ def move(
         if rigs.copied is None or options.changes_motion:
             prepared = prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
     if rigs.copied is not None and not options.changes_motion:
-        return copy_animation(identity, clip, rigs.copied, timer, progress, dtype)
+        return copy_animation(identity, clip, rigs, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
 
 
 def copy_animation(
     identity: Mesh,
     clip: Clip,
-    copied: SharedMotion,
+    rigs: Rigs,
     timer: Timer,
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
     """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted."""
-    assert isinstance(identity.source, GltfSource)
-    own = OwnAnimation(identity.source, clip.mesh.name, copied.tracks, clip.fps, len(clip))
+    assert isinstance(identity.source, GltfSource) and rigs.copied is not None
+    person = {} if rigs.identity is None else rigs.identity.person
+    own = OwnAnimation(identity.source, clip.mesh.name, rigs.copied.tracks, clip.fps, len(clip), person)
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):
@@ -437,4 +437,4 @@ def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | 
     if own is None:
         return None
     tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
-    return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip))
+    return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)
