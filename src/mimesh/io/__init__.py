@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh
@@ -25,10 +25,6 @@ from .mtl import copy_companions
 from .obj_source import ObjSource
 from .ply import PlySource
 from .timing import DEFAULT_FPS, HIGHEST_FPS
-
-if TYPE_CHECKING:
-    from ..core.animated_rig import AnimatedRig
-
 
 def load_mesh(path: str | Path) -> Mesh:
     """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
@@ -183,7 +179,18 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
 
 
 def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a skinned mesh with its skeleton's animation as .glb or .gltf (see `gltf.skinned`).
+    """Write a skinned mesh with its skeleton's animation as .glb or .gltf; see `save_rig_animations`."""
+    save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
+
+
+def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
+    """Write a skinned mesh with one or more animations of its rig as .glb or .gltf (see `gltf.skinned`).
+
+    Args:
+        animations: of one rig: they have the same mesh, joints, weights and rest pose.
+
+    Returns:
+        The motions as the file plays them, which has fewer keys.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
@@ -194,7 +201,7 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
     if path.suffix.lower() not in (".glb", ".gltf"):
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
     with writing(path), whole_file(path) as temporary:
-        write_gltf_skinned(skeleton, fps, temporary)
+        return write_gltf_skinned(animations, temporary)
 
 
 def mesh_suffixes() -> tuple[str, ...]:

@@ -7,7 +7,7 @@ The identity has a normalisation of its own; all frames of the driving have that
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
@@ -126,6 +126,13 @@ class SkinnedDrive:
     def __call__(self, frames: Iterable[Float[np.ndarray, "U 3"]]) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the identity's vertices for every driving frame."""
         return (self.posed(rotation, self.stride * positions[0]) for rotation, positions in self._poses(frames))
+
+    def limited(self, vertices: Float[np.ndarray, "V 3"], influences: int) -> SkinnedDrive:
+        """Return this drive with only the largest weights of each vertex; `vertices` is the identity, normalised."""
+        _, first = np.unique(self.group, return_index=True)
+        rig = self.rig.limited(influences)
+        distinct = replace(rig, weights=rig.weights[first])
+        return replace(self, rig=rig, skinned=SkinnedMesh.of(vertices[first], distinct, self.skinned.parents))
 
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
         """Return the motion of the driving's joints and soles over all frames."""

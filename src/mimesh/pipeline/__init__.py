@@ -130,7 +130,9 @@ def animate(
             slide as far as the driving's do, in units of the identity's size. With `root` "keep" only the legs are
             corrected, with "drop" only heights.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
-        skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
+        skinned: move each vertex by its four largest weights only, so that the frames are those of the file that
+            `save_skinned` writes, and raise an error at once if the model has no joints. How far vertices are then from
+            where all weights take them, over the mesh's size, is in the report ("influence_deviation").
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames

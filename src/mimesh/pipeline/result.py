@@ -223,17 +223,12 @@ class ClipResult(_Playable):
     def save_skinned(self, path: str | Path) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
-        Such files are small for any length of clip, and game engines read them. Their deviation from the frames of
-        this result is then in `report` ("skinned_deviation").
+        Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
+        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation").
 
         Raises:
             InputError: the model has no joints.
         """
-        from ..io import save_skinned
+        from .skinned import save_skinned
 
-        if self.skeleton is None:
-            raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
-        with self.seconds.step("write"):
-            save_skinned(self.skeleton, self.fps, Path(path))
-        self.report["skinned_deviation"] = self.skeleton.deviation(self.clip.vertices)
-        return Path(path)
+        return save_skinned([self], path)

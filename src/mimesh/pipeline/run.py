@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
-from ..core.animated_rig import AnimatedRig
+from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
@@ -52,6 +52,7 @@ class MotionOptions:
     """Has no effect on a single pose, nor with a method without joints."""
     smooth: float = 0.0
     skinned: bool = False
+    """Move each vertex by its INFLUENCES largest weights, as files of skinned meshes do."""
 
     def check(self, method: Method) -> None:
         """Raise InputError if a value is not allowed, or needs joints and the method has none."""
@@ -257,7 +258,8 @@ def play(
             half = progress and (lambda done, total: progress(done // 2, total))
             driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
-            motion = _joint_motion(prepared.drive, driving, clip.fps, options, scale)
+            drive = prepared.drive.limited(rest.vertices, INFLUENCES) if options.skinned else prepared.drive
+            motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
         shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
@@ -278,6 +280,8 @@ def play(
         driving_joints = without_fingers(dict(zip(motion.drive.joints, positions, strict=True)))
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
+        if options.skinned:
+            report["influence_deviation"] = _influence_deviation(prepared, motion)
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
     notes += tuple(getattr(identity.source, "notes", ()))
@@ -306,6 +310,17 @@ def _joint_motion(
     across = scale if options.root == "keep" else None
     posed = drive.motion(track, across, options.root == "drop", options.ground)
     return _JointMotion(drive, track, posed, (drive.stride if across is None else across, drive.stride))
+
+
+def _influence_deviation(prepared: Prepared, motion: _JointMotion) -> float:
+    """Measure how far vertices are from where all their weights take them; over the size, in at most KEYFRAMES frames.
+
+    The size is the longest side of the bounding box.
+    """
+    assert isinstance(prepared.drive, SkinnedDrive)
+    poses = [(motion.posed.rotation[t], motion.posed.root[t]) for t in _evenly_spread(prepared.clip, KEYFRAMES)]
+    differences = [motion.drive.posed(*pose) - prepared.drive.posed(*pose) for pose in poses]
+    return float(np.linalg.norm(differences, axis=-1).max() / np.ptp(prepared.rest.vertices, axis=0).max())
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:
