@@ -26,6 +26,7 @@ from .obj_source import ObjSource
 from .ply import PlySource
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
+
 def load_mesh(path: str | Path) -> Mesh:
     """Read one mesh from a file and validate it; a motion file (joints only) gives the default body in its first frame.
 

@@ -107,7 +107,7 @@ def animate(
     root: str = "scale",
     ground: bool = True,
     smooth: float = 0.0,
-    skinned: bool = False,
+    skinned: bool | None = False,
     progress: Progress | None = None,
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
@@ -132,7 +132,8 @@ def animate(
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
         skinned: move each vertex by its four largest weights only, so that the frames are those of the file that
             `save_skinned` writes, and raise an error at once if the model has no joints. How far vertices are then from
-            where all weights take them, over the mesh's size, is in the report ("influence_deviation").
+            where all weights take them, over the mesh's size, is in the report ("influence_deviation"). None does so
+            for clips of more than one frame, if the model has joints.
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames

@@ -51,8 +51,9 @@ class MotionOptions:
     ground: bool = True
     """Has no effect on a single pose, nor with a method without joints."""
     smooth: float = 0.0
-    skinned: bool = False
-    """Move each vertex by its INFLUENCES largest weights, as files of skinned meshes do."""
+    skinned: bool | None = False
+    """Move each vertex by its INFLUENCES largest weights, as files of skinned meshes do; None: if the method has joints
+    and the clip is more than a pose."""
 
     def check(self, method: Method) -> None:
         """Raise InputError if a value is not allowed, or needs joints and the method has none."""
@@ -62,7 +63,7 @@ class MotionOptions:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
-                if field.name != "ground" and getattr(self, field.name) != field.default:
+                if field.name != "ground" and getattr(self, field.name) not in (field.default, None):
                     raise InputError(
                         f"--{field.name}: expected a model with joints (mime), found {method.name}; choose it with -m"
                     )
@@ -258,7 +259,8 @@ def play(
             half = progress and (lambda done, total: progress(done // 2, total))
             driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
-            drive = prepared.drive.limited(rest.vertices, INFLUENCES) if options.skinned else prepared.drive
+            limited = len(clip) > 1 if options.skinned is None else options.skinned
+            drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
         shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
@@ -280,7 +282,7 @@ def play(
         driving_joints = without_fingers(dict(zip(motion.drive.joints, positions, strict=True)))
         skeleton = _animated_rig(identity, motion, identity_norm, shift)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
-        if options.skinned:
+        if motion.drive is not prepared.drive:
             report["influence_deviation"] = _influence_deviation(prepared, motion)
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should

@@ -43,11 +43,9 @@ def save_skinned(results: Sequence[ClipResult], path: str | Path, names: Sequenc
     skeletons = []
     for result in results:
         if result.skeleton is None:
-            raise InputError(
-                f"--skinned: expected a model with joints (mime), found {result.model}; choose it with -m"
-            )
+            raise InputError(f"--skinned: expected a model with joints (mime), found {result.model}; choose it with -m")
         skeletons.append(result.skeleton)
-    found = names or [(result.identity if result.driving is None else result.driving.mesh).name for result in results]
+    found = names or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
     with results[0].seconds.step("write"):
         moved = on_common_rig(skeletons)
         animations = [
@@ -150,9 +148,7 @@ def _spread_weights(skeleton: AnimatedRig, names: tuple[str, ...]) -> np.ndarray
     return weights
 
 
-def _moved_onto(
-    skeleton: AnimatedRig, names: tuple[str, ...], parents: tuple[int, ...], rig: Rig
-) -> AnimatedRig:
+def _moved_onto(skeleton: AnimatedRig, names: tuple[str, ...], parents: tuple[int, ...], rig: Rig) -> AnimatedRig:
     """Return a motion on another rig of its identity: joints rotate as far from rest; new ones follow their parent."""
     index = {name: j for j, name in enumerate(skeleton.names)}
     since_rest = skeleton.rotation @ skeleton.rig.rotation.swapaxes(-1, -2)

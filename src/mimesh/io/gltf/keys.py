@@ -1,8 +1,8 @@
 """Chooses the keys of joint animations: the fewest from which linear interpolation stays within a tolerance.
 
-Tracks have a value in each frame, at a constant rate. Clients interpolate rotations between two keys by slerp (glTF 2.0,
-3.11 Animations), but Blender and some engines interpolate the components and normalize: both have to be within the
-tolerance. Keys are values of the track itself.
+Tracks have a value in each frame, at a constant rate. Clients interpolate rotations between two keys by slerp (glTF
+2.0, 3.11 Animations), but Blender and some engines interpolate the components and normalize: both have to be within
+the tolerance. Keys are values of the track itself.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from .animation import slerp
 from .scene import normalized_quaternions
 
 SHORTEST_REACH = 0.05
-"""Least distance, over the mesh's size, over which a rotation of a joint counts, even if it moves no vertex so far away:
-users attach objects to joints without vertices."""
+"""Least distance, over the mesh's size, over which a rotation of a joint counts, even if it moves no vertex so far
+away: users attach objects to joints without vertices."""
 
 
 def choose_keys(
@@ -81,9 +81,7 @@ def rotation_tolerances(
     return limit / (longest_chain * reach)
 
 
-def _reaches(
-    vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]
-) -> Float[np.ndarray, " J"]:
+def _reaches(vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, " J"]:
     """Compute the largest distance, in any pose, from each joint to a vertex that it or a descendant moves.
 
     That is the length of the bones between them and the distance of the vertex from the last joint.

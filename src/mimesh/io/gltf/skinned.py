@@ -3,8 +3,8 @@
 Rotations have the keys that interpolation needs (see `keys`), the root's path has one for each frame: it costs 16 bytes
 a frame, and from it readers know the frame rate and the number of frames.
 
-Keys and weights are float32. As normalized 16-bit integers, which glTF allows too, they would take half of the room, but
-Assimp and importers that are made with it read such numbers as floats (Assimp issues 3560, 6130).
+Keys and weights are float32. As normalized 16-bit integers, which glTF allows too, they would take half of the room,
+but Assimp and importers that are made with it take such numbers for floats (Assimp issues 3560 and 6130).
 
 Vertices are written at rest, as the source file has them. A skinned mesh ignores the transform of its own node (glTF
 2.0, 3.7.3.2 Joint Hierarchy), so skinned nodes are written at the root of the scene, and the transform of the node that
@@ -107,9 +107,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
         for animation, rotations in zip(animations, thinned, strict=True)
     ]
     draft.save(path)
-    return [
-        rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)
-    ]
+    return [rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)]
 
 
 def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 4"]) -> list[int]:
