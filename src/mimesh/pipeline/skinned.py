@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,7 +15,9 @@ from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.rig import Rig, descendants
 from ..io import save_rig_animations
-from .result import ClipResult
+
+if TYPE_CHECKING:
+    from .result import ClipResult
 
 SAME_JOINT = 1e-4
 """Largest distance, over the mesh's size, between joints or vertices of two results that count as the same."""

@@ -34,8 +34,6 @@ KEY_LIMIT = 1e-4
 """Largest distance, over the mesh's size, by which thinned keys move a vertex from where all keys take it."""
 ACCESSOR_BYTES = 190
 """Characters of JSON that an accessor of key times takes, with its buffer view."""
-REST_COSINE = 1e-12
-"""1 - |cosine| of two quaternions (rotations 3e-6 radians apart) up to which they count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +55,6 @@ class _ThinnedRotations:
         own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
         is_key[(count > 1) & (own_times > is_key.shape[1] * 16)] = True
         return cls(quat_xyzw, is_key)
-
-    def moves(self, rest: Float[np.ndarray, "J 4"]) -> Bool[np.ndarray, " J"]:
-        """Return which joints have another rotation than at rest in any frame."""
-        differs = 1 - np.abs((self.quat_xyzw[:, 0] * rest).sum(axis=1)) > REST_COSINE
-        return differs | (self.is_key.sum(axis=1) > 1)
 
     def played(self, skeleton: AnimatedRig) -> AnimatedRig:
         """Return the motion that clients interpolate from the keys."""
@@ -100,10 +93,8 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
         skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
         _attach_skinned_mesh(draft, node, skin, node_groups)
     thinned = [_ThinnedRotations.of(animation.skeleton) for animation in animations]
-    # A joint that one animation moves has keys in all: Blender keeps the last pose of bones that an action leaves out.
-    moves = np.any([rotations.moves(rest) for rotations in thinned], axis=0)
     draft.gltf["animations"] = [
-        _joint_animation(draft, animation, rotations, joint_nodes, moves)
+        _joint_animation(draft, animation, rotations, joint_nodes)
         for animation, rotations in zip(animations, thinned, strict=True)
     ]
     draft.save(path)
@@ -188,14 +179,14 @@ def _joint_animation(
     animation: RigAnimation,
     rotations: _ThinnedRotations,
     joint_nodes: list[int],
-    moves: Bool[np.ndarray, " J"],
 ) -> dict[str, Any]:
-    """Add an animation: the rotations of the joints that move, and the translation of the root in every frame.
+    """Add an animation: the rotations of all joints, and the translation of the root in every frame.
 
-    Channels with keys in the same frames share their times.
+    Joints that stay at rest have a key too: where an animation leaves a joint out, Blender and blending engines keep
+    the pose of another animation. Channels with keys in the same frames share their times.
     """
     root = animation.skeleton.root
-    outputs = [(j, "rotation", rotations.is_key[j], rotations.quat_xyzw[j]) for j in np.flatnonzero(moves).tolist()]
+    outputs = [(j, "rotation", rotations.is_key[j], rotations.quat_xyzw[j]) for j in range(len(joint_nodes))]
     outputs.append((0, "translation", np.ones(len(root), bool), root))
     times: dict[bytes, int] = {}
     samplers, channels = [], []
