@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .pipeline import animate, transfer
     from .pipeline.result import ClipResult, Result
+    from .pipeline.skinned import save_skinned
 
 __version__ = "0.1.0"
 __all__ = [
@@ -29,6 +30,7 @@ __all__ = [
     "load_mesh",
     "save_clip",
     "save_mesh",
+    "save_skinned",
     "transfer",
 ]
 
@@ -38,6 +40,7 @@ _MODULES = {
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "transfer"),
     "pipeline.result": ("ClipResult", "Result"),
+    "pipeline.skinned": ("save_skinned",),
 }
 old_names.install()
 

@@ -33,6 +33,30 @@ LEAST_DETERMINANT = 0.25
 their joints differ by 120 degrees."""
 
 
+@dataclass(frozen=True)
+class Layout:
+    """How the joints of a file are arranged for an engine."""
+
+    names: str = "own"
+    """A scheme of SCHEMES."""
+    root_bone: bool = False
+    """Add a bone on the ground that carries the displacement over it; the hips keep the rest."""
+    rest: RestPose = "file"
+    """Pose that the mesh is bound in."""
+    fps: float | None = None
+    """Frame rate of the file, sampled from the motion's; None keeps that."""
+
+    @property
+    def root(self) -> str | None:
+        """Name of the bone above the hips, if there is to be one."""
+        scheme = SCHEMES[self.names]
+        return scheme.root if self.root_bone or scheme.has_root else None
+
+    def check(self) -> None:
+        """Raise InputError if a value does not exist."""
+        check_layout(self.names, self.rest, self.fps)
+
+
 def engine_rig(
     skeleton: AnimatedRig,
     names: str = "own",

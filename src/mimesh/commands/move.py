@@ -7,6 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from .clips import (
+    check_clip_output,
+    check_single,
+    check_suffix,
+    clip_names,
+    clip_output,
+    joined_facts,
+    print_clips,
+    save_clips,
+)
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
     Animation,
@@ -74,15 +84,14 @@ SaveDrivingJoints = Annotated[
 Names = Annotated[
     str,
     typer.Option(
-        metavar="SCHEME", help="Bone names and hierarchy with --skinned: mixamo, unreal, vrm, godot, rigify; own keeps the names."
+        metavar="SCHEME",
+        help="Bone names and hierarchy: mixamo, unreal, vrm, godot or rigify; own keeps the names.",
     ),
 ]
-RootBone = Annotated[
-    bool, typer.Option("--root-bone", help="Put the way over the ground on a bone above the hips (--skinned).")
-]
-Rest = Annotated[str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in (--skinned): file, T or A.")]
+RootBone = Annotated[bool, typer.Option("--root-bone", help="Put the way over the ground on a bone above the hips.")]
+Rest = Annotated[str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in: file, T or A.")]
 OutputFps = Annotated[
-    float | None, typer.Option(help="Frame rate of the output, sampled from DRIVING's (--skinned): 30, 60.")
+    float | None, typer.Option(help="Frame rate of the joints written, sampled from DRIVING's: 30, 60.")
 ]
 Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a picture and a page beside the output.")]
 
@@ -124,7 +133,7 @@ def transfer(
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
-    _check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
+    check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
     result = run_transfer(
         *meshes,
         model,
@@ -145,12 +154,14 @@ def transfer(
     result.save(output)
     save_joint_files(result, identity, driving, save_joints, save_driving_joints)
     shown = _write_preview(result, output, preview, open_it)
-    _print_result(result, output, shown, json, quiet, joints=corrected.described())
+    _print_facts(_facts(result, output, shown, joints=corrected.described()), json, quiet)
 
 
 def animate(
     identity: Identity,
-    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="A clip (GLB, USD, PC2 ...), a folder, a BVH.")],
+    driving: Annotated[
+        list[Path], typer.Argument(metavar="DRIVING...", help="Clips (GLB, USD, PC2 ...), folders, BVH files.")
+    ],
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
@@ -176,7 +187,10 @@ def animate(
     save_joints: SaveJoints = None,
     save_driving_joints: SaveDrivingJoints = None,
     skinned: Annotated[
-        bool, typer.Option("--skinned", help="Write joints, weights and turns instead of frames (mime; .glb, .gltf).")
+        bool, typer.Option("--skinned", help="Write joints and weights (mime; .glb, .gltf), also of a single pose.")
+    ] = False,
+    morphs: Annotated[
+        bool, typer.Option("--morphs", help="Write a morph target for each frame, not joints (.glb, .gltf).")
     ] = False,
     names: Names = "own",
     root_bone: RootBone = False,
@@ -191,74 +205,85 @@ def animate(
 ) -> None:
     """Make IDENTITY move as the clip DRIVING does.
 
-    By default the output is IDENTITY-DRIVING.glb beside IDENTITY; an output without a suffix is a folder of meshes.
+    By default the output is IDENTITY-DRIVING.glb beside IDENTITY, with joints if the model has them (mime); an output
+    without a suffix is a folder of meshes. Several clips become one .glb with an animation for each.
     """
+    from ..bodies.engine_rig import Layout
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
     from ..tools.convert import animations_note, taken_rate_note
 
-    output = output or output_beside(identity, driving, ".glb")
-    _check_outputs(output, preview, open_it, identity, driving, reference, markers)
-    check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
-    _check_clip_output(output, skinned, blendshapes)
-    layout = _checked_layout(skinned, names, root_bone, rest, output_fps)
-    corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
-    (mesh, clip), seconds = _timed(lambda: (load_mesh(identity), load_clip(driving, fps, animation)))
-    with progress("frames", quiet or json) as advance:
-        result = run_animate(
-            mesh,
-            clip,
-            model,
-            up=up,
-            front=front,
-            driving_up=driving_up,
-            driving_front=driving_front,
-            ensemble=ensemble,
-            refine=refine,
-            seed=seed,
-            reference=reference,
-            markers=markers,
-            rig=rig,
-            start=start,
-            stop=stop,
-            step=step,
-            root=root,
-            ground=ground,
-            smooth=smooth,
-            skinned=skinned,
-            progress=advance,
-            joints=corrected.identity,
-            driving_joints=corrected.driving,
-        )
-    result.seconds["load"] += seconds
-    save_joint_files(result, identity, driving, save_joints, save_driving_joints, start)
+    output = output or clip_output(identity, driving)
+    layout = Layout(names, root_bone, rest, output_fps)
+    clips = clip_names(driving) if len(driving) > 1 else [None]
+    for name in clips:
+        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=name)
+    check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
+    check_single(driving, {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
+    as_joints = check_clip_output(output, driving, skinned, morphs, blendshapes, layout)
+    results, notes, corrections = [], [], []
+    for path, name in zip(driving, clips, strict=True):
+        corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
+        (mesh, clip), seconds = _timed(lambda path=path: (load_mesh(identity), load_clip(path, fps, animation)))
+        with progress(f"frames of {name}" if name else "frames", quiet or json) as advance:
+            result = run_animate(
+                mesh,
+                clip,
+                model,
+                up=up,
+                front=front,
+                driving_up=driving_up,
+                driving_front=driving_front,
+                ensemble=ensemble,
+                refine=refine,
+                seed=seed,
+                reference=reference,
+                markers=markers,
+                start=start,
+                stop=stop,
+                step=step,
+                root=root,
+                ground=ground,
+                smooth=smooth,
+                skinned=as_joints,
+                rig=rig,
+                progress=advance,
+                joints=corrected.identity,
+                driving_joints=corrected.driving,
+            )
+        result.seconds["load"] += seconds
+        save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
+        of_clip = animations_note(clip.mesh, path) if animation is None else ()
+        of_clip += taken_rate_note(clip, path) if fps is None else ()
+        sampled = (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",) if output_fps else ()
+        notes.append(of_clip + sampled)
+        results.append(result)
+        corrections.append(corrected.described())
     with progress("writing", quiet or json) as advance:
-        result.save_skinned(output, **layout) if skinned else result.save(output, blendshapes, advance)
-    notes = animations_note(clip.mesh, driving) if animation is None else ()
-    notes += taken_rate_note(clip, driving) if fps is None else ()
-    notes += () if output_fps is None else (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",)
-    shown = _write_preview(result, output, preview, open_it)
-    _print_result(result, output, shown, json, quiet, notes, corrected.described())
+        save_clips(results, output, clip_names(driving), as_joints, blendshapes, layout, advance)
+    facts = [
+        _facts(result, output, _write_preview(result, output, preview, open_it, name), *rest)
+        for result, name, *rest in zip(results, clips, notes, corrections, strict=True)
+    ]
+    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clip_names(driving), driving), json, quiet)
 
 
-def _print_result(
+def _facts(
     result: Result | ClipResult,
     output: Path,
     shown: dict[str, Any],
-    json: bool,
-    quiet: bool,
     driving_notes: tuple[str, ...] = (),
     joints: tuple[str, ...] = (),
-) -> None:
-    """Print the report as JSON, or a summary with all notes; `shown` are the paths of the preview."""
+) -> dict[str, Any]:
+    """Return the facts about a result and its file, with all notes; `shown` are the paths of the preview."""
     from ..pipeline.result import Result
-    from ..tools.convert import blend_note, not_kept, rate_note, size_note
+    from ..tools.convert import blend_note, not_kept, rate_note, size_note, skinned_note
 
     mesh = result.moved.mesh
     fps = None if isinstance(result, Result) else result.fps
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
-    notes = [*result.notes, *not_kept(mesh, output), *rate, *blended, *driving_notes]
+    notes = [*result.notes, *not_kept(mesh, output), *rate, *blended, *skinned_note(result.report), *driving_notes]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,
@@ -270,9 +295,18 @@ def _print_result(
     }
     if joints:
         facts["report"]["joints"] = list(joints)
+    return facts
+
+
+def _print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> None:
+    """Print facts about a file as JSON, or as a summary."""
     if json:
         print_json(facts)
-    elif not quiet:
+    elif quiet:
+        return
+    elif "clips" in facts:
+        print_clips(facts)
+    else:
         _print_summary(facts)
 
 
@@ -300,63 +334,32 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
 
 
-def _write_preview(result: Result | ClipResult, output: Path, preview: bool, open_it: bool) -> dict[str, Any]:
-    """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths."""
+def _write_preview(
+    result: Result | ClipResult, output: Path, preview: bool, open_it: bool, clip: str | None = None
+) -> dict[str, Any]:
+    """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths.
+
+    `clip` is the name of the result's animation where the output has several.
+    """
     from ..tools.preview import write_preview
 
     if not preview:
         return {"pictures": [], "page": None}
-    picture, page = write_preview(result, output)
+    picture, page = write_preview(result, output, clip)
     if open_it:
         open_page(page)
     return {"pictures": [str(picture)], "page": str(page)}
 
 
-def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None) -> None:
+def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
     from ..tools.preview import names_beside
 
-    for written in (output, *(names_beside(output) if preview else ())):
+    for written in (output, *(names_beside(output, clip) if preview else ())):
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")
-
-
-def _check_clip_output(output: Path, skinned: bool, blendshapes: int | None) -> None:
-    """Check that the format of the output can hold a clip, or joints or morph targets."""
-    from ..core.errors import InputError
-    from ..io import clip_suffixes
-    from ..render.movie import MOVIES
-
-    if skinned and blendshapes:
-        raise InputError("--blendshapes: expected it without --skinned, found both; choose one of them")
-    _check_suffix(output, (".glb", ".gltf") if skinned or blendshapes else (*clip_suffixes(), *MOVIES, ""))
-
-
-def _checked_layout(skinned: bool, names: str, root_bone: bool, rest: str, output_fps: float | None) -> dict[str, Any]:
-    """Check the options that are for skinned files before the work is done; returns them for `save_skinned`."""
-    from ..bodies.engine_names import check_layout
-    from ..core.errors import InputError
-
-    given = {"--names": names != "own", "--root-bone": root_bone, "--rest": rest != "file"}
-    given["--output-fps"] = output_fps is not None
-    option = next((option for option, is_given in given.items() if is_given), None)
-    if option is not None and not skinned:
-        raise InputError(f"{option}: expected --skinned with it, found none; add it, or leave {option} out")
-    check_layout(names, rest, output_fps)
-    return {"names": names, "root_bone": root_bone, "rest": rest, "fps": output_fps}
-
-
-def _check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
-    """Check that a format can be written, before the work is done."""
-    from ..core.errors import InputError
-
-    if output.suffix.lower() not in suffixes:
-        known = " ".join(sorted({suffix for suffix in suffixes if suffix}))
-        raise InputError(
-            f"{output}: expected an output in one of {known}, found '{output.suffix}'; name another with -o"
-        )
 
 
 def _timed(work):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +26,19 @@ class Rig:
         """Compute the vector from each joint's parent to the joint, in the parent's frame; the root has none."""
         above = list(parents[1:])
         return np.einsum("jkl,jk->jl", self.rotation[above], self.joints[1:] - self.joints[above])
+
+    def strongest(self, influences: int) -> tuple[Int[np.ndarray, "V C"], Float[np.ndarray, "V C"]]:
+        """Select the joints with the largest weights of each vertex, and scale these weights to sum to 1."""
+        joints = np.argsort(-self.weights, axis=1, kind="stable")[:, :influences]
+        weights = np.take_along_axis(self.weights, joints, axis=1)
+        return joints, weights / weights.sum(axis=1, keepdims=True)
+
+    def limited(self, influences: int) -> Rig:
+        """Return this rig with only the largest weights of each vertex, scaled to sum to 1."""
+        weights = np.zeros_like(self.weights)
+        joints, largest = self.strongest(influences)
+        np.put_along_axis(weights, joints, largest, axis=1)
+        return replace(self, weights=weights)
 
 
 def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:

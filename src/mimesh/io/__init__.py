@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh
@@ -27,8 +28,7 @@ from .ply import PlySource
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
-    from ..core.animated_rig import AnimatedRig
-    from .gltf.own_rig import OwnAnimation
+    from .gltf.own_animation import OwnAnimation
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -184,7 +184,18 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
 
 
 def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a skinned mesh with its skeleton's animation as .glb or .gltf (see `gltf.skinned`).
+    """Write a skinned mesh with its skeleton's animation as .glb or .gltf; see `save_rig_animations`."""
+    save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
+
+
+def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
+    """Write a skinned mesh with one or more animations of its rig as .glb or .gltf (see `gltf.skinned`).
+
+    Args:
+        animations: of one rig: they have the same mesh, joints, weights and rest pose.
+
+    Returns:
+        The motions as the file plays them, which has fewer keys.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
@@ -194,22 +205,35 @@ def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
     path = Path(path)
     _must_be_gltf(path)
     with writing(path), whole_file(path) as temporary:
-        write_gltf_skinned(skeleton, fps, temporary)
+        return write_gltf_skinned(animations, temporary)
 
 
-def save_on_own_rig(animation: OwnAnimation, path: str | Path, pose: bool = False) -> None:
-    """Write the identity's own glTF file with a new animation of its own bones.
-
-    Args:
-        pose: put the bones into the first frame instead, without an animation.
+def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> None:
+    """Write the own glTF file of an identity with new animations of its own bones.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
     """
+    from .gltf.own_animation import write_own_animations
+
     path = Path(path)
     _must_be_gltf(path)
     with writing(path), whole_file(path) as temporary:
-        animation.write_pose(temporary) if pose else animation.write(temporary)
+        write_own_animations(animations, temporary)
+
+
+def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
+    """Write the own glTF file of an identity with its bones in the first frame of an animation.
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.own_animation import write_own_pose
+
+    path = Path(path)
+    _must_be_gltf(path)
+    with writing(path), whole_file(path) as temporary:
+        write_own_pose(animation, temporary)
 
 
 def _must_be_gltf(path: Path) -> None:

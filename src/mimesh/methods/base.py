@@ -249,6 +249,13 @@ class SkinnedDrive:
         known = replace(self.known, rotation=self.known.rotation[frames], positions=self.known.positions[frames])
         return replace(self, known=known)
 
+    def limited(self, vertices: Float[np.ndarray, "V 3"], influences: int) -> SkinnedDrive:
+        """Return this drive with only the largest weights of each vertex; `vertices` is the identity, normalised."""
+        _, first = np.unique(self.group, return_index=True)
+        rig = self.rig.limited(influences)
+        distinct = replace(rig, weights=rig.weights[first])
+        return replace(self, rig=rig, skinned=SkinnedMesh.of(vertices[first], distinct, self.skinned.parents))
+
     def track(self, frames: Iterable[Float[np.ndarray, "U 3"]], fps: float) -> JointTrack:
         """Return the motion of the driving's joints and soles over all frames."""
         poses, soles = [], []

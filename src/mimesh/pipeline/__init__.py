@@ -113,7 +113,7 @@ def animate(
     root: str = "scale",
     ground: bool = True,
     smooth: float = 0.0,
-    skinned: bool = False,
+    skinned: bool | None = False,
     rig: str = "own",
     progress: Progress | None = None,
     joints: GivenJoints = None,
@@ -137,7 +137,10 @@ def animate(
             slide as far as the driving's do, in units of the identity's size. With `root` "keep" only the legs are
             corrected, with "drop" only heights.
         smooth: standard deviation (seconds) of a Gaussian filter over rotations and root positions (mime only).
-        skinned: raise an error at once if the model has no joints, which `ClipResult.save_skinned` needs.
+        skinned: move each vertex by its four largest weights only, so that the frames are those of the file that
+            `save_skinned` writes, and raise an error at once if the model has no joints. How far vertices are then from
+            where all weights take them, over the mesh's size, is in the report ("influence_deviation"). None does so
+            for clips of more than one frame, if the model has joints.
         rig: see `transfer`.
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.

@@ -18,11 +18,11 @@ from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
-from ..io import save_clip, save_mesh, save_on_own_rig
+from ..io import save_clip, save_mesh, save_own_pose
 
 if TYPE_CHECKING:
     from ..bodies.engine_names import RestPose
-    from ..io.gltf.own_rig import OwnAnimation
+    from ..io.gltf.own_animation import OwnAnimation
     from ..player.pack import Panel
     from ..player.page import Download
 
@@ -179,7 +179,7 @@ class Result(_Playable):
         path = Path(path)
         with self.seconds.step("write"):
             if self.own is not None and path.suffix.lower() in GLTF:
-                save_on_own_rig(self.own, path, pose=True)
+                save_own_pose(self.own, path)
             else:
                 save_mesh(self.mesh, path)
         return path
@@ -245,12 +245,12 @@ class ClipResult(_Playable):
     ) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
-        Such files are small for any length of clip, and game engines read them. Their deviation from the frames of
-        this result is then in `report` ("skinned_deviation").
+        Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
+        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation").
 
         Args:
-            names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own" keeps them.
-                Bones of the identity's own rig are renamed where they are.
+            names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own"
+                keeps them. Bones of the identity's own rig are renamed where they are.
             root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
             rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A".
             fps: frame rate of the file, sampled from this result's; None keeps it.
@@ -258,26 +258,7 @@ class ClipResult(_Playable):
         Raises:
             InputError: the model has no joints, or not those of a person; no such names, pose or rate.
         """
-        from ..bodies.engine_names import check_layout
-        from ..bodies.engine_rig import engine_rig
-        from ..io import save_skinned
+        from ..bodies.engine_rig import Layout
+        from .skinned import save_skinned
 
-        scheme = check_layout(names, rest, fps)
-        if self.own is not None:
-            if rest != "file":
-                raise InputError(f"--rest {rest}: expected file, the identity's own rig stays as it is bound; "
-                                 "leave it out, or choose --rig mimesh")  # fmt: skip
-            root = scheme.root if root_bone or scheme.has_root else None
-            own = self.own.with_layout(scheme.bones, root)
-            with self.seconds.step("write"):
-                save_on_own_rig(own if fps is None else own.resampled(fps), Path(path))
-            return Path(path)
-        if self.skeleton is None:
-            raise InputError(f"--skinned: expected a model with joints (mime), found {self.model}; choose it with -m")
-        with self.seconds.step("write"):
-            facing = self.report["identity"]
-            rig = engine_rig(self.skeleton, names, root_bone, rest, up=facing["up"], front=facing["front"])
-            sampled = rig if fps is None else rig.resampled(self.fps, fps)
-            save_skinned(sampled, fps or self.fps, Path(path))
-        self.report["skinned_deviation"] = rig.deviation(self.clip.vertices)
-        return Path(path)
+        return save_skinned([self], path, layout=Layout(names, root_bone, rest, fps))

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import finger_joints, without_fingers
-from ..core.animated_rig import AnimatedRig
+from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
 from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
@@ -24,7 +24,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_axis
 from ..core.rig import Rig
 from ..io.gltf.edit import GltfSource
-from ..io.gltf.own_rig import OwnAnimation
+from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
@@ -52,7 +52,9 @@ class MotionOptions:
     ground: bool = True
     """Has no effect on a single pose, nor with a method without joints."""
     smooth: float = 0.0
-    skinned: bool = False
+    skinned: bool | None = False
+    """Move each vertex by its INFLUENCES largest weights, as files of skinned meshes do; None: if the method has joints
+    and the clip is more than a pose."""
     rig: str = "own"
     """One of `rigs.RIGS`. Other values have no effect on a method without joints."""
 
@@ -69,7 +71,7 @@ class MotionOptions:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
-                if field.name not in ("ground", "rig") and getattr(self, field.name) != field.default:
+                if field.name not in ("ground", "rig") and getattr(self, field.name) not in (field.default, None):
                     raise InputError(
                         f"--{field.name}: expected a model with joints (mime), found {method.name}; choose it with -m"
                     )
@@ -269,7 +271,8 @@ def copy_animation(
     dtype: type[np.floating],
 ) -> MovedIdentity:
     """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted."""
-    assert isinstance(identity.source, GltfSource) and rigs.copied is not None
+    assert isinstance(identity.source, GltfSource)
+    assert rigs.copied is not None
     person = {} if rigs.identity is None else rigs.identity.person
     own = OwnAnimation(identity.source, clip.mesh.name, rigs.copied.tracks, clip.fps, len(clip), person)
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
@@ -301,7 +304,9 @@ def play(
             half = progress and (lambda done, total: progress(done // 2, total))
             driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
-            motion = _joint_motion(prepared.drive, driving, clip.fps, options, scale)
+            limited = len(clip) > 1 if options.skinned is None else options.skinned
+            drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
+            motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
         shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
@@ -323,6 +328,8 @@ def play(
         skeleton = _animated_rig(prepared, motion, shift)
         own = _own_animation(prepared, skeleton)
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
+        if motion.drive is not prepared.drive:
+            report["influence_deviation"] = _influence_deviation(prepared, motion)
         if options.root == "drop":
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
     notes += prepared.rigs.notes
@@ -352,6 +359,17 @@ def _joint_motion(
     across = scale if options.root == "keep" else None
     posed = drive.motion(track, across, options.root == "drop", options.ground)
     return _JointMotion(drive, track, posed, (drive.stride if across is None else across, drive.stride))
+
+
+def _influence_deviation(prepared: Prepared, motion: _JointMotion) -> float:
+    """Measure how far vertices are from where all their weights take them; over the size, in at most KEYFRAMES frames.
+
+    The size is the longest side of the bounding box.
+    """
+    assert isinstance(prepared.drive, SkinnedDrive)
+    poses = [(motion.posed.rotation[t], motion.posed.root[t]) for t in _evenly_spread(prepared.clip, KEYFRAMES)]
+    differences = [motion.drive.posed(*pose) - prepared.drive.posed(*pose) for pose in poses]
+    return float(np.linalg.norm(differences, axis=-1).max() / np.ptp(prepared.rest.vertices, axis=0).max())
 
 
 def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], height: float) -> tuple[str, ...]:

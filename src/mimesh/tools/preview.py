@@ -18,17 +18,21 @@ TILE = (360, 440)
 """Width and height of one picture in pixels."""
 
 
-def write_preview(result: Result | ClipResult, output: Path) -> tuple[Path, Path]:
-    """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths."""
-    picture, page = names_beside(output)
+def write_preview(result: Result | ClipResult, output: Path, clip: str | None = None) -> tuple[Path, Path]:
+    """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths.
+
+    `clip` is the name of the result's animation where the output has several.
+    """
+    picture, page = names_beside(output, clip)
     save_picture(result_picture(result), picture)
     return picture, result.player(page, output=output)
 
 
-def names_beside(output: Path) -> tuple[Path, Path]:
-    """Return the paths of the picture and of the page beside an output."""
+def names_beside(output: Path, clip: str | None = None) -> tuple[Path, Path]:
+    """Return the paths of the picture and of the page beside an output, or beside it for one of its clips."""
     base = output.with_suffix("") if output.suffix else output
-    return base.with_name(f"{base.name}.preview.png"), base.with_name(f"{base.name}.preview.html")
+    name = base.name if clip is None else f"{base.name}-{clip}"
+    return base.with_name(f"{name}.preview.png"), base.with_name(f"{name}.preview.html")
 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:

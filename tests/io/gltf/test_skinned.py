@@ -1,18 +1,17 @@
 """Skinned results: at rest as in the source file, and in every frame of the animation as in the clip."""
 
-import copy
-import dataclasses
-
 import numpy as np
 import pytest
 from networks import write_mime_network
 from people import person, walk
+from scipy.spatial.transform import Rotation
 
+from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
-from mimesh.io import load_mesh, save_mesh, save_skinned
+from mimesh.core.rig import Rig
+from mimesh.io import load_clip, load_mesh, save_mesh, save_rig_animations, save_skinned
 from mimesh.io.gltf.document import open_document, read_accessor
-from mimesh.io.gltf.read import read_rest
 from mimesh.pipeline import animate
 
 pytest.importorskip("onnx")
@@ -24,24 +23,12 @@ def result(tmp_path_factory):
     return animate(person(0), walk(faces=600), str(network))
 
 
-def frame_of(path, t):
-    """The file's vertices in frame t, read at rest after the values of frame t were written into the joint nodes."""
-    document = open_document(path)
-    gltf = copy.deepcopy(document.gltf)
-    animation = gltf["animations"][0]
-    for channel in animation["channels"]:
-        values = read_accessor(document, animation["samplers"][channel["sampler"]]["output"])
-        gltf["nodes"][channel["target"]["node"]][channel["target"]["path"]] = values[t].astype(float).tolist()
-    return read_rest(dataclasses.replace(document, gltf=gltf))[0].vertices
-
-
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
 def test_skinned_frames_equal_the_frames_of_the_result(result, tmp_path, suffix):
     path = result.save_skinned(tmp_path / f"hero{suffix}")
     assert result.report["skinned_deviation"] < 1e-5  # three joints are fewer than four
     assert np.allclose(load_mesh(path).vertices, person(0).vertices, atol=1e-5)
-    for t in (0, 1, len(result.clip) - 1):
-        assert np.allclose(frame_of(path, t), result.clip.vertices[t], atol=1e-4)
+    assert np.allclose(load_clip(path).vertices, result.clip.vertices, atol=1e-4)
 
 
 def test_skinned_file_keeps_the_materials_of_its_source(result, tmp_path):
@@ -53,7 +40,7 @@ def test_skinned_file_keeps_the_materials_of_its_source(result, tmp_path):
     assert [skin["joints"] for skin in gltf["skins"]] == [gltf["skins"][0]["joints"]]
     assert gltf["materials"] == open_document(tmp_path / "hero.glb").gltf["materials"]
     assert np.allclose(load_mesh(path).vertices, load_mesh(tmp_path / "hero.glb").vertices, atol=1e-5)
-    assert np.allclose(frame_of(path, 2), loaded.clip.vertices[2], atol=1e-4)
+    assert np.allclose(load_clip(path).vertices, loaded.clip.vertices, atol=1e-4)
 
 
 def test_skinned_weights_sum_to_1_and_quaternions_are_continuous(result, tmp_path):
@@ -78,3 +65,57 @@ def test_skinned_result_of_a_model_without_joints_is_refused(tmp_path):
 def test_skinned_result_in_another_format_is_refused(result, tmp_path):
     with pytest.raises(InputError, match=r"expected \.glb or \.gltf for joints, found '\.obj'"):
         save_skinned(result.skeleton, 30.0, tmp_path / "hero.obj")
+
+
+def swinging(frames, fps, joints=6):
+    """A chain of joints of which some hold still, some turn evenly, and one swings for a while."""
+    mesh = person(0)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    positions = low + np.linspace(0, 1, joints)[:, None] * (high - low)
+    weights = np.exp(-((mesh.vertices[:, None] - positions) ** 2).sum(axis=-1) / 0.05)
+    rest = Rotation.random(joints, 4)
+    rig = Rig(rest.as_matrix(), positions, weights / weights.sum(axis=1, keepdims=True))
+    seconds = np.arange(frames) / fps
+    angle = np.zeros((frames, joints))
+    angle[:, 1], angle[:, 3] = 0.02 * seconds, np.where(seconds > 0.5, np.sin(3 * (seconds - 0.5)), 0)
+    local = Rotation.from_rotvec((angle[..., None] * [0.0, 0.0, 1.0]).reshape(-1, 3)).as_matrix()
+    world = local.reshape(frames, joints, 3, 3)
+    for j in range(1, joints):
+        world[:, j] = world[:, j - 1] @ world[:, j]
+    names, parents = tuple(f"j{j}" for j in range(joints)), tuple(range(-1, joints - 1))
+    root = np.tile(positions[0], (frames, 1))
+    return AnimatedRig(mesh, names, parents, rig, world @ rig.rotation, root)
+
+
+@pytest.mark.parametrize(("frames", "fps"), [(1, 30.0), (2, 30.0), (90, 30.0), (120, 60.0), (61, 24000 / 1001)])
+def test_thinned_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_path):
+    moving = swinging(frames, fps)
+    (played,) = save_rig_animations([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
+    clip = load_clip(tmp_path / "a.glb")
+    assert len(clip) == frames
+    assert frames < 3 or clip.fps == pytest.approx(fps, rel=1e-6)
+    assert played.deviation(clip.vertices) < 1e-6
+    assert moving.deviation(clip.vertices) < 1e-4
+    assert moving.motion_deviation(played) < 1e-4
+    document = open_document(tmp_path / "a.glb")
+    animation = document.gltf["animations"][0]
+    counts = [document.gltf["accessors"][sampler["input"]]["count"] for sampler in animation["samplers"]]
+    assert counts[-1] == frames, "the root has all keys"
+    assert sum(count == 1 for count in counts[:-1]) >= 4
+    assert frames < 60 or counts[1] == 2
+    assert len({sampler["input"] for sampler in animation["samplers"]}) == len(set(counts)), "times are shared"
+
+
+def test_a_file_has_several_animations_at_their_own_rates(tmp_path):
+    slow, fast = swinging(40, 24.0), swinging(50, 60.0)
+    save_rig_animations([RigAnimation("slow", slow, 24.0), RigAnimation("fast", fast, 60.0)], tmp_path / "a.glb")
+    assert load_mesh(tmp_path / "a.glb").source.animations == ("slow", "fast")
+    for name, moving, fps in (("slow", slow, 24.0), ("fast", fast, 60.0)):
+        clip = load_clip(tmp_path / "a.glb", animation=name)
+        assert (len(clip), clip.fps) == (len(moving.root), fps)
+        assert moving.deviation(clip.vertices) < 1e-4
+    targets = [
+        {(channel["target"]["node"], channel["target"]["path"]) for channel in animation["channels"]}
+        for animation in open_document(tmp_path / "a.glb").gltf["animations"]
+    ]
+    assert targets[0] == targets[1]

@@ -65,7 +65,7 @@ class AnimationChannel:
             out_tangent, in_tangent = duration * a[:, 2 * width :], duration * b[:, :width]
             h = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
             return h[0] * a[:, value_columns] + h[1] * out_tangent + h[2] * b[:, value_columns] + h[3] * in_tangent
-        return slerp_quaternions(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
+        return slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
@@ -214,7 +214,7 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     return AnimationChannel(target["node"], target["path"], times, values.reshape(keys, per_key), interpolation)
 
 
-def slerp_quaternions(
+def slerp(
     a: Float[np.ndarray, "T 4"], b: Float[np.ndarray, "T 4"], s: Float[np.ndarray, "T 1"]
 ) -> Float[np.ndarray, "T 4"]:
     """Interpolate between unit quaternions along the shorter arc (Appendix C, spherical linear interpolation).

@@ -1,15 +1,9 @@
-"""The own rig of a glTF character: reads it, moves it, and writes its file again with a further animation.
-
-The file keeps everything: the bytes of its buffers, nodes, names, skins, morph targets, materials, extensions and
-animations.
-"""
+"""Reads the own rig of a glTF character and the joints of a glTF clip, and moves the rig's nodes."""
 
 from __future__ import annotations
 
-import copy
 import dataclasses
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,26 +11,21 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.character_pool import facing_rotation, sampled_poses
-from ...core.animated_rig import frames_around
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
-from .animation import AnimationChannel, slerp_quaternions
-from .bake import pose_frames, sample_nodes
+from .animation import AnimationChannel
+from .bake import AnimatedValues, sample_nodes
 from .character import read_clips, read_standing
 from .document import Document
-from .draft import AccessorCopier, Draft
 from .edit import GltfSource
+from .own_animation import node_properties
 from .read import RestScene
-from .scene import DEFAULT_TRS, local_matrices, node_parents, sort_parents_first, world_matrices
+from .scene import local_matrices, node_parents, sort_parents_first
 
-NodeTracks = dict[tuple[int, str], Float[np.ndarray, "T C"]]
-"""Animated values: (node, target path) -> value in every frame."""
-TRUNK = ("LowerBack", "Spine", "Spine1")
-"""Our joints between hips and neck."""
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
 SHEAR = 1e-3
@@ -61,7 +50,7 @@ class OwnRig:
         """Node of each joint that is known to be a person's."""
         return {name: self.nodes[joint] for name, joint in self.humanoid.joints.items()}
 
-    def tracks(self, joints: list[int], transforms: Float[np.ndarray, "T K 4 4"]) -> NodeTracks:
+    def tracks(self, joints: list[int], transforms: Float[np.ndarray, "T K 4 4"]) -> AnimatedValues:
         """Compute the animated values of the file's nodes that give some joints a motion.
 
         Args:
@@ -73,7 +62,7 @@ class OwnRig:
         static = local_matrices(document)
         moved = {self.nodes[joint]: transforms[:, k] for k, joint in enumerate(joints)}
         world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
-        tracks: NodeTracks = {}
+        tracks: AnimatedValues = {}
         size = float(np.ptp(self.humanoid.character.mesh.vertices, axis=0).max())
         for node in sort_parents_first(document, parent):
             above = world[parent[node]]
@@ -84,134 +73,6 @@ class OwnRig:
             local = np.linalg.inv(above) @ world[node]
             tracks |= _node_tracks(document.gltf["nodes"][node], node, local, size)
         return tracks
-
-
-@dataclass(frozen=True, eq=False)
-class OwnAnimation:
-    """A new animation of the nodes of a glTF file, with which the file can be written again."""
-
-    source: GltfSource
-    name: str
-    tracks: NodeTracks
-    fps: float
-    frames: int
-    joints: dict[str, int]
-    """Node of each joint that is known to be a person's, by our name."""
-    renamed: dict[int, str] = field(default_factory=dict)
-    """New names of nodes."""
-    root_bone: str | None = None
-    """Name of a new node above the hips that carries the displacement over the ground."""
-
-    def with_layout(self, bones: Mapping[str, str], root_bone: str | None) -> OwnAnimation:
-        """Rename the bones of a person, and add a root bone.
-
-        Args:
-            bones: our name of a joint -> new name of its bone; empty leaves all names.
-            root_bone: name of the new bone; None adds none.
-
-        Raises:
-            InputError: the rig is not known to be a person's.
-        """
-        if (bones or root_bone) and "Hips" not in self.joints:
-            raise InputError(
-                f"--names, --root-bone: expected the bones of a person, found others in {self.source.document.path.name}; "
-                "leave the options out"
-            )
-        return dataclasses.replace(self, renamed=new_names(self.joints, bones), root_bone=root_bone)
-
-    def resampled(self, fps: float) -> OwnAnimation:
-        """Sample the animation at another frame rate, between frames as players of glTF do."""
-        before, after, fraction = frames_around(self.frames, self.fps, fps)
-        tracks = {
-            key: _between(values[before], values[after], fraction[:, None], key[1]) for key, values in self.tracks.items()
-        }
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
-
-    def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh in every frame."""
-        return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
-
-    def write_pose(self, path: Path) -> None:
-        """Write the file with its nodes as they are in the first frame, and nothing else changed."""
-        draft = self._copy()
-        for (node, target), values in self.tracks.items():
-            draft.gltf["nodes"][node][target] = values[0].tolist()
-        draft.save(path)
-
-    def write(self, path: Path) -> None:
-        """Write the file with the animation, which comes first: programs that play one play the first."""
-        draft = self._copy()
-        tracks = self.tracks if self.root_bone is None else _with_root_bone(self, draft)
-        times = draft.add_floats(np.arange(self.frames)[:, None] / self.fps, bounds=True)
-        samplers, channels = [], []
-        for (node, target), values in tracks.items():
-            output = draft.add_floats(values.reshape(-1, 1) if target == "weights" else values)
-            samplers.append({"input": times, "interpolation": "LINEAR", "output": output})
-            channels.append({"sampler": len(samplers) - 1, "target": {"node": node, "path": target}})
-        if channels:
-            animation = {"name": self.name, "samplers": samplers, "channels": channels}
-            draft.gltf["animations"] = [animation, *copy.deepcopy(draft.gltf.get("animations", []))]
-        draft.save(path)
-
-    def _copy(self) -> Draft:
-        """Copy the document, with properties in place of the matrix of each node that moves.
-
-        Animated nodes must not have a matrix (glTF 2.0, 3.5.3 Transformations).
-        """
-        draft = AccessorCopier(self.source.document, whole=True).draft
-        nodes = draft.gltf["nodes"]
-        for node in {node for node, _ in self.tracks}:
-            if "matrix" in nodes[node]:
-                properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
-                nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
-        taken = set(self.renamed.values())
-        for number, node in enumerate(nodes):
-            if number in self.renamed:
-                node["name"] = self.renamed[number]
-            elif node.get("name") in taken:
-                node["name"] = f"{node['name']} (of the file)"
-        return draft
-
-
-def new_names(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[int, str]:
-    """Assign new names to the nodes of a person's joints.
-
-    A trunk of fewer joints than ours gets the names from the hips up, because the first one is the one that programs
-    require.
-    """
-    trunk = [joints[name] for name in TRUNK if name in joints]
-    names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
-    known = {name: node for name, node in joints.items() if name not in TRUNK} | dict(zip(names, trunk, strict=False))
-    return {node: bones[name] for name, node in known.items() if name in bones}
-
-
-def _with_root_bone(animation: OwnAnimation, draft: Draft) -> NodeTracks:
-    """Add a node above the hips to a document; the tracks in which it has the hips' displacement over the ground."""
-    document, hips = animation.source.document, animation.joints["Hips"]
-    above = node_parents(document)[hips]
-    gltf, root = draft.gltf, len(draft.gltf["nodes"])
-    gltf["nodes"].append({"name": animation.root_bone, "children": [hips]})
-    owners = [gltf["nodes"][above]["children"]] if above >= 0 else [scene.get("nodes", []) for scene in gltf["scenes"]]
-    for children in owners:
-        children[:] = [root if node == hips else node for node in children]
-    path = animation.tracks.get((hips, "translation"))
-    if path is None:
-        return animation.tracks
-    T_world_above = np.eye(4) if above < 0 else world_matrices(document, local_matrices(document))[above]
-    moved = (path - path[0]) @ T_world_above[:3, :3].T
-    moved[:, 1] = 0.0
-    local = moved @ np.linalg.inv(T_world_above[:3, :3]).T
-    return {**animation.tracks, (hips, "translation"): path - local, (root, "translation"): local}
-
-
-def _between(
-    before: Float[np.ndarray, "T C"], after: Float[np.ndarray, "T C"], fraction: Float[np.ndarray, "T 1"], path: str
-) -> Float[np.ndarray, "T C"]:
-    """Interpolate linearly, quaternions along the shorter arc."""
-    if path == "rotation":
-        values = slerp_quaternions(before, after, fraction)
-        return values / np.linalg.norm(values, axis=1, keepdims=True)
-    return (1 - fraction) * before + fraction * after
 
 
 def read_own_rig(mesh: Mesh) -> OwnRig:
@@ -263,7 +124,7 @@ class GltfJoints:
         played = None if self.played is None else self.played.cut(frames)
         return dataclasses.replace(self, times=self.times[frames], played=played)
 
-    def values(self) -> NodeTracks:
+    def values(self) -> AnimatedValues:
         """Sample the animated values of all nodes."""
         return {(channel.node, channel.path): channel.sample(self.times) for channel in self.channels}
 
@@ -316,19 +177,7 @@ def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> 
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
-def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
-    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
-    from scipy.spatial.transform import Rotation
-
-    if "matrix" not in entry:
-        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
-    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
-    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
-    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
-    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
-
-
-def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> NodeTracks:
+def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> AnimatedValues:
     """Decompose local transforms into those of translation, rotation and scale that differ from the file's."""
     from scipy.spatial.transform import Rotation
 
@@ -341,7 +190,7 @@ def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4
     signs = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
     rotation[1:] *= signs[:, None]
     rotation *= -1.0 if rotation[0] @ own["rotation"] < 0 else 1.0
-    found: NodeTracks = {}
+    found: AnimatedValues = {}
     unit = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size
     if np.abs(local[:, :3, 3] - own["translation"]).max() > UNCHANGED * unit:
         found[node, "translation"] = local[:, :3, 3]

@@ -14,10 +14,12 @@ import numpy as np
 from jaxtyping import Float
 
 from .animation import animated_nodes
+from .bake import AnimatedValues
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
-from .own_rig import GltfJoints, NodeTracks, node_properties
+from .own_animation import node_properties
+from .own_rig import GltfJoints
 from .scene import local_matrices, node_parents, world_matrices
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
@@ -31,7 +33,7 @@ SHARED = 1.0
 class SharedMotion:
     """An animation copied from a file with the same skeleton."""
 
-    tracks: NodeTracks
+    tracks: AnimatedValues
     same_rest: bool
     """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
 
@@ -57,7 +59,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     same_rest = bool(moved < SAME_BONE)
     scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
     values = driving.values()
-    tracks: NodeTracks = {}
+    tracks: AnimatedValues = {}
     for k, (node, other) in enumerate(pairs.items()):
         own, static = (node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other)))
         for path in ("translation", "rotation", "scale"):
@@ -133,10 +135,12 @@ def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool
     return True
 
 
-def _other_tracks(mine: Document, theirs: Document, values: NodeTracks, done: set[tuple[int, str]]) -> NodeTracks:
+def _other_tracks(
+    mine: Document, theirs: Document, values: AnimatedValues, done: set[tuple[int, str]]
+) -> AnimatedValues:
     """Copy the values of nodes that are no joints, by name: morph weights of a mesh with as many targets, props."""
     their_names, my_names = _names(theirs), _names(mine)
-    tracks: NodeTracks = {}
+    tracks: AnimatedValues = {}
     for (other, path), value in values.items():
         nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
         for node in nodes[:1]:

@@ -1,4 +1,10 @@
-"""Writes a skinned mesh: joints, a skin with four weights a vertex, and an animation of rotations and the root's path.
+"""Writes a skinned mesh: joints, a skin with four weights a vertex, and animations of rotations and the root's path.
+
+Rotations have the keys that interpolation needs (see `keys`), the root's path has one for each frame: it costs 16 bytes
+a frame, and from it readers know the frame rate and the number of frames.
+
+Keys and weights are float32. As normalized 16-bit integers, which glTF allows too, they would take half of the room,
+but Assimp and importers that are made with it take such numbers for floats (Assimp issues 3560 and 6130).
 
 Vertices are written at rest, as the source file has them. A skinned mesh ignores the transform of its own node (glTF
 2.0, 3.7.3.2 Joint Hierarchy), so skinned nodes are written at the root of the scene, and the transform of the node that
@@ -7,54 +13,108 @@ showed the mesh before goes into the inverse bind matrices.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ...core.animated_rig import AnimatedRig, local_rotations
+from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation, local_rotations
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
+from .keys import choose_keys, played_values, rotation_tolerances
 from .primitives import PrimitiveGroup
 
-UNSIGNED_BYTE, FLOAT = 5121, 5126
+UNSIGNED_BYTE, UNSIGNED_SHORT, FLOAT = 5121, 5123, 5126
 """Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
+KEY_LIMIT = 1e-4
+"""Largest distance, over the mesh's size, by which thinned keys move a vertex from where all keys take it."""
+ACCESSOR_BYTES = 190
+"""Characters of JSON that an accessor of key times takes, with its buffer view."""
 
 
-def write_gltf_skinned(skeleton: AnimatedRig, fps: float, path: Path) -> None:
-    """Write the mesh, joints and animation of a rig, as .glb or .gltf by the suffix of `path`.
+@dataclass(frozen=True, eq=False)
+class _ThinnedRotations:
+    """The rotations of all joints in their parents' frames, and which of them are written."""
+
+    quat_xyzw: Float[np.ndarray, "J T 4"]
+    is_key: Bool[np.ndarray, "J T"]
+
+    @classmethod
+    def of(cls, skeleton: AnimatedRig) -> _ThinnedRotations:
+        """Choose the keys of a motion. Joints whose own key times would take more room than they save have all keys."""
+        quat_xyzw = local_quaternions(skeleton, skeleton.rotation).swapaxes(0, 1)
+        limit = KEY_LIMIT * skeleton.size
+        rig = skeleton.rig.limited(INFLUENCES)
+        tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
+        is_key = choose_keys(quat_xyzw, tolerance, rotations=True)
+        count = is_key.sum(axis=1)
+        own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
+        is_key[(count > 1) & (own_times > is_key.shape[1] * 16)] = True
+        return cls(quat_xyzw, is_key)
+
+    def played(self, skeleton: AnimatedRig) -> AnimatedRig:
+        """Return the motion that clients interpolate from the keys."""
+        from scipy.spatial.transform import Rotation
+
+        quat_xyzw = played_values(self.quat_xyzw, self.is_key, rotations=True)
+        rotation = Rotation.from_quat(quat_xyzw.reshape(-1, 4)).as_matrix().reshape(*quat_xyzw.shape[:2], 3, 3)
+        positions = skeleton.local_positions().swapaxes(0, 1)
+        for j, parent in enumerate(skeleton.parents):
+            if parent >= 0:
+                positions[j] = positions[parent] + (rotation[parent] @ positions[j, ..., None])[..., 0]
+                rotation[j] = rotation[parent] @ rotation[j]
+        kept = None if skeleton.positions is None else positions.swapaxes(0, 1)
+        return replace(skeleton, rotation=rotation.swapaxes(0, 1), positions=kept)
+
+
+def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[AnimatedRig]:
+    """Write a mesh with joints and animations of them, as .glb or .gltf by the suffix of `path`.
 
     A mesh that came from a glTF file keeps all of that file but its skins, animations and morph targets.
+
+    Args:
+        animations: of one rig: they have the same mesh, joints, weights and rest pose.
+
+    Returns:
+        The motions as clients of the file play them.
     """
+    skeleton = animations[0].skeleton
     mesh = with_normals(skeleton.mesh)
     if isinstance(mesh.source, GltfSource):
         draft, groups = edit_document(mesh.source, mesh, keep_targets=False)
     else:
         draft, groups = build_document(mesh, mesh)
-    joint_nodes = _add_joints(draft, skeleton)
+    rest = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
+    joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
     for node in dict.fromkeys(group.node for group in groups):
         node_groups = [group for group in groups if group.node == node]
         skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
         _attach_skinned_mesh(draft, node, skin, node_groups)
-    draft.gltf["animations"] = [_joint_animation(draft, skeleton, joint_nodes, fps)]
+    thinned = [_ThinnedRotations.of(animation.skeleton) for animation in animations]
+    draft.gltf["animations"] = [
+        _joint_animation(draft, animation, rotations, joint_nodes)
+        for animation, rotations in zip(animations, thinned, strict=True)
+    ]
     draft.save(path)
+    return [rotations.played(animation.skeleton) for animation, rotations in zip(animations, thinned, strict=True)]
 
 
-def _add_joints(draft: Draft, skeleton: AnimatedRig) -> list[int]:
-    """Add a node for each joint, in the rest pose, and the root to the scene; returns the nodes' indices."""
+def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 4"]) -> list[int]:
+    """Add a node for each joint, with its rotation at rest, and the root to the scene; returns the nodes' indices."""
     nodes, start = draft.gltf["nodes"], len(draft.gltf["nodes"])
-    rotations = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
     translations = np.concatenate([skeleton.rig.joints[:1], skeleton.rig.bones(skeleton.parents)])
     for j, name in enumerate(skeleton.names):
         node: dict[str, Any] = {
             "name": name,
-            "rotation": rotations[j].tolist(),
+            "rotation": rest[j].tolist(),
             "translation": translations[j].tolist(),
         }
         children = [start + c for c, parent in enumerate(skeleton.parents) if parent == j]
@@ -69,14 +129,15 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig) -> list[int]:
 def _add_weights(draft: Draft, groups: list[PrimitiveGroup], skeleton: AnimatedRig) -> None:
     """Add JOINTS_0 and WEIGHTS_0 to the primitives: the strongest four weights of each vertex."""
     joints, weights = skeleton.strongest()
-    padding = ((0, 0), (0, 4 - joints.shape[1]))  # JOINTS_0 and WEIGHTS_0 are always VEC4
+    padding = ((0, 0), (0, INFLUENCES - joints.shape[1]))  # JOINTS_0 and WEIGHTS_0 are always VEC4
     joints, weights = np.pad(joints, padding), np.pad(weights, padding)
+    wide = len(skeleton.names) > 256  # joint indices have 8 bits where these are enough
     for group in groups:
         group_joints, group_weights = joints[group.vertex_of], weights[group.vertex_of].astype("<f4")
         # Joints of weight zero should be 0 (glTF 2.0, 3.7.3.3 Skinned Mesh Attributes).
-        group_joints = np.where(group_weights > 0, group_joints, 0).astype("u1")
-        accessor = {"bufferView": draft.add_view(group_joints, target=ARRAY_BUFFER), "componentType": UNSIGNED_BYTE}
-        accessor |= {"count": len(group_joints), "type": "VEC4"}
+        group_joints = np.where(group_weights > 0, group_joints, 0).astype("<u2" if wide else "u1")
+        accessor = {"bufferView": draft.add_view(group_joints, target=ARRAY_BUFFER), "type": "VEC4"}
+        accessor |= {"componentType": UNSIGNED_SHORT if wide else UNSIGNED_BYTE, "count": len(group_joints)}
         joints_0 = draft.add_accessor(accessor)
         attributes = {"JOINTS_0": joints_0, "WEIGHTS_0": draft.add_floats(group_weights, ARRAY_BUFFER)}
         for primitive in group.primitives:
@@ -119,20 +180,30 @@ def _default_scene(draft: Draft) -> dict[str, Any]:
     return draft.gltf["scenes"][draft.gltf.get("scene", 0)]
 
 
-def _joint_animation(draft: Draft, skeleton: AnimatedRig, joint_nodes: list[int], fps: float) -> dict[str, Any]:
-    """Return an animation with one key a frame: the rotation of every joint and the translation of the root."""
-    times = draft.add_floats(np.arange(len(skeleton.root))[:, None] / fps, bounds=True)
-    rotations = local_quaternions(skeleton, skeleton.rotation)
-    outputs = [(j, "rotation", rotations[:, j]) for j in range(len(joint_nodes))]
-    outputs += [(j, "translation", path) for j, path in _moved_joints(skeleton).items()]
-    samplers = [
-        {"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)} for _, _, values in outputs
-    ]
-    channels = [
-        {"sampler": number, "target": {"node": joint_nodes[joint], "path": path}}
-        for number, (joint, path, _) in enumerate(outputs)
-    ]
-    return {"name": skeleton.mesh.name, "samplers": samplers, "channels": channels}
+def _joint_animation(
+    draft: Draft,
+    animation: RigAnimation,
+    rotations: _ThinnedRotations,
+    joint_nodes: list[int],
+) -> dict[str, Any]:
+    """Add an animation: the rotations of all joints, and the translations of those that move, in every frame.
+
+    Joints that stay at rest have a key too: where an animation leaves a joint out, Blender and blending engines keep
+    the pose of another animation. Channels with keys in the same frames share their times.
+    """
+    outputs = [(j, "rotation", rotations.is_key[j], rotations.quat_xyzw[j]) for j in range(len(joint_nodes))]
+    for j, path in _moved_joints(animation.skeleton).items():
+        outputs.append((j, "translation", np.ones(len(path), bool), path))
+    times: dict[bytes, int] = {}
+    samplers, channels = [], []
+    for joint, path, is_key, values in outputs:
+        if is_key.tobytes() not in times:
+            seconds = np.flatnonzero(is_key)[:, None] / animation.fps
+            times[is_key.tobytes()] = draft.add_floats(seconds, bounds=True)
+        output = draft.add_floats(values[is_key])
+        channels.append({"sampler": len(samplers), "target": {"node": joint_nodes[joint], "path": path}})
+        samplers.append({"input": times[is_key.tobytes()], "interpolation": "LINEAR", "output": output})
+    return {"name": animation.name, "samplers": samplers, "channels": channels}
 
 
 def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
@@ -144,7 +215,7 @@ def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
         return {0: skeleton.root}
     local, bones = skeleton.local_positions(), skeleton.rig.bones(skeleton.parents)
     change = np.linalg.norm(local[:, 1:] - bones, axis=-1).max(axis=0)
-    moved = np.flatnonzero(change > STILL * np.ptp(skeleton.mesh.vertices, axis=0).max()) + 1
+    moved = np.flatnonzero(change > STILL * skeleton.size) + 1
     return {int(j): local[:, j] for j in (0, *moved)}
 
 

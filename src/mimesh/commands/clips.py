@@ -1,0 +1,154 @@
+"""What `mimesh animate` writes: frames, joints or blend shapes, and one clip or several of one identity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .terminal import output_beside, print_next
+
+if TYPE_CHECKING:
+    from ..bodies.engine_rig import Layout
+    from ..pipeline.result import ClipResult
+
+JOINT_SUFFIXES = (".glb", ".gltf")
+"""Formats that hold joints and morph targets."""
+
+
+def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
+    """Return the default output: IDENTITY-DRIVING.glb, or for several clips IDENTITY-clips.glb."""
+    beside = output_beside(identity, driving[0], ".glb")
+    return beside if len(driving) == 1 else identity.with_name(f"{identity.stem}-clips.glb")
+
+
+def clip_names(driving: Sequence[Path]) -> list[str]:
+    """Return the names of the animations in a file: those of the driving files, without suffixes."""
+    from ..pipeline.skinned import distinct_names
+
+    paths = [path.resolve() for path in driving]
+    return distinct_names([path.name if path.is_dir() else path.stem for path in paths])
+
+
+def check_clip_output(
+    output: Path, driving: Sequence[Path], skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
+) -> bool | None:
+    """Check that the format of the output can hold what is asked for.
+
+    Returns:
+        Whether joints are written; None: if the model has any.
+
+    Raises:
+        InputError: options that exclude each other, or a format that cannot hold the clip, joints or several clips.
+    """
+    from ..bodies.engine_rig import Layout
+    from ..core.errors import InputError
+    from ..io import clip_suffixes
+    from ..render.movie import MOVIES
+
+    options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
+    given = [option for option, present in options.items() if present]
+    if len(given) > 1:
+        raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
+    frames = morphs or blendshapes is not None
+    if len(driving) > 1 and (frames or output.suffix.lower() not in JOINT_SUFFIXES):
+        found = given[0] if frames else f"'{output.suffix}'"
+        raise InputError(
+            f"{output}: expected joints in a .glb or .gltf for {len(driving)} clips, found {found}; "
+            "animate one clip at a time, or change the output"
+        )
+    check_suffix(output, JOINT_SUFFIXES if given else (*clip_suffixes(), *MOVIES, ""))
+    layout.check()
+    if layout != Layout() and (frames or output.suffix.lower() not in JOINT_SUFFIXES):
+        raise InputError(
+            f"--names, --root-bone, --rest, --output-fps: expected joints in a .glb or .gltf, found {output.name} "
+            "without; change the output, or leave these options out"
+        )
+    if skinned or len(driving) > 1 or layout != Layout():
+        return True
+    return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
+
+
+def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
+    """Check that a format can be written, before the work is done."""
+    from ..core.errors import InputError
+
+    if output.suffix.lower() not in suffixes:
+        known = " ".join(sorted({suffix for suffix in suffixes if suffix}))
+        raise InputError(
+            f"{output}: expected an output in one of {known}, found '{output.suffix}'; name another with -o"
+        )
+
+
+def check_single(driving: Sequence[Path], options: dict[str, object]) -> None:
+    """Check that options about one driving file are not given with several."""
+    from ..core.errors import InputError
+
+    for option, value in options.items():
+        if value is not None and len(driving) > 1:
+            raise InputError(
+                f"{option}: expected one DRIVING with it, found {len(driving)}; animate one clip at a time"
+            )
+
+
+def save_clips(
+    results: Sequence[ClipResult],
+    output: Path,
+    names: Sequence[str],
+    skinned: bool | None,
+    blendshapes: int | None,
+    layout: Layout,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    """Write results as joints, with `skinned` None where these are more than a pose; else write the one as frames."""
+    from ..pipeline.skinned import save_skinned
+
+    first = results[0]
+    jointed = first.skeleton is not None or first.own is not None
+    if skinned or (skinned is None and jointed and len(first.clip) > 1):
+        save_skinned(results, output, names, layout)
+    else:
+        first.save(output, blendshapes, progress)
+
+
+def joined_facts(facts: Sequence[dict[str, Any]], names: Sequence[str], driving: Sequence[Path]) -> dict[str, Any]:
+    """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
+    clips = [
+        {"name": name, "driving": str(path), **{key: one[key] for key in ("frames", "fps", "seconds", "report")}}
+        for one, name, path in zip(facts, names, driving, strict=True)
+    ]
+    rates = {one["fps"] for one in facts}
+    reports = [one["report"] for one in facts]
+    report = {
+        "notes": list(dict.fromkeys(note for report in reports for note in report["notes"])),
+        "pictures": [path for report in reports for path in report["pictures"]],
+        "page": reports[0]["page"],
+    }
+    return {
+        **{key: facts[0][key] for key in ("output", "model", "vertices")},
+        "frames": sum(one["frames"] for one in facts),
+        "fps": rates.pop() if len(rates) == 1 else None,
+        "seconds": {step: round(sum(one["seconds"][step] for one in facts), 4) for step in facts[0]["seconds"]},
+        "report": report,
+        "clips": clips,
+    }
+
+
+def print_clips(facts: dict[str, Any]) -> None:
+    """Print a file of several clips: a line for each, notes with the clips that they are about, and the pages."""
+    from ..tools.convert import frames_at
+
+    clips, seconds = facts["clips"], sum(facts["seconds"].values())
+    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {facts['model']}, {seconds:.1f} s")
+    for clip in clips:
+        print(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
+    for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):
+        print(f"joints: {line}")
+    for note in facts["report"]["notes"]:
+        about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
+        print(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
+    for clip in clips:
+        for path in (*clip["report"]["pictures"], clip["report"]["page"]):
+            if path:
+                print(f"preview: {path}")
+    print_next("look", facts["output"])

@@ -1,0 +1,140 @@
+"""Chooses the keys of joint animations: the fewest from which linear interpolation stays within a tolerance.
+
+Tracks have a value in each frame, at a constant rate. Clients interpolate rotations between two keys by slerp (glTF
+2.0, 3.11 Animations), but Blender and some engines interpolate the components and normalize: both have to be within
+the tolerance. Keys are values of the track itself.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from ...core.rig import Rig, descendant_matrix
+from .animation import slerp
+from .scene import normalized_quaternions
+
+SHORTEST_REACH = 0.05
+"""Least distance, over the mesh's size, over which a rotation of a joint counts, even if it moves no vertex so far
+away: users attach objects to joints without vertices."""
+
+
+def choose_keys(
+    values: Float[np.ndarray, "J T C"], tolerance: Float[np.ndarray, " J"], rotations: bool
+) -> Bool[np.ndarray, "J T"]:
+    """Choose the frames of J tracks that become keys; a track without motion gets one, in the first frame.
+
+    The Douglas-Peucker algorithm: the frame with the largest error between two keys becomes a key, until all errors are
+    within the tolerance. Segments of all tracks are split together. It takes 0.1 s for 61 joints in 300 frames and at
+    most 1 % more keys than extending each segment as far as possible, which takes 10 s (measured on motion capture).
+
+    Args:
+        values: with `rotations`, unit quaternions, each in the hemisphere of the one before.
+        tolerance: largest angle in radians, or largest distance in the unit of the values.
+    """
+    is_key = np.zeros(values.shape[:2], bool)
+    is_key[:, 0] = True
+    tracks = np.arange(len(values))
+    last = np.full(len(values), values.shape[1] - 1)
+    constant = np.array([_errors(track, track[:1], track[:1], 0.0, rotations).max() for track in values])
+    moving = constant > tolerance
+    is_key[moving, -1] = True
+    segments = np.stack([tracks, np.zeros_like(last), last])[:, moving]  # rows: track, first and last frame
+    while (segments := segments[:, segments[2] - segments[1] > 1]).size:
+        worst_frame, worst = _worst_frames(values, segments, rotations)
+        split = worst > tolerance[segments[0]]
+        track, start, stop = segments[:, split]
+        middle = worst_frame[split]
+        is_key[track, middle] = True
+        segments = np.concatenate([[track, start, middle], [track, middle, stop]], axis=1)
+    return is_key
+
+
+def played_values(
+    values: Float[np.ndarray, "J T C"], is_key: Bool[np.ndarray, "J T"], rotations: bool
+) -> Float[np.ndarray, "J T C"]:
+    """Compute the values in all frames that clients interpolate from the keys."""
+    frames = np.arange(values.shape[1])
+    before = np.maximum.accumulate(np.where(is_key, frames, 0), axis=1)
+    after = np.minimum.accumulate(np.where(is_key, frames, len(frames))[:, ::-1], axis=1)[:, ::-1]
+    after = np.where(after < len(frames), after, before)  # after its last key a track keeps the value of that key
+    s = (frames - before) / np.maximum(after - before, 1)
+    track = np.arange(len(values))[:, None]
+    width = values.shape[2]
+    a, b = (values[track, keys].reshape(-1, width) for keys in (before, after))
+    return _interpolate(a, b, s.reshape(-1, 1), rotations).reshape(values.shape)
+
+
+def rotation_tolerances(
+    vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...], limit: float
+) -> Float[np.ndarray, " J"]:
+    """Compute the error of each joint's local rotation (radians) with which no vertex moves farther than `limit`.
+
+    An error of a joint moves a vertex below it by at most the error times their distance in any pose, and the errors
+    along a chain of joints add up: every joint gets an equal share of the limit, by the longest chain through it.
+    """
+    reach = _reaches(vertices, rig, parents)
+    reach = np.maximum(reach, SHORTEST_REACH * np.ptp(vertices, axis=0).max())
+    below = descendant_matrix(parents)
+    depth = below.sum(axis=0)  # joints from the root down to each joint, itself included
+    longest_chain = (below * depth).max(axis=1)
+    return limit / (longest_chain * reach)
+
+
+def _reaches(vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, " J"]:
+    """Compute the largest distance, in any pose, from each joint to a vertex that it or a descendant moves.
+
+    That is the length of the bones between them and the distance of the vertex from the last joint.
+    """
+    reach = np.zeros(len(parents))
+    for j, joint in enumerate(rig.joints):
+        moved = vertices[rig.weights[:, j] > 0]
+        reach[j] = np.linalg.norm(moved - joint, axis=1).max(initial=0.0)
+    for j in range(len(parents) - 1, -1, -1):  # children before their parents
+        if parents[j] >= 0 and reach[j] > 0:
+            bone = np.linalg.norm(rig.joints[j] - rig.joints[parents[j]])
+            reach[parents[j]] = max(reach[parents[j]], bone + reach[j])
+    return reach
+
+
+def _worst_frames(
+    values: Float[np.ndarray, "J T C"], segments: Int[np.ndarray, "3 S"], rotations: bool
+) -> tuple[Int[np.ndarray, " S"], Float[np.ndarray, " S"]]:
+    """Find the frame inside each segment with the largest error of interpolation, and this error."""
+    _, start, stop = segments
+    count = stop - start - 1
+    first = np.cumsum(count) - count  # index of each segment's first inner frame among those of all segments
+    segment = np.repeat(np.arange(len(count)), count)
+    frame = start[segment] + 1 + np.arange(len(segment)) - first[segment]
+    track, a, b = segments[:, segment]
+    s = ((frame - a) / (b - a))[:, None]
+    error = _errors(values[track, frame], values[track, a], values[track, b], s, rotations)
+    worst = np.maximum.reduceat(error, first)
+    found = np.flatnonzero(error == worst[segment])
+    _, earliest = np.unique(segment[found], return_index=True)
+    return frame[found[earliest]], worst
+
+
+def _errors(
+    values: Float[np.ndarray, "N C"],
+    a: Float[np.ndarray, "#N C"],
+    b: Float[np.ndarray, "#N C"],
+    s: Float[np.ndarray, "#N 1"] | float,
+    rotations: bool,
+) -> Float[np.ndarray, " N"]:
+    """Compute the angle (radians) or distance between values and those interpolated between a and b."""
+    if not rotations:
+        return np.linalg.norm(values - _interpolate(a, b, s, rotations), axis=1)
+    candidates = (_interpolate(a, b, s, True), normalized_quaternions((1 - s) * a + s * b))
+    chord = np.max([np.linalg.norm(values - candidate, axis=1) for candidate in candidates], axis=0)
+    # Two unit quaternions with the angle x between them are rotations 2 x apart, and their distance is 2 sin(x / 2).
+    return 4 * np.arcsin(np.minimum(chord / 2, 1.0))
+
+
+def _interpolate(
+    a: Float[np.ndarray, "N C"], b: Float[np.ndarray, "N C"], s: Float[np.ndarray, "#N 1"] | float, rotations: bool
+) -> Float[np.ndarray, "N C"]:
+    """Interpolate linearly between a and b, at s in 0..1; with `rotations`, unit quaternions by slerp."""
+    if not rotations:
+        return (1 - s) * a + s * b
+    return normalized_quaternions(slerp(a, b, np.broadcast_to(s, (len(a), 1))))

@@ -1,0 +1,199 @@
+"""Save results as one skinned file: joints, weights, and an animation for each result."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..bodies.character_limbs import SIDES
+from ..bodies.engine_names import SCHEMES
+from ..bodies.engine_rig import Layout, engine_rig
+from ..bodies.joint_names import finger_joints
+from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.errors import InputError
+from ..core.rig import Rig, descendants
+from ..io import save_own_animations, save_rig_animations
+
+if TYPE_CHECKING:
+    from .result import ClipResult
+
+AS_IT_IS = Layout()
+"""Bones as the rig has them."""
+SAME_JOINT = 1e-4
+"""Largest distance, over the mesh's size, between joints or vertices of two results that count as the same."""
+
+
+def save_skinned(
+    results: Sequence[ClipResult],
+    path: str | Path,
+    names: Sequence[str] | None = None,
+    layout: Layout = AS_IT_IS,
+) -> Path:
+    """Write results of one identity as one .glb or .gltf: its mesh at rest with joints, and an animation for each.
+
+    An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have
+    four weights a vertex and their rotations as keys, thinned where interpolation gives the others. The deviation of
+    the file from the frames of a result is then in its `report`: "skinned_deviation", largest distance of a vertex over
+    the mesh's size, and "keys_deviation", the part of it that thinned keys cause.
+
+    Args:
+        results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
+            move follow the hand in the others.
+        path: the file to write.
+        names: names of the animations; by default those of the driving clips. Equal ones get a number.
+        layout: names and arrangement of the bones.
+
+    Raises:
+        InputError: a model without joints, another identity, another format, or a path that cannot be written to.
+    """
+    if not results:
+        raise InputError(f"{path}: expected results of animate to save, found none")
+    if names is not None and len(names) != len(results):
+        raise InputError(f"{path}: expected a name for each of {len(results)} results, found {len(names)}")
+    layout.check()
+    found = names or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
+    if all(result.own is not None for result in results):
+        return _save_on_own_rig(results, Path(path), distinct_names(found), layout)
+    skeletons = []
+    for result in results:
+        if result.skeleton is None:
+            raise InputError(f"--skinned: expected a model with joints (mime), found {result.model}; choose it with -m")
+        skeletons.append(result.skeleton)
+    with results[0].seconds.step("write"):
+        facing = results[0].report["identity"]
+        moved = [
+            engine_rig(skeleton, layout.names, layout.root_bone, layout.rest, up=facing["up"], front=facing["front"])
+            for skeleton in on_common_rig(skeletons)
+        ]
+        animations = [
+            RigAnimation(name, skeleton, result.fps).resampled(layout.fps)
+            for name, skeleton, result in zip(distinct_names(found), moved, results, strict=True)
+        ]
+        written = save_rig_animations(animations, path)
+    for result, skeleton, animation, thinned in zip(results, moved, animations, written, strict=True):
+        # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
+        checked = thinned if layout.fps is None else skeleton
+        result.report["skinned_deviation"] = checked.deviation(result.clip.vertices)
+        result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
+    return Path(path)
+
+
+def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> Path:
+    """Write the identity's own file with new animations of its bones."""
+    if layout.rest != "file":
+        raise InputError(
+            f"--rest {layout.rest}: expected file, because the identity's own rig stays as it is bound; "
+            "leave it out, or choose --rig mimesh"
+        )
+    animations = []
+    for name, result in zip(names, results, strict=True):
+        assert result.own is not None
+        own = dataclasses.replace(result.own, name=name).with_layout(SCHEMES[layout.names].bones, layout.root)
+        animations.append(own if layout.fps is None else own.resampled(layout.fps))
+    with results[0].seconds.step("write"):
+        save_own_animations(animations, path)
+    return path
+
+
+def distinct_names(names: Sequence[str]) -> list[str]:
+    """Number names that were there before: walk, walk-2, walk-3."""
+    distinct: list[str] = []
+    for name in names:
+        number = 2
+        candidate = name
+        while candidate in distinct:
+            candidate, number = f"{name}-{number}", number + 1
+        distinct.append(candidate)
+    return distinct
+
+
+def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
+    """Give motions of one identity the same joints, rest pose and weights; the vertices move as before.
+
+    Only fingers may differ: a model that finds them adds their joints where the driving moves them. The common rig has
+    the fingers that any motion has; in the others these follow the hand.
+
+    Raises:
+        InputError: other vertices, joints or rest positions.
+    """
+    first = skeletons[0]
+    for skeleton in skeletons[1:]:
+        _check_same(first, skeleton)
+    if all(skeleton.names == first.names for skeleton in skeletons):
+        names, parents, rig = first.names, first.parents, first.rig
+    else:
+        names, parents, rig = _with_all_fingers(skeletons)
+    return [_moved_onto(skeleton, names, parents, rig) for skeleton in skeletons]
+
+
+def _body_names(skeleton: AnimatedRig) -> list[str]:
+    """List the joints that are no fingers."""
+    fingers = {name for side in SIDES for name in finger_joints(side)}
+    return [name for name in skeleton.names if name not in fingers]
+
+
+def _check_same(first: AnimatedRig, other: AnimatedRig) -> None:
+    """Raise InputError if two motions are not those of one identity."""
+    a, b = first.mesh.vertices, other.mesh.vertices
+    allowed = SAME_JOINT * first.size
+    same = a.shape == b.shape and np.abs(a - b).max() <= allowed
+    same = same and (first.names == other.names or _body_names(first) == _body_names(other))
+    if same:
+        index = {name: j for j, name in enumerate(other.names)}
+        shared = [(j, index[name]) for j, name in enumerate(first.names) if name in index]
+        mine, theirs = np.transpose(shared)
+        same = np.abs(first.rig.joints[mine] - other.rig.joints[theirs]).max() <= allowed
+    if not same:
+        raise InputError(
+            f"{other.mesh.name}: expected results of one identity with the same joints, found others; "
+            "animate all clips with the same identity and options"
+        )
+
+
+def _with_all_fingers(skeletons: Sequence[AnimatedRig]) -> tuple[tuple[str, ...], tuple[int, ...], Rig]:
+    """Return names, parents and rig with the body's joints of the first motion and the fingers of all of them."""
+    body = _body_names(skeletons[0])
+    sources = [(name, skeletons[0]) for name in body]
+    fingered: dict[str, AnimatedRig] = {}
+    for side in SIDES:
+        owner = next((skeleton for skeleton in skeletons if finger_joints(side)[0] in skeleton.names), None)
+        if owner is not None:
+            fingered[side] = owner
+            sources += [(name, owner) for name in finger_joints(side)]
+    names = tuple(name for name, _ in sources)
+    rotation, joints, parents = [], [], []
+    for name, owner in sources:
+        j = owner.names.index(name)
+        rotation.append(owner.rig.rotation[j])
+        joints.append(owner.rig.joints[j])
+        parents.append(-1 if owner.parents[j] < 0 else names.index(owner.names[owner.parents[j]]))
+    weights = _spread_weights(skeletons[0], names)
+    # Fingers take weights from the hand's other joints: all vertices of a hand have the weights of its fingers' owner.
+    for side, owner in fingered.items():
+        spread = _spread_weights(owner, names)
+        hand = descendants([names.index(f"{side}Hand")], tuple(parents))
+        of_hand = spread[:, hand].any(axis=1) | weights[:, hand].any(axis=1)
+        weights[of_hand] = spread[of_hand]
+    return names, tuple(parents), Rig(np.stack(rotation), np.stack(joints), weights)
+
+
+def _spread_weights(skeleton: AnimatedRig, names: tuple[str, ...]) -> np.ndarray:
+    """Return a motion's weights with a column for each of the names, which include its joints."""
+    weights = np.zeros((len(skeleton.mesh.vertices), len(names)))
+    weights[:, [names.index(name) for name in skeleton.names]] = skeleton.rig.weights
+    return weights
+
+
+def _moved_onto(skeleton: AnimatedRig, names: tuple[str, ...], parents: tuple[int, ...], rig: Rig) -> AnimatedRig:
+    """Return a motion on another rig of its identity: joints rotate as far from rest; new ones follow their parent."""
+    index = {name: j for j, name in enumerate(skeleton.names)}
+    since_rest = skeleton.rotation @ skeleton.rig.rotation.swapaxes(-1, -2)
+    moved: list[np.ndarray] = []
+    for j, name in enumerate(names):
+        moved.append(since_rest[:, index[name]] if name in index else moved[parents[j]])
+    rotation = np.stack(moved, axis=1) @ rig.rotation
+    return dataclasses.replace(skeleton, names=names, parents=parents, rig=rig, rotation=rotation)

@@ -1,0 +1,99 @@
+"""`mimesh animate`: joints by default, frames with --morphs, and several clips in one file."""
+
+import json
+
+import numpy as np
+import pytest
+from networks import write_mime_network
+from people import person, walk
+
+from mimesh.cli import run
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.io.gltf.document import open_document
+
+pytest.importorskip("onnx")
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """hero.glb, walk.glb, run.npz, twin.npz, pose.obj, and the network mime.onnx."""
+    folder = tmp_path_factory.mktemp("clips")
+    write_mime_network(folder / "mime.onnx")
+    save_mesh(person(0), folder / "hero.glb")
+    save_clip(walk(faces=600), folder / "walk.glb")
+    save_clip(walk(2, frames=5, faces=600), folder / "run.npz")
+    save_clip(walk(2, frames=5), folder / "twin.npz")  # of the identity's topology
+    save_mesh(person(1, pose=0), folder / "pose.obj")
+    return folder
+
+
+def animate(files, *words, model="mime.onnx"):
+    model = str(files / model) if model.endswith(".onnx") else model
+    paths = [str(files / word) if "." in str(word) else str(word) for word in words]
+    return run(["animate", str(files / "hero.glb"), *paths, "-m", model])
+
+
+def test_joints_are_the_default_of_a_glb(files, capsys):
+    assert animate(files, "walk.glb", "-o", "a.glb", "--no-preview", "--json") == 0
+    report = json.loads(capsys.readouterr().out)["report"]
+    assert report["skinned_deviation"] < 1e-4
+    assert report["influence_deviation"] < 1e-5  # three joints are fewer than four
+    gltf = open_document(files / "a.glb").gltf
+    assert len(gltf["skins"]) == 1
+    assert [animation["name"] for animation in gltf["animations"]] == ["walk"]
+
+
+def test_morph_targets_and_other_formats_have_frames(files, capsys):
+    for words in (["-o", "b.glb", "--morphs"], ["-o", "c.glb", "--blendshapes", "2"], ["-o", "d.npz"]):
+        assert animate(files, "walk.glb", *words, "--no-preview", "--json") == 0
+        assert "skinned_deviation" not in json.loads(capsys.readouterr().out)["report"]
+    assert "skins" not in open_document(files / "b.glb").gltf
+    assert np.allclose(load_clip(files / "b.glb").vertices, load_clip(files / "d.npz").vertices, atol=1e-4)
+
+
+def test_a_model_without_joints_and_a_pose_have_frames(files):
+    assert animate(files, "twin.npz", "-o", "e.glb", "--no-preview", "-q", model="copy") == 0
+    assert animate(files, "pose.obj", "-o", "f.glb", "--no-preview", "-q") == 0
+    assert animate(files, "pose.obj", "-o", "g.glb", "--no-preview", "-q", "--skinned") == 0
+    assert ["skins" in open_document(files / f"{name}.glb").gltf for name in "efg"] == [False, False, True]
+
+
+def test_several_clips_become_animations_of_one_file(files, capsys):
+    assert animate(files, "walk.glb", "run.npz", "walk.glb", "--json") == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert facts["output"] == str(files / "hero-clips.glb")
+    assert (facts["frames"], facts["fps"]) == (13, 10)
+    assert [(clip["frames"], clip["fps"]) for clip in facts["clips"]] == [(4, 10), (5, 10), (4, 10)]
+    assert [clip["name"] for clip in facts["clips"]] == ["walk", "run", "walk-2"]
+    assert all(clip["report"]["skinned_deviation"] < 1e-4 for clip in facts["clips"])
+    assert load_mesh(files / "hero-clips.glb").source.animations == ("walk", "run", "walk-2")
+    assert len(load_clip(files / "hero-clips.glb", animation="run")) == 5
+    for name in ("walk", "run", "walk-2"):
+        assert (files / f"hero-clips-{name}.preview.html").exists()
+    assert animate(files, "walk.glb", "run.npz", "--no-preview") == 0
+    text = capsys.readouterr().out
+    assert "2 clips" in text
+    assert "clip: run, 5 frames at 10 per second" in text
+    assert "note: run: " not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["walk.glb", "run.npz", "-o", "x.abc"], "expected joints in a .glb or .gltf for 2 clips, found '.abc'"),
+        (["walk.glb", "run.npz", "--morphs"], "for 2 clips, found --morphs"),
+        (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one DRIVING with it, found 2"),
+        (["walk.glb", "--morphs", "--skinned"], "--morphs: expected it without --skinned"),
+        (["walk.glb", "--morphs", "-o", "x.abc"], "expected an output in one of .glb .gltf, found '.abc'"),
+        (["walk.glb", "run.npz", "-o", "walk.glb"], "expected an output apart from the inputs"),
+    ],
+)
+def test_what_a_file_cannot_hold_is_refused_before_the_work(files, words, expected, capsys):
+    assert animate(files, *words) == 2
+    assert expected in capsys.readouterr().err
+    assert not list(files.glob("x.*"))
+
+
+def test_several_clips_need_a_model_with_joints(files, capsys):
+    assert animate(files, "walk.glb", "run.npz", "-o", "y.glb", model="copy") == 2
+    assert "expected a model with joints (mime), found copy" in capsys.readouterr().err
