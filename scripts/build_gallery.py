@@ -107,7 +107,7 @@ def make_moving(folder: Path) -> None:
 
 def page(folder: Path) -> str:
     """Return the text of docs/gallery.md."""
-    sizes = [(folder / f"runner-{kind}.glb").stat().st_size / 2**20 for kind in ("skinned", "dance")]
+    sizes = [(folder / f"runner-{kind}.glb").stat().st_size / 2**20 for kind in ("dance", "morphs")]
     size = f"{sizes[0]:.1f} MiB instead of {sizes[1]:.1f} MiB"
     parts = [HEAD]
     for entry in ENTRIES:

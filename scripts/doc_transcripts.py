@@ -27,7 +27,7 @@ class Transcript(NamedTuple):
 COMMANDS = {
     "first": ("mimesh look hero.obj", "mimesh transfer hero.obj pose.obj"),
     "clip": ("mimesh animate hero.obj walk/ --fps 15",),
-    "skinned": ("mimesh animate hero.obj walk/ --fps 15 --skinned -o hero-skinned.glb --no-preview",),
+    "morphs": ("mimesh animate hero.obj walk/ --fps 15 --morphs -o hero-morphs.glb --no-preview",),
     "stl": ("mimesh transfer hero.stl pose.obj --no-preview",),
     "scan": ("mimesh animate hero.obj scans/",),
     "one-frame": ("mimesh animate hero.obj pose.obj --no-preview",),

@@ -145,9 +145,9 @@ ENTRIES = (
         "The same mesh with 31 joints, four weights a vertex and joint rotations instead of frames: {size}.",
         (
             _animate("runner", "dance.bvh"),
-            _animate("runner", "dance.bvh", "--skinned", "runner-skinned.glb"),
+            _animate("runner", "dance.bvh", "--morphs", "runner-morphs.glb"),
         ),
-        _clip_panels("runner", "dance.bvh", "runner-skinned.glb", "driving: a BVH file"),
+        _clip_panels("runner", "dance.bvh", "runner-dance.glb", "driving: a BVH file"),
     ),
     Entry(
         "hard-poses",

@@ -16,7 +16,7 @@ PAGE = ROOT / "docs" / "formats.md"
 ROWS = {
     ".glb .gltf": (
         "mesh, clip (nodes, skins, morph targets), motion (joints alone)",
-        "mesh, clip (morph targets, or joints with `--skinned`)",
+        "mesh, clip (joints, or morph targets)",
     ),
     ".vrm": ("as .glb", "as .glb, by `transfer`"),
     ".usd .usda .usdc .usdz": ("mesh, clip (points, transforms, skins, blend shapes)", "mesh, clip (points over time)"),
@@ -70,10 +70,10 @@ RULES = """## What to expect
   can be read without. Export again without compression, or decompress with another tool.
 * **Extras.** USD: `pip install 'mimesh[usd]'`. Alembic: `'mimesh[alembic]'`. MP4: `'mimesh[video]'`.
 * **Long clips** are converted frame by frame, from disk to disk. `--blendshapes K` writes a .glb with K morph targets
-  in total and prints the largest error of a vertex; `--skinned` writes `mime`'s results as joints, weights and joint
-  rotations, which is small for any number of frames. .gltf and .usda are text: prefer .glb and .usdc.
+  in total and prints the largest error of a vertex; results of `mime` are joints, weights and joint rotations, which is
+  small for any number of frames. .gltf and .usda are text: prefer .glb and .usdc.
 * **Between keys** that are far apart Blender interpolates joint rotations differently from the glTF standard; at the
-  keys both agree.
+  keys both agree. The keys that we write are so near to each other that both agree between them, too.
 """
 
 
