@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ...core.errors import InputError
+from ..fbx import fbx_as_glb
 from .check import COMPRESSION_EXTENSIONS, check_document
 from .mapped_files import MappedFiles
 
@@ -50,13 +51,17 @@ class Document:
 
 
 def open_document(path: Path) -> Document:
-    """Read and check a .glb, .vrm or .gltf file with all buffers and images it refers to.
+    """Read and check a .glb, .vrm or .gltf file with all buffers and images it refers to; an .fbx file is converted.
 
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or requires an extension that is not supported.
     """
     mapped_files = MappedFiles()
-    content = mapped_files.read(path)
+    if path.suffix.lower() == ".fbx":
+        with fbx_as_glb(path) as glb:
+            content = mapped_files.read(glb)
+    else:
+        content = mapped_files.read(path)
     magic = bytes(content[:4])
     text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
