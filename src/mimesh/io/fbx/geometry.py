@@ -107,19 +107,38 @@ def _corner_attributes(mesh: Any) -> list[Any]:
     return [value for value in values if value.exists and len(own(value.values))]
 
 
-def add_attributes(draft: Draft, mesh: Any, split: SplitMesh) -> dict[str, int]:
+def bind_matrix(mesh: Any) -> Float[np.ndarray, "4 4"]:
+    """Return the transform from a mesh to the world in its bind pose; the identity for a mesh without a skin.
+
+    A skinned mesh of glTF ignores the transform of its node (3.7.3.3), so its vertices may have any frame. In that of
+    the world they are the character at rest, upright and in its size, which a bind pose in FBX knows and in glTF not.
+    """
+    for deformer in items(mesh.skin_deformers):
+        for cluster in items(deformer.clusters):
+            T_world_mesh = matrix(cluster.bind_to_world) @ matrix(cluster.geometry_to_bone)
+            if np.isfinite(T_world_mesh).all() and np.linalg.det(T_world_mesh) > 0:
+                return T_world_mesh
+    return np.eye(4)
+
+
+def add_attributes(
+    draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]
+) -> dict[str, int]:
     """Add positions, normals, texture coordinates and colours of a mesh; returns the accessors by attribute name."""
 
     def at_vertices(values: Any, columns: int) -> np.ndarray:
         return array(values.values, columns)[array(values.indices)[split.corner_of]]
 
-    positions = array(mesh.vertices, 3)[split.position_of]
+    linear = T_world_mesh[:3, :3]
+    positions = (array(mesh.vertices, 3) @ linear.T + T_world_mesh[:3, 3])[split.position_of]
     attributes = {"POSITION": draft.add_floats(positions, ARRAY_BUFFER, bounds=True)}
     normals = own(mesh.vertex_normal)
     if normals.exists:
-        lengths = np.linalg.norm(unit := at_vertices(normals, 3), axis=1, keepdims=True)
-        unit = np.where(lengths > 0, unit / np.where(lengths > 0, lengths, 1.0), [0.0, 1.0, 0.0])
-        attributes["NORMAL"] = draft.add_floats(unit, ARRAY_BUFFER)
+        # Normals turn with the inverse transpose; only their direction counts.
+        turned = at_vertices(normals, 3) @ np.linalg.inv(linear)
+        lengths = np.linalg.norm(turned, axis=1, keepdims=True)
+        turned = np.where(lengths > 0, turned / np.where(lengths > 0, lengths, 1.0), [0.0, 1.0, 0.0])
+        attributes["NORMAL"] = draft.add_floats(turned, ARRAY_BUFFER)
     for number, entry in enumerate(items(mesh.uv_sets)):
         values = own(entry.vertex_uv)
         if values.exists and len(own(values.values)):
@@ -134,7 +153,9 @@ def add_attributes(draft: Draft, mesh: Any, split: SplitMesh) -> dict[str, int]:
     return attributes
 
 
-def add_skin(draft: Draft, mesh: Any, split: SplitMesh, mesh_node: int) -> tuple[dict[str, int], int] | None:
+def add_skin(
+    draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"], mesh_node: int
+) -> tuple[dict[str, int], int] | None:
     """Add the skin of a mesh: the accessors of its joints and weights, and the index of the skin; None without one.
 
     All influences are kept. Vertices without any follow the node of their mesh, which becomes a joint for them.
@@ -151,6 +172,7 @@ def add_skin(draft: Draft, mesh: Any, split: SplitMesh, mesh_node: int) -> tuple
         joints, matrices = [*joints, mesh_node], [*matrices, np.eye(4)]
     if not joints:
         return None
+    matrices = np.stack(matrices) @ np.linalg.inv(T_world_mesh)
     weights /= np.maximum(weights.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     attributes = {}
     kind, component = ("<u1", 5121) if len(joints) < 256 else ("<u2", 5123)
@@ -162,7 +184,7 @@ def add_skin(draft: Draft, mesh: Any, split: SplitMesh, mesh_node: int) -> tuple
         attributes[f"JOINTS_{number}"] = draft.add_accessor({"bufferView": view, **accessor})
         attributes[f"WEIGHTS_{number}"] = draft.add_floats(weights[split.position_of, columns], ARRAY_BUFFER)
     # Matrices are stored by columns (3.6.2.2).
-    view = draft.add_view(np.stack(matrices).swapaxes(1, 2).astype("<f4"))
+    view = draft.add_view(matrices.swapaxes(1, 2).astype("<f4"))
     accessor = draft.add_accessor({"bufferView": view, "componentType": 5126, "count": len(joints), "type": "MAT4"})
     skins = draft.gltf.setdefault("skins", [])
     skins.append({"inverseBindMatrices": accessor, "joints": joints})
@@ -225,9 +247,12 @@ def read_morphs(mesh: Any) -> MorphChannels:
     return MorphChannels(channels, knots, shapes)
 
 
-def add_targets(draft: Draft, morphs: MorphChannels, split: SplitMesh) -> list[dict[str, int]]:
+def add_targets(
+    draft: Draft, morphs: MorphChannels, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]
+) -> list[dict[str, int]]:
     """Add the morph targets of a mesh; returns their accessors by attribute name."""
-    return [{"POSITION": _add_sparse(draft, shape.offsets[split.position_of])} for shape in morphs.shapes]
+    offsets = (shape.offsets[split.position_of] @ T_world_mesh[:3, :3].T for shape in morphs.shapes)
+    return [{"POSITION": _add_sparse(draft, offset)} for offset in offsets]
 
 
 def _add_sparse(draft: Draft, offsets: Float[np.ndarray, "N 3"]) -> int:

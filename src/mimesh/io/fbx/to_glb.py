@@ -20,7 +20,7 @@ from ..gltf.draft import Draft
 from ..gltf.scene import DEFAULT_TRS
 from .animation import add_animations
 from .elements import items, own
-from .geometry import MorphChannels, SplitMesh, add_attributes, add_skin, add_targets, read_morphs, split_mesh
+from .geometry import MorphChannels, SplitMesh, add_attributes, add_skin, add_targets, bind_matrix, read_morphs, split_mesh
 from .materials import MaterialWriter
 
 # pyright: reportAttributeAccessIssue=false
@@ -154,11 +154,12 @@ def _add_mesh(
     node: int,
 ) -> tuple[int, int | None]:
     """Add a mesh with a primitive for each of its materials; returns its index and that of its skin."""
-    attributes = add_attributes(draft, mesh, split)
-    skin = add_skin(draft, mesh, split, node)
+    T_world_mesh = bind_matrix(mesh)
+    attributes = add_attributes(draft, mesh, split, T_world_mesh)
+    skin = add_skin(draft, mesh, split, T_world_mesh, node)
     if skin is not None:
         attributes |= skin[0]
-    targets = add_targets(draft, morphs, split)
+    targets = add_targets(draft, morphs, split, T_world_mesh)
     uv_names = [entry.name for entry in items(mesh.uv_sets)]
     of_polygon = np.array(mesh.face_material, np.int64) if len(own(mesh.face_material)) else np.zeros(1, np.int64)
     of_triangle = of_polygon[split.polygon] if len(of_polygon) > 1 else np.zeros(len(split.polygon), np.int64)
