@@ -121,9 +121,7 @@ def bind_matrix(mesh: Any) -> Float[np.ndarray, "4 4"]:
     return np.eye(4)
 
 
-def add_attributes(
-    draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]
-) -> dict[str, int]:
+def add_attributes(draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]) -> dict[str, int]:
     """Add positions, normals, texture coordinates and colours of a mesh; returns the accessors by attribute name."""
 
     def at_vertices(values: Any, columns: int) -> np.ndarray:

@@ -20,7 +20,16 @@ from ..gltf.draft import Draft
 from ..gltf.scene import DEFAULT_TRS
 from .animation import add_animations
 from .elements import items, own
-from .geometry import MorphChannels, SplitMesh, add_attributes, add_skin, add_targets, bind_matrix, read_morphs, split_mesh
+from .geometry import (
+    MorphChannels,
+    SplitMesh,
+    add_attributes,
+    add_skin,
+    add_targets,
+    bind_matrix,
+    read_morphs,
+    split_mesh,
+)
 from .materials import MaterialWriter
 
 # pyright: reportAttributeAccessIssue=false
