@@ -47,8 +47,6 @@ OPTIONS = {
     "use_blender_pbr_material": True,
 }
 """Options of `ufbx.load_file`."""
-UP_AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
-"""Names of the values of `ufbx.CoordinateAxis`; a file without a valid one has the next value."""
 
 
 def write_glb(source: Path, target: Path, confined_to: str | None = None) -> None:
@@ -82,11 +80,23 @@ def _load(source: Path) -> Any:
         return own(ufbx.load_file(str(source), space_conversion=conversion, **OPTIONS))
 
     scene = load(ufbx.SpaceConversion.MODIFY_GEOMETRY)
-    unit = own(scene.settings).original_unit_meters
+    unit = _unit(scene)
     scales = [np.array(node.local_transform.scale) for node in items(own(scene.root_node).children)]
     if unit > 0 and unit != 1 and scales and np.allclose(scales, 1 / unit, rtol=1e-4):
         return load(ufbx.SpaceConversion.ADJUST_TRANSFORMS)
     return scene
+
+
+def _unit(scene: Any) -> float:
+    """Return the unit of the file in metres; files store centimetres."""
+    return float(ufbx.find_real(own(own(scene.settings).props), "UnitScaleFactor", 1.0)) / 100
+
+
+def _up_axis(scene: Any) -> str:
+    """Return the axis of the file that is up, such as +z."""
+    props = own(own(scene.settings).props)
+    axis, sign = (ufbx.find_int(props, name, 1) for name in ("UpAxis", "UpAxisSign"))
+    return ("-" if sign < 0 else "+") + "xyz"[axis if 0 <= axis < 3 else 1]
 
 
 def _draft(scene: Any, source: Path) -> Draft:
@@ -97,11 +107,12 @@ def _draft(scene: Any, source: Path) -> Draft:
     draft.gltf["scenes"][0]["nodes"] = [child.typed_id - 1 for child in items(nodes[0].children)]
     materials = MaterialWriter(draft, source)
     morphs = _add_meshes(draft, nodes[1:], materials)
+    bones = [index for index, node in enumerate(nodes[1:]) if node.bone is not None]
+    if bones and "meshes" not in draft.gltf:
+        # A motion without a mesh: the skin says which nodes are joints, also those that no animation moves.
+        draft.gltf["skins"] = [{"joints": bones}]
     add_animations(draft, scene, nodes, morphs, source)
-    settings = own(scene.settings)
-    axis = int(settings.original_axis_up)
-    facts: dict[str, Any] = {"unit": float(settings.original_unit_meters)}
-    facts |= {"up": UP_AXES[axis]} if axis < len(UP_AXES) else {}
+    facts: dict[str, Any] = {"unit": _unit(scene), "up": _up_axis(scene)}
     facts |= {"missingTextures": sorted(set(materials.missing))} if materials.missing else {}
     draft.gltf["asset"]["extras"] = {"fbx": facts}
     return draft
