@@ -21,7 +21,7 @@ INFLUENCES = 4
 
 
 @dataclass(frozen=True, eq=False)
-class SplitMesh:
+class SeamSplit:
     """A mesh of FBX with vertices of glTF, of which there are N at P positions."""
 
     position_of: Int[np.ndarray, " N"]
@@ -77,7 +77,7 @@ def piecewise_weights(weights: Float[np.ndarray, " T"], knots: Float[np.ndarray,
     return result[:, :-1]  # the last one is the zero, which has no shape
 
 
-def split_mesh(mesh: Any) -> SplitMesh | None:
+def split_mesh(mesh: Any) -> SeamSplit | None:
     """Split a mesh at the seams of its attributes; None where it has no triangle."""
     position = array(own(mesh.vertex_indices)).astype(np.int64)
     sizes = array(mesh.faces, 2)[:, 1].astype(np.int64)
@@ -96,7 +96,7 @@ def split_mesh(mesh: Any) -> SplitMesh | None:
     corner_of = drawn[first]
     vertex_of_corner = np.full(len(position), -1)
     vertex_of_corner[drawn] = element
-    return SplitMesh(position[corner_of], corner_of, vertex_of_corner[corners], polygon)
+    return SeamSplit(position[corner_of], corner_of, vertex_of_corner[corners], polygon)
 
 
 def _corner_attributes(mesh: Any) -> list[Any]:
@@ -121,7 +121,7 @@ def bind_matrix(mesh: Any) -> Float[np.ndarray, "4 4"]:
     return np.eye(4)
 
 
-def add_attributes(draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]) -> dict[str, int]:
+def add_attributes(draft: Draft, mesh: Any, split: SeamSplit, T_world_mesh: Float[np.ndarray, "4 4"]) -> dict[str, int]:
     """Add positions, normals, texture coordinates and colours of a mesh; returns the accessors by attribute name."""
 
     def at_vertices(values: Any, columns: int) -> np.ndarray:
@@ -152,7 +152,7 @@ def add_attributes(draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Floa
 
 
 def add_skin(
-    draft: Draft, mesh: Any, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"], mesh_node: int
+    draft: Draft, mesh: Any, split: SeamSplit, T_world_mesh: Float[np.ndarray, "4 4"], mesh_node: int
 ) -> tuple[dict[str, int], int] | None:
     """Add the skin of a mesh: the accessors of its joints and weights, and the index of the skin; None without one.
 
@@ -246,7 +246,7 @@ def read_morphs(mesh: Any) -> MorphChannels:
 
 
 def add_targets(
-    draft: Draft, morphs: MorphChannels, split: SplitMesh, T_world_mesh: Float[np.ndarray, "4 4"]
+    draft: Draft, morphs: MorphChannels, split: SeamSplit, T_world_mesh: Float[np.ndarray, "4 4"]
 ) -> list[dict[str, int]]:
     """Add the morph targets of a mesh; returns their accessors by attribute name."""
     offsets = (shape.offsets[split.position_of] @ T_world_mesh[:3, :3].T for shape in morphs.shapes)

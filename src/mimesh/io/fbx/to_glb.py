@@ -22,7 +22,7 @@ from .animation import add_animations
 from .elements import items, own
 from .geometry import (
     MorphChannels,
-    SplitMesh,
+    SeamSplit,
     add_attributes,
     add_skin,
     add_targets,
@@ -141,7 +141,7 @@ def _add_meshes(
     """
     shown = [(index, node, mesh) for index, node in enumerate(nodes) if (mesh := own(node.mesh)) is not None]
     visible = [entry for entry in shown if entry[1].visible]
-    splits: dict[int, SplitMesh | None] = {}
+    splits: dict[int, SeamSplit | None] = {}
     written: dict[tuple[int, ...], tuple[int, int | None]] = {}
     morphs: dict[int, tuple[list[int], MorphChannels]] = {}
     for index, node, mesh in visible or shown:
@@ -167,7 +167,7 @@ def _add_meshes(
 def _add_mesh(
     draft: Draft,
     mesh: Any,
-    split: SplitMesh,
+    split: SeamSplit,
     own_materials: list[Any],
     materials: MaterialWriter,
     morphs: MorphChannels,
