@@ -57,10 +57,10 @@ RULES = """## What to expect
   their frames (glTF, FBX, USD, Alembic, MDD, BVH) are sampled at that rate and keep their duration; folders, PC2 and
   arrays are played at it. Without `--fps`, glTF keys that lie on a common rate (24, 25, 30, 50, 60 ...) get this
   rate, everything else gets 30.
-* **Axes and units** stay as they are in the file (but FBX); results have those of the identity. Blender converts y up to z up
-  when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up axis; PLY and STL have none,
-  so choose *up* Y on import. The up axis of glTF and USD files is taken as it is; in all other formats it is detected
-  from the shape.
+* **Axes and units** stay as they are in the file, except those of FBX (below); results have those of the identity.
+  Blender converts y up to z up when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up
+  axis; PLY and STL have none, so choose *up* Y on import. The up axis of glTF, FBX and USD files is taken as it is; in
+  all other formats it is detected from the shape.
 * **Point caches** (.pc2 .mdd .npy) contain points only. Faces and materials come from the mesh of the same name next
   to them (walk.obj for walk.pc2), which is written with the cache unless it exists. In Blender: import the mesh, add
   a *Mesh Cache* modifier.

@@ -55,7 +55,7 @@ class Limits:
     @classmethod
     def for_size(cls, size: int) -> Limits:
         """Return limits for an input of `size` bytes: far more than any sound file of that size was seen to need."""
-        # Seven FBX files of four makers need 160 MiB of address space with all libraries, 15 bytes of memory and 0.15
+        # Seven FBX files of two makers need 160 MiB of address space with all libraries, 15 bytes of memory and 0.15
         # microseconds for each of their bytes, and give 1.1 bytes.
         return cls(2048 * MIB + 64 * size, 1024 * MIB + 32 * size, 60 + size // MIB, 180 + size / MIB)
 
