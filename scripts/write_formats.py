@@ -30,7 +30,7 @@ ROWS = {
     ".npz": ("mesh, clip; motions in the layout of AMASS", "mesh, clip"),
     ".npy": ("mesh, clip", "clip"),
     ".bvh": ("motion, played by the shipped body", ""),
-    ".fbx": ("not directly: open it in Blender and save .glb", ""),
+    ".fbx": ("mesh, clip (nodes, skins, blend shapes), motion (joints alone)", ""),
     ".gif .webp .mp4": ("", "pictures of the clip"),
 }
 """Suffixes -> what is read and what is written."""
@@ -54,21 +54,28 @@ RULES = """## What to expect
   numbered files from 0. Set the frame rate of the Blender scene to that of the clip before importing glTF or Alembic;
   `mimesh look` prints it.
 * **`--fps`** overrides the frame rate of a file, or sets it where the file has none. Files that store the time of
-  their frames (glTF, USD, Alembic, MDD, BVH) are sampled at that rate and keep their duration; folders, PC2 and
+  their frames (glTF, FBX, USD, Alembic, MDD, BVH) are sampled at that rate and keep their duration; folders, PC2 and
   arrays are played at it. Without `--fps`, glTF keys that lie on a common rate (24, 25, 30, 50, 60 ...) get this
   rate, everything else gets 30.
-* **Axes and units** stay as they are in the file; results have those of the identity. Blender converts y up to z up
-  when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up axis; PLY and STL have none,
-  so choose *up* Y on import. The up axis of glTF and USD files is taken as it is; in all other formats it is detected
-  from the shape.
+* **Axes and units** stay as they are in the file, except those of FBX (below); results have those of the identity.
+  Blender converts y up to z up when it imports glTF, OBJ and Alembic: (x, y, z) becomes (x, -z, y). USD stores its up
+  axis; PLY and STL have none, so choose *up* Y on import. The up axis of glTF, FBX and USD files is taken as it is; in
+  all other formats it is detected from the shape.
 * **Point caches** (.pc2 .mdd .npy) contain points only. Faces and materials come from the mesh of the same name next
   to them (walk.obj for walk.pc2), which is written with the cache unless it exists. In Blender: import the mesh, add
   a *Mesh Cache* modifier.
 * **Several animations** in a glTF file: the first one is read, together with those that move other nodes (Blender
   writes one for each object). `--animation NAME` reads one only.
-* **Compressed glTF** (Draco, meshopt) and Basis textures are refused with an error that names them, unless the file
-  can be read without. Export again without compression, or decompress with another tool.
-* **Extras.** USD: `pip install 'mimesh[usd]'`. Alembic: `'mimesh[alembic]'`. MP4: `'mimesh[video]'`.
+* **FBX** is read as a glTF: y up and in metres, whatever the file's axes and unit are, with its names, skins (all
+  influences), blend shapes, base colours and textures (embedded, or beside the file), and every animation sampled at
+  the file's frame rate. It is not written: results of an .fbx are .glb. Constraints, lights, cameras, dual quaternion
+  skinning (read as linear) and textures other than the base colour are left out.
+* **Compressed glTF** (Draco, meshopt) is read, and written without compression. Basis textures are refused with an
+  error that names them, unless the file can be read without.
+* **Damaged files.** The libraries for FBX, Draco and meshopt run in a child process with limits on memory and time
+  (on Linux; elsewhere on time alone): what crashes them or never ends gives an error of one line.
+* **Extras.** FBX: `pip install 'mimesh[fbx]'`. Draco and meshopt: `'mimesh[compressed]'`. USD: `'mimesh[usd]'`.
+  Alembic: `'mimesh[alembic]'`. MP4: `'mimesh[video]'`.
 * **Long clips** are converted frame by frame, from disk to disk. `--blendshapes K` writes a .glb with K morph targets
   in total and prints the largest error of a vertex; results of `mime` are joints, weights and joint rotations, which is
   small for any number of frames. .gltf and .usda are text: prefer .glb and .usdc.

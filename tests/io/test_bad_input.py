@@ -68,7 +68,7 @@ def test_empty_file_is_refused(load, suffix, tmp_path):
     assert "found an empty file of 0 bytes" in input_error_of(load, tmp_path / f"a{suffix}")
 
 
-@pytest.mark.parametrize("name", ["a.fbx", "a", "a.obj.zip", "a.OBJ.txt"])
+@pytest.mark.parametrize("name", ["a.blend", "a", "a.obj.zip", "a.OBJ.txt"])
 @pytest.mark.parametrize("load", [load_mesh, load_clip])
 def test_unknown_suffix_lists_the_supported_ones(load, name, tmp_path):
     (tmp_path / name).write_bytes(b"x")

@@ -165,9 +165,9 @@ def test_unknown_suffixes_are_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
     with pytest.raises(InputError, match=r"expected an output in one of .*\.glb.*, found '.fbx'; name another"):
         convert(tmp_path / "a.obj", tmp_path / "b.fbx")
-    (tmp_path / "c.fbx").write_bytes(b"FBX")
-    with pytest.raises(InputError, match=r"expected one of .*\.pc2.*, found '.fbx'; save it .* Blender"):
-        convert(tmp_path / "c.fbx", tmp_path / "d.obj")
+    (tmp_path / "c.blend").write_bytes(b"BLENDER")
+    with pytest.raises(InputError, match=r"expected one of .*\.pc2.*, found '.blend'; save it .* Blender"):
+        convert(tmp_path / "c.blend", tmp_path / "d.obj")
 
 
 @pytest.mark.parametrize("fps", [float("inf"), 1e9])

@@ -25,10 +25,10 @@ def train(
     ] = None,
     characters: Annotated[
         Path | None,
-        typer.Option(help="Folder of rigged .glb, .gltf, .vrm or of a pool to train mime or hands on.", metavar="DIR"),
+        typer.Option(help="Folder of rigged .glb, .gltf, .vrm, .fbx or of a pool to train on.", metavar="DIR"),
     ] = None,
     clips: Annotated[
-        Path | None, typer.Option(help="Folder of .glb, .bvh or AMASS motions to train mime on.", metavar="DIR")
+        Path | None, typer.Option(help="Folder of .glb, .fbx, .bvh or AMASS motions to train mime on.", metavar="DIR")
     ] = None,
     leave_out: Annotated[
         list[str] | None, typer.Option(help="Pack (sub-folder) of --characters that is not used.", metavar="PACK")

@@ -128,7 +128,9 @@ def transfer(
     from ..io import MESH_WRITERS, load_mesh
     from ..pipeline import transfer as run_transfer
 
-    output = output or output_beside(identity, driving, identity.suffix)
+    # FBX is read only: the result of an .fbx is a .glb.
+    suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
+    output = output or output_beside(identity, driving, suffix)
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)

@@ -30,6 +30,11 @@ def is_confined() -> bool:
     return _FOLDER.get() is not None
 
 
+def confining_folder() -> Path | None:
+    """Return the folder that referenced files are confined to, for a child process; None where they are not."""
+    return _FOLDER.get()
+
+
 def may_be_read(path: str | Path) -> bool:
     """Return whether a referenced file is inside the confining folder; always true where nothing is confined.
 

@@ -105,6 +105,7 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
 MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".abc": _read_alembic,
     ".bvh": _read_motion,
+    ".fbx": _read_gltf,
     ".glb": _read_gltf,
     ".gltf": _read_gltf,
     ".npz": _read_npz,
@@ -158,7 +159,7 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".usdc": write_usd_clip,
     ".usdz": write_usd_clip,
 }
-ANIMATED = (".glb", ".gltf", ".vrm")
+ANIMATED = (".fbx", ".glb", ".gltf", ".vrm")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 CACHES = (".mdd", ".npy", ".pc2")
 """Point caches: positions only, for a mesh file beside them."""

@@ -1,4 +1,4 @@
-"""Reads a folder of rigged characters to train on: a pool, .glb, .gltf and .vrm files of any maker, or both.
+"""Reads a folder of rigged characters to train on: a pool, .glb, .gltf, .vrm and .fbx files, or both.
 
 A sub-folder is a pack, files of the folder itself are one more. A licence that a file does not state is that of the
 nearest file named LICENSE or License, in its folder or above it up to the folder, which is quoted by name. Files that
@@ -18,7 +18,7 @@ from ..core.frame_buffer import Progress, counted
 from ..evaluate.held_out_takes import is_held_out
 from ..io.gltf.character import read_rigged_character
 
-SUFFIXES = (".glb", ".gltf", ".vrm")
+SUFFIXES = (".fbx", ".glb", ".gltf", ".vrm")
 INDEX = "index.json"
 LICENCE_NAMES = ("license", "licence", "copying")
 """Beginnings of the names of licence files, in lower case."""
@@ -37,8 +37,8 @@ def read_character_folder(folder: str | Path, split: str = "train", progress: Pr
     has_index = (folder / INDEX).is_file()
     if not has_index and not paths:
         raise InputError(
-            f"{folder}: expected a folder of rigged characters (.glb, .gltf, .vrm, or .npz with an {INDEX}), found "
-            "none; give the folder that has some"
+            f"{folder}: expected a folder of rigged characters (.glb, .gltf, .vrm, .fbx, or .npz with an {INDEX}), "
+            "found none; give the folder that has some"
         )
     pool = read_pool(folder, split, progress if not paths else None) if has_index else Pool((), {})
     characters, refused = list(pool.characters), dict(pool.refused)

@@ -1,4 +1,4 @@
-"""Reads a folder of motions of any maker as poses to train on: .glb, .gltf and .vrm animations, .bvh, AMASS archives.
+"""Reads a folder of motions of any maker as poses to train on: .glb, .gltf, .vrm and .fbx animations, .bvh, AMASS.
 
 Each clip is retargeted to the shipped body (`motions.retarget`), so limbs keep their directions and the root its tilt,
 as in crawls and rolls; headings are turned to +z. Mirror images are added. What evaluation holds out is left out by
@@ -91,8 +91,8 @@ class TrainingClips:
         if not poses:
             reason = f"; {next(iter(refused.values()))}" if refused else ""
             raise InputError(
-                f"{folder}: expected clips of people (.glb, .gltf, .vrm, .bvh or AMASS .npz), found none that can be "
-                f"used{reason}; give a folder that has some"
+                f"{folder}: expected clips of people (.glb, .gltf, .vrm, .fbx, .bvh or AMASS .npz), found none "
+                f"that can be used{reason}; give a folder that has some"
             )
         taken = rotmat_to_rotvec(turned_to_front(np.concatenate(poses)))
         digest = hashlib.sha256(taken.round(4).tobytes()).hexdigest()

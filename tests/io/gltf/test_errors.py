@@ -28,14 +28,6 @@ def check_refused(path: Path, message: str) -> None:
 JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "gltf 1": (lambda g: g.update(asset={"version": "1.0"}), "glTF version 2.0, found 1.0"),
     "no asset": (lambda g: g.pop("asset"), "glTF version 2.0, found None"),
-    "draco": (
-        lambda g: g.update(extensionsRequired=["KHR_draco_mesh_compression"]),
-        "KHR_draco_mesh_compression; export without compression",
-    ),
-    "meshopt": (
-        lambda g: g.update(extensionsRequired=["EXT_meshopt_compression"]),
-        "EXT_meshopt_compression; export without compression",
-    ),
     "unknown": (lambda g: g.update(extensionsRequired=["ACME_fur"]), "found required ACME_fur"),
     "accessors no list": (lambda g: g.update(accessors={}), "a list before"),
     "node no object": (lambda g: g["nodes"].append(5), "an object around"),

@@ -207,8 +207,6 @@ def test_buffers_and_images_in_other_files_are_found(name, escape, tmp_path):
 @pytest.mark.parametrize(
     ("extension", "remedy"),
     [
-        ("KHR_draco_mesh_compression", "without compression"),
-        ("EXT_meshopt_compression", "without compression"),
         ("KHR_texture_basisu", "PNG or JPEG"),
         ("ACME_fur", "without it"),
     ],

@@ -130,6 +130,7 @@ def test_skin_without_influences_is_refused(tmp_path):
 def test_skin_of_another_format_is_refused(tmp_path):
     save_mesh(zoo.cube(), tmp_path / "a.obj")
     with pytest.raises(
-        InputError, match=r"a\.obj: expected a rigged mesh in a \.glb, \.gltf or \.vrm, found none in this \.obj; "
+        InputError,
+        match=r"a\.obj: expected a rigged mesh in a \.glb, \.gltf, \.vrm or \.fbx, found none in this \.obj; ",
     ):
         read_skin(tmp_path / "a.obj")

@@ -1,6 +1,9 @@
 """Reads and writes glTF 2.0 (.glb, .vrm, .gltf): meshes at rest, baked animations, and files with changed vertices.
 
-mapped_files -> document (with check) -> scene -> read      opens a file and reads its scene at rest as a Mesh
+Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
+
+mapped_files, compression -> document (with check)          opens files, also compressed ones
+document -> scene -> read                                   reads the scene of an open file at rest as a Mesh
 draft, deformed_attributes -> primitives -> edit            writes the file of a Mesh again, with other vertices
 build                                                       builds a new file for a Mesh without a glTF source
 blend_shapes -> clip                                        writes a clip as morph targets with an animation
@@ -19,7 +22,7 @@ import numpy as np
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, select_channels
+from .animation import fbx_facts, frame_rate, select_channels
 from .bake import bake_frames
 from .blend_shapes import fit_blend_shapes
 from .build import build_document
@@ -33,7 +36,7 @@ from .read import RestScene, read_rest
 
 
 def read_gltf(path: Path) -> Mesh:
-    """Read the default scene of a .glb, .vrm or .gltf file at rest, in world coordinates and the file's units.
+    """Read the default scene of a .glb, .vrm, .gltf or .fbx file at rest, in world coordinates and metres.
 
     Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
     the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
@@ -41,7 +44,8 @@ def read_gltf(path: Path) -> Mesh:
     file with animations and no mesh gives the shipped body in the first frame (see `gltf.motion`), without a source.
 
     Raises:
-        InputError: the file is damaged, compressed, not glTF 2.0, or shows neither triangles nor a person's joints.
+        InputError: the file is damaged, not glTF 2.0, or shows neither triangles nor a person's joints; a library that
+            reads FBX or compressed data is not installed.
     """
     document = open_document(path)
     return read_motion_mesh(document) if is_motion(document) else _read_mesh(document)
@@ -51,14 +55,16 @@ def _read_mesh(document: Document) -> Mesh:
     path = document.path
     mesh, rest = read_rest(document)
     check_mesh(mesh, path)
-    source = GltfSource(document, rest, mesh.vertices, path.suffix.lower(), _list_notes(document, rest))
+    # An .fbx file is a glTF here, and is written as such.
+    suffix = path.suffix.lower() if path.suffix.lower() != ".fbx" else ".glb"
+    source = GltfSource(document, rest, mesh.vertices, suffix, _list_notes(document, rest))
     return dataclasses.replace(mesh, source=source)
 
 
 def read_gltf_clip(
     path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
 ) -> Clip:
-    """Read an animation of a .glb, .vrm or .gltf file, baked to vertex positions.
+    """Read an animation of a .glb, .vrm, .gltf or .fbx file, baked to vertex positions.
 
     A file without animations gives one frame, unless `animation` is given. Joints without a mesh are played by the
     shipped body (see `gltf.motion`).
@@ -161,6 +167,8 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     for image, content in zip(gltf.get("images", []), document.images, strict=True):
         if content is None:
             notes.append(f"kept the reference to image {image.get('uri', '')[:80]!r}, which is not there")
+    missing = fbx_facts(document).get("missingTextures", [])
+    notes += [f"left out texture {name[:80]!r}, which is not there" for name in missing]
     for name in gltf.get("extensionsUsed", []):
         if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")

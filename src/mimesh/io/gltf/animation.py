@@ -76,7 +76,9 @@ def animation_names(document: Document) -> tuple[str, ...]:
 def document_details(document: Document) -> tuple[tuple[str, str], ...]:
     """Describe unit, skins, blend shapes and animations as (name, text); entries that a file lacks are left out."""
     gltf = document.gltf
-    details = [("unit", "metre, y up (all glTF files)")]
+    facts = fbx_facts(document)
+    stated = f"converted from {facts['unit']:g} m, {facts.get('up', 'no')} up" if facts else "all glTF files"
+    details = [("unit", f"metre, y up ({stated})")]
     if joint_counts := [len(skin["joints"]) for skin in gltf.get("skins", [])]:
         details.append(("skins", f"{len(joint_counts)}, of {', '.join(map(str, joint_counts))} joints"))
     target_counts = [
@@ -89,6 +91,15 @@ def document_details(document: Document) -> tuple[tuple[str, str], ...]:
         times = [channel.times[-1] for channel in read_channels(document, number)]
         details.append(("animation", f"{name}, {max(times, default=0.0):.2f} s"))
     return tuple(details)
+
+
+def fbx_facts(document: Document) -> dict[str, Any]:
+    """Return what the converter of an .fbx file noted: its `unit` in metres, its axis that is `up`, `missingTextures`.
+
+    Empty for other files, whose extras may be anything.
+    """
+    is_fbx = document.path.suffix.lower() == ".fbx"
+    return document.gltf["asset"]["extras"]["fbx"] if is_fbx else {}
 
 
 def find_animation(document: Document, selector: str) -> int:

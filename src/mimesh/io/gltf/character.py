@@ -1,4 +1,4 @@
-"""Reads a rigged .glb, .gltf or .vrm of any maker as a character with limbs and clips, like those of a pool.
+"""Reads a rigged .glb, .gltf, .vrm or .fbx of any maker as a character with limbs and clips, like those of a pool.
 
 Rest is the bind pose of the largest skin (`motion.rest_matrices`); the nodes' transforms in the file are often a frame
 of an animation, and are used only where the bind pose does not stand. Joints are found by VRM's humanoid bones, where

@@ -16,6 +16,13 @@ from ...core.errors import InputError
 TEXTURE_TRANSFORM = "extensions KHR_texture_transform"
 SPECULAR_GLOSSINESS = "extensions KHR_materials_pbrSpecularGlossiness"
 
+DRACO = "KHR_draco_mesh_compression"
+MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
+COMPRESSION_EXTENSIONS = {DRACO, *MESHOPT}
+"""Compressed vertex data. Where it is not required, the file has uncompressed data too, which is read instead."""
+DRACO_OBJECT = f"meshes [] primitives [] extensions {DRACO}"
+MESHOPT_OBJECTS = tuple(f"bufferViews [] extensions {name}" for name in MESHOPT)
+
 REQUIRED = {
     "accessors []": ("componentType", "count", "type"),
     "accessors [] sparse": ("count", "indices", "values"),
@@ -26,6 +33,8 @@ REQUIRED = {
     "meshes []": ("primitives",),
     "meshes [] primitives []": ("attributes",),
     "skins []": ("joints",),
+    DRACO_OBJECT: ("bufferView", "attributes"),
+    **dict.fromkeys(MESHOPT_OBJECTS, ("buffer", "byteLength", "byteStride", "count", "mode")),
 }
 """Properties that objects must have."""
 
@@ -42,6 +51,8 @@ NON_NEGATIVE_INTEGERS = (
     "bufferViews [] byteStride",
     "buffers [] byteLength",
     "meshes [] primitives [] mode",
+    f"{DRACO_OBJECT} attributes {{}}",
+    *(f"{place} {key}" for place in MESHOPT_OBJECTS for key in ("byteOffset", "byteLength", "byteStride", "count")),
 )
 """Locations of integers of 0 or more."""
 
@@ -70,6 +81,7 @@ STRINGS = (
     "nodes [] name",
     "meshes [] name",
     "materials [] name",
+    *(f"{place} {key}" for place in MESHOPT_OBJECTS for key in ("mode", "filter")),
 )
 """Locations of strings."""
 
@@ -106,11 +118,10 @@ REFERENCES = {
     "accessors [] sparse indices bufferView": "bufferViews",
     "accessors [] sparse values bufferView": "bufferViews",
     "bufferViews [] buffer": "buffers",
+    f"{DRACO_OBJECT} bufferView": "bufferViews",
+    **{f"{place} buffer": "buffers" for place in MESHOPT_OBJECTS},
 }
 """Locations of indices, with the top-level list that they point into (3.3 Indices and Names)."""
-
-COMPRESSION_EXTENSIONS = {"KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression"}
-"""Compressed vertex data, which is not supported. Where it is not required, the file has uncompressed data too."""
 
 IMAGE_EXTENSIONS = {"KHR_texture_basisu"}
 """Image formats that are not supported. Where they are not required, the file has PNG or JPEG too."""
@@ -127,9 +138,9 @@ APPEARANCE_PREFIXES = (
 )
 """First characters of the names of extensions that describe appearance only and refer to no accessors."""
 
-SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer")
-"""Quantized attributes are read. Animation pointers are dropped on opening, so they cannot dangle in a written file."""
-
+SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer", *COMPRESSION_EXTENSIONS)
+"""Quantized and compressed attributes are read. Animation pointers are dropped on opening, so they cannot dangle in a
+written file."""
 
 ATTRIBUTE_TYPES = {
     "POSITION": "VEC3",
@@ -199,11 +210,6 @@ def _check_version(gltf: dict[str, Any], path: Path) -> None:
 def _check_extensions(gltf: dict[str, Any], path: Path) -> None:
     """Check that every extension in `extensionsRequired` is supported (3.12 Specifying Extensions)."""
     for name in _values_at(gltf, "extensionsRequired []", path):
-        if str(name) in COMPRESSION_EXTENSIONS:
-            raise InputError(
-                f"{path}: expected plain vertex data, found {name}; export without compression (Blender: untick "
-                "'Compression'; gltf-transform: 'copy' after removing it)"
-            )
         if str(name) in IMAGE_EXTENSIONS:
             raise InputError(
                 f"{path}: expected PNG or JPEG textures, found required {name}; export with such textures "

@@ -16,13 +16,12 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
 from ...core.errors import InputError
-from .check import COMPRESSION_EXTENSIONS, check_document
+from ..fbx import fbx_as_glb
+from .accessor_types import COMPONENT_TYPES, element_size
+from .check import COMPRESSION_EXTENSIONS, MESHOPT, check_document
+from .compression import compressed_views, decompress, is_fallback
 from .mapped_files import MappedFiles
 
-COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-"""NumPy dtype of each `componentType` (3.6.2.2 Accessor Data Types); buffers are little endian."""
-COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-"""Components of an element of each accessor `type` (3.6.2.2)."""
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
 MAX_ZERO_BYTES = 2**30
@@ -50,20 +49,27 @@ class Document:
 
 
 def open_document(path: Path) -> Document:
-    """Read and check a .glb, .vrm or .gltf file with all buffers and images it refers to.
+    """Read and check a .glb, .vrm or .gltf file with all buffers and images it refers to; an .fbx file is converted.
 
     Raises:
         InputError: the file is truncated, inconsistent, not glTF 2.0, or requires an extension that is not supported.
     """
     mapped_files = MappedFiles()
-    content = mapped_files.read(path)
+    if path.suffix.lower() == ".fbx":
+        with fbx_as_glb(path) as glb:
+            content = mapped_files.read(glb)
+    else:
+        content = mapped_files.read(path)
     magic = bytes(content[:4])
     text, chunk = _split_glb(content, path) if magic == b"glTF" else (mapped_files.extract_large_uris(content), b"")
     if path.suffix.lower() != ".gltf" and magic != b"glTF":
         raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
-    gltf, binary = _join_buffers(_drop_compression(gltf), chunk, path, mapped_files)
+    compressed = compressed_views(gltf, path)
+    gltf, binary = _join_buffers(gltf, chunk, path, mapped_files)
+    gltf, binary = decompress(gltf, binary, compressed, path)
+    gltf = _drop_compression(gltf)
     images = tuple(_read_image(image, gltf, binary, path, mapped_files) for image in gltf.get("images", []))
     document = Document(path, gltf, binary, images, mapped_files)
     for index in sorted(_used_accessors(gltf)):
@@ -111,24 +117,6 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
         return values.astype(np.float64)
     # 3.11 Animations, equations for normalized integers: f = max(c / 127.0, -1.0) and likewise for other widths.
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
-
-
-def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
-    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).
-
-    Raises:
-        InputError: the component type or the type is not one of glTF 2.0.
-    """
-    component, kind = accessor["componentType"], accessor["type"]
-    if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
-        raise InputError(
-            f"{path}: expected a glTF 2.0 type in accessor {index}, found {component} {kind}; export it again"
-        )
-    width = np.dtype(COMPONENT_TYPES[component]).itemsize
-    if not kind.startswith("MAT"):
-        return COMPONENT_COUNTS[kind] * width
-    columns = int(kind[3])
-    return columns * (-(-columns * width // 4) * 4)
 
 
 def image_type(content: bytes) -> str | None:
@@ -221,7 +209,7 @@ def _parse_json(text: bytes, path: Path) -> Any:
 
 
 def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON without optional compressed copies of the data, which would be stale in a file we write."""
+    """Return the JSON without references to compressed copies of the data, which would be stale in a file we write."""
     dropped = (*COMPRESSION_EXTENSIONS, "KHR_animation_pointer")
     gltf = {**gltf}
     for key in gltf.keys() & {"extensionsUsed", "extensionsRequired"}:
@@ -260,6 +248,8 @@ def _read_buffer(
 ) -> bytes | memoryview:
     """Return the bytes of a buffer: the GLB's binary chunk, a data: URI, or a file beside the document."""
     uri = buffer.get("uri")
+    if is_fallback(buffer):
+        return b""
     # Only the first buffer may be the binary chunk (3.6.1.2 GLB-stored Buffer).
     content = (chunk if index == 0 else None) if uri is None else mapped_files.fetch(uri, path)
     if content is None:
@@ -285,7 +275,13 @@ def _rebase_view(
             f"{path}: expected buffer view {index} inside its buffer of {size} bytes, found an end at "
             f"{offset + view['byteLength']}; the file is damaged, export it again"
         )
-    return {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
+    rebased = {**view, "buffer": 0, "byteOffset": starts[view["buffer"]] + offset}
+    names = [name for name in MESHOPT if name in view.get("extensions", {})]
+    if names:
+        # Compressed data has a range of its own, with the same properties.
+        inner = {name: _rebase_view(view["extensions"][name], index, buffers, starts, path) for name in names}
+        rebased["extensions"] = {**view["extensions"], **inner}
+    return rebased
 
 
 def _read_image(

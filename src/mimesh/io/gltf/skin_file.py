@@ -12,7 +12,7 @@ from .skin import rig_on_nodes, skin_joints
 
 
 def read_skin(path: str | Path) -> SkinnedCharacter:
-    """Read a .glb, .vrm or .gltf character with the joints of all skins that its default scene shows.
+    """Read a .glb, .vrm, .gltf or .fbx character with the joints of all skins that its default scene shows.
 
     Morph targets stay at their default weights. Animations are not read.
 
@@ -23,7 +23,7 @@ def read_skin(path: str | Path) -> SkinnedCharacter:
     source = mesh.source
     if not isinstance(source, GltfSource):
         raise InputError(
-            f"{path}: expected a rigged mesh in a .glb, .gltf or .vrm, found none in this {Path(path).suffix}; "
+            f"{path}: expected a rigged mesh in a .glb, .gltf, .vrm or .fbx, found none in this {Path(path).suffix}; "
             "export the mesh and its armature together as glTF"
         )
     joint_nodes = skin_joints(source.document, source.rest)

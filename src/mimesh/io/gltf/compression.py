@@ -1,0 +1,198 @@
+"""Decompresses glTF files: KHR_draco_mesh_compression, EXT_meshopt_compression and KHR_meshopt_compression.
+
+Draco compresses the attributes and indices of a primitive, meshopt the contents of a buffer view. Both are decoded by
+libraries (the extra `compressed`), in a child process. The decoded data is appended to the document's buffer, so that
+the document is then one without compression. Where a file has its data uncompressed too, that is read instead.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ...core.errors import InputError
+from ..child_process import Limits, child_result
+from .accessor_types import COMPONENT_COUNTS, COMPONENT_TYPES, element_size
+from .check import DRACO, MESHOPT
+
+DECODER = "mimesh.io.gltf.decoders:decode"
+PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
+"""Module that decodes each codec, and the codec's name in messages."""
+FILTERS = ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR")
+"""Values of `filter` of both meshopt extensions."""
+LARGEST = 2**32
+"""Bytes of all decoded data of a file: a damaged or malicious count of a few characters could ask for any amount."""
+
+
+@dataclass(eq=False)
+class _Work:
+    """What is to be decoded, and where the results go: each result is padded to a multiple of 4 bytes."""
+
+    blobs: list[bytes | memoryview] = field(default_factory=list)
+    jobs: list[dict[str, Any]] = field(default_factory=list)
+    views: list[dict[str, Any]] = field(default_factory=list)
+    """New buffer views, with offsets in the decoded data."""
+    size: int = 0
+    """Bytes of the decoded data."""
+
+    def add(self, job: dict[str, Any], blob: bytes | memoryview, sizes: list[int]) -> list[dict[str, Any]]:
+        """Add a job whose results have given sizes in bytes; returns a buffer view of each result."""
+        self.jobs.append(job)
+        self.blobs.append(blob)
+        added = []
+        for size in sizes:
+            added.append({"buffer": 0, "byteOffset": self.size, "byteLength": size})
+            self.size += size + -size % 4
+        self.views += added
+        return added
+
+
+def is_fallback(buffer: dict[str, Any]) -> bool:
+    """Return whether a buffer stands for data that exists compressed only, and has no bytes itself."""
+    extensions = buffer.get("extensions")
+    marks = [extensions.get(name) for name in MESHOPT] if isinstance(extensions, dict) else []
+    return "uri" not in buffer and any(isinstance(mark, dict) and mark.get("fallback") is True for mark in marks)
+
+
+def compressed_views(gltf: dict[str, Any], path: Path) -> dict[int, str]:
+    """List the buffer views that have to be decoded, with the name of the extension that says how.
+
+    Raises:
+        InputError: a view lies in a buffer without bytes and is not compressed.
+    """
+    required = {str(name) for name in gltf.get("extensionsRequired", [])}
+    found = {}
+    for number, view in enumerate(gltf.get("bufferViews", [])):
+        names = [name for name in MESHOPT if name in view.get("extensions", {})]
+        without_bytes = is_fallback(gltf["buffers"][view["buffer"]])
+        if names and (without_bytes or names[0] in required):
+            found[number] = names[0]
+        elif without_bytes:
+            raise InputError(
+                f"{path}: expected compressed data in buffer view {number}, found none; "
+                "the file is damaged, export it again"
+            )
+    return found
+
+
+def decompress(
+    gltf: dict[str, Any], binary: bytes | memoryview, views: dict[int, str], path: Path
+) -> tuple[dict[str, Any], bytes | memoryview]:
+    """Decode all compressed data of a document that it does not have uncompressed too.
+
+    Args:
+        gltf: its JSON, checked, with all buffer views and compressed ranges inside `binary`.
+        views: the buffer views to decode (see `compressed_views`).
+
+    Returns:
+        The JSON with views of the decoded data, and the buffer with that data appended.
+
+    Raises:
+        InputError: a decoder is not installed, fails, or gives other data than the JSON says.
+    """
+    work = _Work()
+    gltf = {**gltf, "bufferViews": [*gltf.get("bufferViews", [])], "accessors": [*gltf.get("accessors", [])]}
+    # Draco data may lie in a view that meshopt compresses too: nobody writes that, and it fails as damaged data.
+    _plan_draco(work, gltf, binary, path)
+    _plan_meshopt(work, gltf, binary, views, path)
+    if not work.jobs:
+        return gltf, binary
+    if work.size > LARGEST:
+        raise InputError(f"{path}: expected up to 4 GiB of data, found {work.size:,} bytes; the file is damaged")
+    start = len(binary) + -len(binary) % 4
+    for view in work.views:
+        view["byteOffset"] += start
+    return gltf, b"".join([binary, bytes(start - len(binary)), _decode(work, path)])
+
+
+def _plan_meshopt(
+    work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, views: dict[int, str], path: Path
+) -> None:
+    """Add the buffer views that meshopt compresses to the work, and replace them by views of the results."""
+    for number, name in views.items():
+        view = gltf["bufferViews"][number]
+        extension = view["extensions"][name]
+        count, stride = extension["count"], extension["byteStride"]
+        mode, decoded_filter = extension["mode"], extension.get("filter", "NONE")
+        strides = {"ATTRIBUTES": range(4, 257, 4), "TRIANGLES": (2, 4), "INDICES": (2, 4)}.get(mode, ())
+        if stride not in strides or decoded_filter not in FILTERS or count * stride != view["byteLength"]:
+            raise InputError(
+                f"{path}: expected {view['byteLength']} bytes of ATTRIBUTES, TRIANGLES or INDICES in buffer view "
+                f"{number}, found {count} x {stride} of {mode!s:.20}; the file is damaged, export it again"
+            )
+        job = {"codec": "meshopt", "count": count, "stride": stride, "mode": mode, "filter": decoded_filter}
+        start = extension["byteOffset"]
+        new = {**view, **work.add(job, binary[start : start + extension["byteLength"]], [count * stride])[0]}
+        gltf["bufferViews"][number] = new
+        work.views[-1] = new
+
+
+def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, path: Path) -> None:
+    """Add the primitives that Draco compresses to the work, and give their accessors views of the results."""
+    required = DRACO in gltf.get("extensionsRequired", [])
+    planned: set[int] = set()
+    for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
+        extension = primitive.get("extensions", {}).get(DRACO)
+        if extension is None:
+            continue
+        ids = extension["attributes"]
+        wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
+        accessors = [primitive["indices"]] * ("indices" in primitive) + list(wanted.values())
+        # Where Draco is optional, the accessors have the data uncompressed.
+        has_data = all("bufferView" in gltf["accessors"][index] for index in accessors)
+        if planned.issuperset(accessors) or (has_data and not required):
+            continue
+        planned.update(accessors)
+        outputs = [_draco_output(gltf, index, path) for index in accessors]
+        attributes = [{"id": ids[name]} for name in wanted]
+        for number, output in zip([None] * ("indices" in primitive) + attributes, outputs, strict=True):
+            output |= number or {}
+        view = gltf["bufferViews"][extension["bufferView"]]
+        blob = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+        sizes = [element_size(gltf["accessors"][index], index, path) for index in accessors]
+        sizes = [size * output["count"] for size, output in zip(sizes, outputs, strict=True)]
+        new_views = work.add({"codec": "draco", "outputs": outputs}, blob, sizes)
+        for index, new_view in zip(accessors, new_views, strict=True):
+            gltf["accessors"][index] = {
+                **gltf["accessors"][index], "bufferView": len(gltf["bufferViews"]), "byteOffset": 0
+            }  # fmt: skip
+            gltf["bufferViews"].append(new_view)
+
+
+def _draco_output(gltf: dict[str, Any], index: int, path: Path) -> dict[str, Any]:
+    """Describe the array that Draco is to give for an accessor."""
+    accessor = gltf["accessors"][index]
+    element_size(accessor, index, path)  # raises an InputError for unknown types
+    if accessor["type"].startswith("MAT"):
+        raise InputError(f"{path}: expected vectors in Draco data, found {accessor['type']}; export it again")
+    dtype = COMPONENT_TYPES[accessor["componentType"]]
+    return {"dtype": dtype, "columns": COMPONENT_COUNTS[accessor["type"]], "count": accessor["count"]}
+
+
+def _decode(work: _Work, path: Path) -> bytes:
+    """Run the decoders in a child process; returns the results one after another, padded."""
+    for codec in {job["codec"] for job in work.jobs}:
+        package, words = PACKAGES[codec]
+        if importlib.util.find_spec(package) is None:
+            raise InputError(
+                f"{path}: expected {package} to read {words}, found it not installed; "
+                "pip install 'mimesh[compressed]', or export without compression"
+            )
+    head = json.dumps([{**job, "bytes": len(blob)} for job, blob in zip(work.jobs, work.blobs, strict=True)]).encode()
+    with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
+        request = Path(folder, "request")
+        with request.open("wb") as file:
+            file.write(len(head).to_bytes(8, "little") + head)
+            file.writelines(work.blobs)
+        limits = Limits.for_size(request.stat().st_size + work.size)
+        with child_result(DECODER, request, path, limits) as result:
+            content = result.read_bytes()
+    if len(content) != work.size:
+        raise InputError(
+            f"{path}: expected {work.size:,} bytes of decoded data, found {len(content):,}; export it again"
+        )
+    return content

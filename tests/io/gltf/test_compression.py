@@ -1,0 +1,302 @@
+"""Draco and meshopt compressed files read as the plain ones they were made of."""
+
+import copy
+import importlib.util
+import json
+import struct
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io.gltf.document import element_bytes, open_document, read_accessor
+from mimesh.io.gltf.skin import read_skin
+
+DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
+
+
+def save_glb(gltf, binary, path):
+    """Write a .glb of a JSON and one buffer."""
+    text = json.dumps(gltf).encode()
+    text += b" " * (-len(text) % 4)
+    binary = bytes(binary) + bytes(-len(binary) % 4)
+    total = 12 + 8 + len(text) + 8 + len(binary)
+    head = struct.pack("<4sII", b"glTF", 2, total) + struct.pack("<II", len(text), 0x4E4F534A)
+    path.write_bytes(head + text + struct.pack("<II", len(binary), 0x004E4942) + binary)
+    return path
+
+
+def with_plain_views(path):
+    """Return the JSON of a file, one tight buffer view for each accessor with data, and the bytes of these."""
+    document = open_document(path)
+    gltf, chunks = copy.deepcopy(document.gltf), []
+    images = [
+        bytes(document.binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])
+        for view in (document.gltf["bufferViews"][i["bufferView"]] for i in gltf.get("images", []) if "bufferView" in i)
+    ]
+    gltf["bufferViews"] = []
+    for index, accessor in enumerate(gltf["accessors"]):
+        if "bufferView" not in accessor and "sparse" not in accessor:
+            continue
+        accessor.pop("sparse", None)
+        accessor |= {"bufferView": len(chunks), "byteOffset": 0}
+        chunks.append(np.ascontiguousarray(element_bytes(document, index)))
+        gltf["bufferViews"].append({"buffer": 0, "byteLength": chunks[-1].nbytes})
+    for image, content in zip([i for i in gltf.get("images", []) if "bufferView" in i], images, strict=True):
+        image["bufferView"] = len(chunks)
+        chunks.append(np.frombuffer(content, np.uint8))
+        gltf["bufferViews"].append({"buffer": 0, "byteLength": len(content)})
+    return gltf, chunks
+
+
+def require(gltf, name):
+    for key in ("extensionsUsed", "extensionsRequired"):
+        gltf[key] = [*gltf.get(key, []), name]
+
+
+def meshopt_glb(plain, path, name=MESHOPT, version=0):
+    """Compress every accessor of a file without loss, with a fallback buffer that has no bytes."""
+    meshopt = pytest.importorskip("meshopt")
+    gltf, chunks = with_plain_views(plain)
+    indices = {p["indices"] for mesh in gltf["meshes"] for p in mesh["primitives"] if "indices" in p}
+    triangles = {
+        p["indices"] for mesh in gltf["meshes"] for p in mesh["primitives"] if "indices" in p and p.get("mode", 4) == 4
+    }
+    parts, fallback = [], 0
+    for index, accessor in enumerate(gltf["accessors"]):
+        if "bufferView" not in accessor:
+            continue
+        view, rows = gltf["bufferViews"][accessor["bufferView"]], chunks[accessor["bufferView"]]
+        start = sum(len(part) for part in parts)
+        if index in indices and rows.shape[1] > 1:
+            mode, values = "INDICES", rows.view(f"<u{rows.shape[1]}").reshape(-1)
+            mode = "TRIANGLES" if index in triangles and len(values) % 3 == 0 else mode
+        else:
+            rows = np.pad(rows, ((0, 0), (0, -rows.shape[1] % 4)))
+            mode, values = "ATTRIBUTES", rows
+        parts.append(meshopt.encode_gltf_buffer(values, mode, version))
+        length = len(parts[-1])
+        parts[-1] += bytes(-length % 4)
+        stride = rows.shape[1]
+        view |= {"buffer": 1, "byteOffset": fallback, "byteLength": rows.nbytes}
+        if mode == "ATTRIBUTES":
+            view["byteStride"] = stride
+        extension = {"buffer": 0, "byteOffset": start, "byteLength": length, "byteStride": stride}
+        view["extensions"] = {name: {**extension, "count": len(rows), "mode": mode}}
+        fallback += rows.nbytes + -rows.nbytes % 4
+    for view, rows in zip(gltf["bufferViews"], chunks, strict=True):
+        if "extensions" not in view:
+            view["byteOffset"] = sum(len(part) for part in parts)
+            parts.append(rows.tobytes() + bytes(-rows.nbytes % 4))
+    binary = b"".join(parts)
+    gltf["buffers"] = [{"byteLength": len(binary)}, {"byteLength": fallback, "extensions": {name: {"fallback": True}}}]
+    require(gltf, name)
+    return save_glb(gltf, binary, path)
+
+
+def draco_glb(plain, path, bits=16):
+    """Compress the triangles of a file; positions, normals and the like are quantized, joints and weights are not."""
+    draco = pytest.importorskip("DracoPy")
+    gltf, chunks = with_plain_views(plain)
+    document = open_document(plain)
+    blobs = []
+    for mesh in gltf["meshes"]:
+        for primitive in mesh["primitives"]:
+            if primitive.get("mode", 4) != 4 or "indices" not in primitive:
+                continue
+            attributes = primitive["attributes"]
+            arrays = {name: read_accessor(document, index) for name, index in attributes.items()}
+            ids = {name: number for number, name in enumerate(attributes) if name != "POSITION"}
+            blob = draco.encode(
+                arrays["POSITION"],
+                read_accessor(document, primitive["indices"]).reshape(-1, 3).astype(np.uint32),
+                quantization_bits=bits,
+                preserve_order=True,
+                generic_attributes={100 + number: np.ascontiguousarray(arrays[name]) for name, number in ids.items()},
+            )
+            position = next(a for a in draco.decode(blob).attributes if a["attribute_type"] == 0)
+            unique = {name: 100 + number for name, number in ids.items()} | {"POSITION": position["unique_id"]}
+            primitive["extensions"] = {DRACO: {"bufferView": len(gltf["bufferViews"]), "attributes": unique}}
+            gltf["bufferViews"].append({"buffer": 0, "byteLength": len(blob)})
+            chunks.append(np.frombuffer(blob, np.uint8))
+            blobs.append(blob)
+            # Each primitive has accessors of its own, which have no data.
+            for name, index in [*attributes.items(), ("indices", primitive["indices"])]:
+                entry = {key: gltf["accessors"][index][key] for key in ("componentType", "count", "type")}
+                entry |= {
+                    key: gltf["accessors"][index][key]
+                    for key in ("normalized", "min", "max")
+                    if key in gltf["accessors"][index]
+                }
+                gltf["accessors"].append(entry)
+                (primitive if name == "indices" else attributes)[name] = len(gltf["accessors"]) - 1
+    assert blobs
+    start = 0
+    for view, rows in zip(gltf["bufferViews"], chunks, strict=True):
+        view["byteOffset"] = start
+        start += rows.nbytes + -rows.nbytes % 4
+    binary = b"".join(rows.tobytes() + bytes(-rows.nbytes % 4) for rows in chunks)
+    gltf["buffers"] = [{"byteLength": len(binary)}]
+    require(gltf, DRACO)
+    return save_glb(gltf, binary, path)
+
+
+@pytest.fixture
+def plain(tmp_path):
+    """A file with a skin, morph targets, an animation, strides, sparse accessors, strips, points and images."""
+    return samples.hero().glb(tmp_path / "plain.glb")
+
+
+@pytest.mark.parametrize(("name", "version"), [(MESHOPT, 0), ("KHR_meshopt_compression", 1)])
+def test_meshopt_is_decoded_exactly(name, version, plain, tmp_path):
+    path = meshopt_glb(plain, tmp_path / "small.glb", name, version)
+    expected, mesh = load_mesh(plain), load_mesh(path)
+    np.testing.assert_array_equal(mesh.vertices, expected.vertices)
+    # The codec may turn the corners of a triangle, not its winding.
+    turned = [
+        np.take_along_axis(f, (np.argmin(f, 1)[:, None] + np.arange(3)) % 3, 1) for f in (mesh.faces, expected.faces)
+    ]
+    np.testing.assert_array_equal(*turned)
+    np.testing.assert_array_equal(load_clip(path).vertices, load_clip(plain).vertices)
+    rig, expected_rig = read_skin(path), read_skin(plain)
+    np.testing.assert_array_equal(rig.weights, expected_rig.weights)
+    np.testing.assert_array_equal(rig.joint_of, expected_rig.joint_of)
+    assert [part.material for part in mesh.parts] == [part.material for part in expected.parts]
+
+
+def test_meshopt_filters_are_undone(tmp_path):
+    meshopt = pytest.importorskip("meshopt")
+    points = np.random.default_rng(0).normal(size=(32, 3)).astype(np.float32)
+    rows = meshopt.encode_filter_exp(points, 15)
+    blob = meshopt.encode_gltf_buffer(rows, "ATTRIBUTES")
+    extension = {"buffer": 0, "byteLength": len(blob), "byteStride": 12, "count": 32, "mode": "ATTRIBUTES"}
+    view = {"buffer": 1, "byteLength": 384, "byteStride": 12}
+    gltf = {
+        "asset": {"version": "2.0"},
+        "buffers": [{"byteLength": len(blob)}, {"byteLength": 384, "extensions": {MESHOPT: {"fallback": True}}}],
+        "bufferViews": [{**view, "extensions": {MESHOPT: {**extension, "filter": "EXPONENTIAL"}}}],
+        "accessors": [{"bufferView": 0, "componentType": 5126, "count": 32, "type": "VEC3"}],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 4}]}],
+        "nodes": [{"mesh": 0}],
+        "scenes": [{"nodes": [0]}],
+    }
+    require(gltf, MESHOPT)
+    mesh = load_mesh(save_glb(gltf, blob, tmp_path / "a.glb"))
+    np.testing.assert_allclose(mesh.vertices, points, atol=np.abs(points).max() / 2**13)
+
+
+def at_corners(mesh, values):
+    """Return values of vertices at the corners of the faces: Draco gives each primitive vertices of its own."""
+    return np.asarray(values)[..., mesh.faces, :]
+
+
+def test_draco_is_decoded_within_its_quantization(plain, tmp_path):
+    path = draco_glb(plain, tmp_path / "small.glb")
+    expected, mesh = load_mesh(plain), load_mesh(path)
+    step = 2 * np.ptp(expected.vertices, axis=0).max() / 2**16
+    np.testing.assert_allclose(at_corners(mesh, mesh.vertices), at_corners(expected, expected.vertices), atol=step)
+    frames, expected_frames = load_clip(path).vertices, load_clip(plain).vertices
+    np.testing.assert_allclose(at_corners(mesh, frames), at_corners(expected, expected_frames), atol=step)
+    rig, expected_rig = read_skin(path), read_skin(plain)
+    for name in ("joint_of", "weights"):
+        values, expected_values = getattr(rig, name), getattr(expected_rig, name)
+        np.testing.assert_array_equal(at_corners(mesh, values), at_corners(expected, expected_values))
+    np.testing.assert_array_equal(mesh.corner_uv, expected.corner_uv)
+
+
+@pytest.mark.parametrize("compress", [meshopt_glb, draco_glb])
+def test_compressed_file_is_written_plain(compress, plain, tmp_path):
+    mesh = load_mesh(compress(plain, tmp_path / "small.glb"))
+    save_mesh(mesh, tmp_path / "again.glb")
+    again = open_document(tmp_path / "again.glb").gltf
+    assert not {DRACO, MESHOPT} & {*again.get("extensionsUsed", []), *again.get("extensionsRequired", [])}
+    np.testing.assert_allclose(load_mesh(tmp_path / "again.glb").vertices, mesh.vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize(("compress", "package"), [(meshopt_glb, "meshopt"), (draco_glb, "DracoPy")])
+def test_missing_decoder_names_the_extra(compress, package, plain, tmp_path, monkeypatch):
+    path, find = compress(plain, tmp_path / "small.glb"), importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == package else find(name, *rest))
+    with pytest.raises(InputError, match=rf"expected {package} to read .*pip install 'mimesh\[compressed\]'"):
+        load_mesh(path)
+
+
+def altered(path, change):
+    """Write a .glb again with another JSON."""
+    content = path.read_bytes()
+    length = struct.unpack_from("<I", content, 12)[0]
+    gltf = json.loads(content[20 : 20 + length])
+    change(gltf)
+    return save_glb(gltf, content[28 + length :], path)
+
+
+def every_view(**changes):
+    def change(gltf):
+        for view in gltf["bufferViews"]:
+            for extension in view.get("extensions", {}).values():
+                extension.update(changes)
+
+    return change
+
+
+def without_extension(gltf):
+    del gltf["bufferViews"][0]["extensions"]
+
+
+MESHOPT_FAULTS = {
+    "count": (every_view(count=10**9), "bytes of ATTRIBUTES"),
+    "stride": (every_view(byteStride=3), "bytes of ATTRIBUTES"),
+    "mode": (every_view(mode="SECRET"), "bytes of ATTRIBUTES"),
+    "filter": (every_view(filter="SECRET"), "bytes of ATTRIBUTES"),
+    "range": (every_view(byteLength=10**9), "inside its buffer"),
+    "buffer": (every_view(buffer=7), "to be one of 2 buffers, found 7"),
+    "negative": (every_view(byteOffset=-4), "a count in"),
+    "no data": (without_extension, "compressed data in buffer view 0, found none"),
+    "data": (every_view(byteOffset=4), "expected a file that can be read, found"),
+}
+
+
+@pytest.mark.parametrize("fault", MESHOPT_FAULTS)
+def test_contradictory_meshopt_is_refused(fault, plain, tmp_path):
+    change, message = MESHOPT_FAULTS[fault]
+    with pytest.raises(InputError, match=message):
+        load_mesh(altered(meshopt_glb(plain, tmp_path / "small.glb"), change))
+
+
+def every_primitive(change):
+    def apply(gltf):
+        for primitive in (p for mesh in gltf["meshes"] for p in mesh["primitives"] if "extensions" in p):
+            change(gltf, primitive["extensions"][DRACO], primitive)
+
+    return apply
+
+
+DRACO_FAULTS = {
+    "view": (every_primitive(lambda g, e, p: e.update(bufferView=999)), "to be one of .* bufferViews, found 999"),
+    "other view": (every_primitive(lambda g, e, p: e.update(bufferView=0)), "expected a file that can be read, found"),
+    "id": (every_primitive(lambda g, e, p: e["attributes"].update(POSITION=77)), "in attribute 77 of its Draco data"),
+    "no attributes": (every_primitive(lambda g, e, p: e.pop("attributes")), "'attributes' in each of"),
+    "indices": (
+        every_primitive(lambda g, e, p: g["accessors"][p["indices"]].update(count=3)),
+        "in indices of its Draco data",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", DRACO_FAULTS)
+def test_contradictory_draco_is_refused(fault, plain, tmp_path):
+    change, message = DRACO_FAULTS[fault]
+    with pytest.raises(InputError, match=message) as caught:
+        load_mesh(altered(draco_glb(plain, tmp_path / "small.glb"), change))
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith(f"{tmp_path / 'small.glb'}: ")
+
+
+def test_huge_count_is_refused_before_anything_is_allocated(plain, tmp_path):
+    path = draco_glb(plain, tmp_path / "small.glb")
+    with pytest.raises(InputError, match=r"up to 4 GiB of data"):
+        load_mesh(
+            altered(path, lambda gltf: [a.update(count=2**31) for a in gltf["accessors"] if "bufferView" not in a])
+        )

@@ -1,0 +1,164 @@
+"""A native decoder that crashes, loops or allocates ends its child process, and the caller gets one line."""
+
+import os
+import signal
+import sys
+import textwrap
+import time
+
+import pytest
+
+from mimesh.core.errors import InputError
+from mimesh.io.child_process import MIB, Limits, child_result
+
+LIMITS = Limits(1024 * MIB, 4 * MIB, 20, 30.0)
+DECODERS = """
+import ctypes, json, os, sys, time
+from mimesh.core.errors import InputError
+
+def copy(source, target, times=1):
+    target.write_bytes(source.read_bytes() * times)
+
+def crash(source, target):
+    ctypes.string_at(0)
+
+def abort(source, target):
+    os.abort()
+
+def loop(source, target):
+    while True:
+        pass
+
+def sleep(source, target):
+    time.sleep(600)
+
+def allocate(source, target):
+    blocks = []
+    while True:
+        blocks.append(bytearray(2**26))
+
+def native_allocate(source, target):
+    malloc = ctypes.CDLL(None).malloc
+    malloc.restype = ctypes.c_void_p
+    while malloc(ctypes.c_size_t(2**26)):
+        pass
+    raise MemoryError
+
+def fill(source, target):
+    with target.open("wb") as file:
+        while True:
+            file.write(bytes(2**20))
+
+def nothing(source, target):
+    pass
+
+def refuse(source, target):
+    raise InputError(f"{source}: expected bread, found stone; bake it again")
+
+def fail(source, target):
+    raise KeyError("two\\nlines")
+
+def environment(source, target):
+    target.write_text(json.dumps([dict(os.environ), sys.stdin.read()]))
+"""
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run one of DECODERS on a file of two bytes and return the bytes of its result."""
+    (tmp_path / "test_decoders.py").write_text(textwrap.dedent(DECODERS))
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    (tmp_path / "a.xyz").write_bytes(b"ab")
+
+    def call(name, limits=LIMITS, **arguments):
+        path = tmp_path / "a.xyz"
+        with child_result(f"test_decoders:{name}", path, path, limits, **arguments) as result:
+            return result.read_bytes()
+
+    return call
+
+
+def message_of(run, *arguments, **options):
+    with pytest.raises(InputError) as caught:
+        run(*arguments, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+def test_result_is_a_file_that_is_deleted_afterwards(run, tmp_path):
+    assert run("copy", times=3) == b"ababab"
+    with child_result("test_decoders:copy", tmp_path / "a.xyz", tmp_path / "a.xyz", LIMITS) as result:
+        pass
+    assert not result.parent.exists()
+
+
+@pytest.mark.parametrize("name", ["crash", "abort"])
+def test_crash_is_an_input_error(run, name):
+    assert "a.xyz: expected a file that can be read, found that its decoder crashed" in message_of(run, name)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="a system without limits on processor time")
+def test_endless_loop_is_ended_by_processor_time(run):
+    limits = Limits(LIMITS.memory, LIMITS.output, 1, 60.0)
+    start = time.monotonic()
+    assert "found that its decoder does not end" in message_of(run, "loop", limits)
+    assert time.monotonic() - start < 30
+
+
+def test_waiting_is_ended_by_the_clock(run):
+    assert "found that its decoder does not end" in message_of(run, "sleep", Limits(LIMITS.memory, MIB, 20, 1.0))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a system without a limit on memory")
+@pytest.mark.parametrize("name", ["allocate", "native_allocate"])
+def test_memory_is_limited(run, name):
+    assert "needs more than 1,024 MiB of memory" in message_of(run, name)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a system without a limit on file sizes")
+def test_output_is_limited(run):
+    assert "4 MiB" in message_of(run, "fill")
+
+
+def test_missing_result_is_an_input_error(run):
+    assert "found 0 bytes" in message_of(run, "nothing")
+
+
+def test_input_error_of_the_child_is_that_of_the_caller(run, tmp_path):
+    assert message_of(run, "refuse") == f"{tmp_path / 'a.xyz'}: expected bread, found stone; bake it again"
+
+
+def test_other_exceptions_become_one_line(run):
+    assert "KeyError" in message_of(run, "fail")
+
+
+def test_child_gets_neither_environment_nor_input(run, monkeypatch):
+    import json
+
+    monkeypatch.setenv("SECRET", "x")
+    variables, typed = json.loads(run("environment"))
+    assert typed == ""
+    assert set(variables) <= {
+        "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS", "TMPDIR", "TEMP", "TMP", "LC_CTYPE", "__CF_USER_TEXT_ENCODING",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc"), reason="a system without /proc")
+def test_interrupted_caller_leaves_no_child(run, monkeypatch):
+    import subprocess
+
+    started = []
+
+    class Interrupted(subprocess.Popen):
+        def wait(self, timeout=None):
+            if timeout is not None:
+                started.append(self.pid)
+                raise KeyboardInterrupt
+            return super().wait()
+
+    monkeypatch.setattr(subprocess, "Popen", Interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run("sleep")
+    assert not os.path.isdir(f"/proc/{started[0]}")
