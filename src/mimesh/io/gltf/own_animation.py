@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
-from .animation import slerp
+from .animation import PATH_WIDTHS, slerp
 from .bake import AnimatedValues, pose_frames
 from .document import Document
 from .draft import AccessorCopier, Draft
@@ -93,15 +93,15 @@ class OwnAnimation:
 def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
     """Write the file of an identity with new animations, before those that it has.
 
-    What only some of the animations move has one key in the others, with the value of the file: where an animation
-    leaves a node out, Blender and blending engines keep the pose of another animation.
+    What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
+    where an animation leaves a node out, Blender and blending engines keep the pose of another animation.
 
     Args:
         animations: of one file, with the same layout.
     """
     draft = _copied_file(animations)
     moved = [_with_root_bone(animation, draft) for animation in animations]
-    used = dict.fromkeys(key for tracks in moved for key in tracks)
+    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(draft))
     tolerance = _tolerances(animations[0].source.document, animations[0].source.vertices)
     entries = []
     for animation, tracks in zip(animations, moved, strict=True):
@@ -225,6 +225,14 @@ def _add_animation(
         channels.append({"sampler": len(samplers), "target": {"node": key[0], "path": key[1]}})
         samplers.append({"input": times[is_key.tobytes()], "interpolation": "LINEAR", "output": output})
     return {"name": animation.name, "samplers": samplers, "channels": channels}
+
+
+def _animated_values(draft: Draft) -> list[tuple[int, str]]:
+    """List the properties of nodes that the file's own animations move."""
+    channels = [channel for animation in draft.gltf.get("animations", []) for channel in animation["channels"]]
+    targets = [channel["target"] for channel in channels]
+    found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
+    return [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(draft.gltf["nodes"])]
 
 
 def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:

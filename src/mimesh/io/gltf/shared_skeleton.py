@@ -6,13 +6,13 @@ of the joints' parents, as the inverse bind matrices have them.
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
+from ...bodies.joint_names import ancestors
 from .animation import animated_nodes
 from .bake import AnimatedValues
 from .document import Document
@@ -80,21 +80,34 @@ def _joint_nodes(document: Document) -> list[int]:
 
 
 def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int]:
-    """Match joints to nodes of another file with the same name, whose parents match too."""
-    their_names = _names(theirs)
-    unique = {name: node for node, name in enumerate(their_names) if Counter(their_names)[name] == 1}
-    my_names, my_parents, their_parents = _names(mine), node_parents(mine), node_parents(theirs)
-    if mine is theirs:
+    """Match joints to nodes of another file with the same name below joints with the same names."""
+    my_names, their_names = _names(mine), _names(theirs)
+    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
+    among = set(joints)
+
+    def chain(names: list[str], parents: list[int], node: int, length: int) -> tuple[str, ...]:
+        """Name a node and those above it."""
+        named = []
+        while node >= 0 and len(named) < length:
+            named.append(names[node])
+            node = parents[node]
+        return tuple(named)
+
     pairs = {}
     for node in joints:
-        other, above = unique.get(my_names[node]), my_parents[node]
-        if other is None:
-            continue
-        their_above = their_parents[other]
-        if above in set(joints) and (their_above < 0 or their_names[their_above] != my_names[above]):
-            continue
-        pairs[node] = other
+        above = [n for n in ancestors(tuple(my_parents), node) if n in among]
+        wanted = chain(my_names, my_parents, node, len(above))
+        found = [
+            other
+            for other, name in enumerate(their_names)
+            if name == my_names[node] and chain(their_names, their_parents, other, len(above)) == wanted
+        ]
+        if len(found) > 1:  # a mesh may have the name of a joint: that has nothing below it
+            found = [other for other in found if "mesh" not in theirs.gltf["nodes"][other]]
+        if len(found) == 1:
+            pairs[node] = found[0]
     return pairs
 
 
