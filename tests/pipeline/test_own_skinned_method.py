@@ -1,6 +1,6 @@
 """A method with joints that this package does not know gets --skinned, --root, --ground and --smooth all the same."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -48,6 +48,45 @@ def lean(vertices):
 def test_it_is_a_skinned_method():
     assert isinstance(TwoJoints(), Method)
     assert isinstance(TwoJoints(), SkinnedMethod)
+
+
+@dataclass(frozen=True)
+class SixJoints(TwoJoints):
+    """Six joints in a row, all of which move every vertex."""
+
+    def prepare(self, identity: Mesh, driving: Clip) -> SkinnedDrive:
+        ranked = canonical_order(identity.vertices)
+        points = ranked.merge(identity.vertices)
+        joints = np.linspace([0.0, -0.9, 0.0], [0.0, 0.9, 0.0], 6)
+        weights = 1 / (0.1 + np.linalg.norm(points[:, None] - joints, axis=2))
+        rig = Rig(np.tile(np.eye(3), (6, 1, 1)), joints, weights / weights.sum(axis=1, keepdims=True))
+        parents = tuple(range(-1, 5))
+
+        def follow(vertices):
+            turns, centres = lean(vertices)
+            return turns[[0, 1, 0, 1, 0, 1]], centres[[0, 1, 0, 1, 0, 1]]
+
+        names = tuple(f"j{j}" for j in range(6))
+        whole = replace(rig, weights=rig.weights[ranked.group])
+        return SkinnedDrive(names, whole, SkinnedMesh.of(points, rig, parents), follow, 1.0, None, ranked.group, "walk")
+
+
+@pytest.mark.parametrize("skinned", [True, None])
+def test_skinned_frames_are_those_of_the_file(skinned, tmp_path):
+    limited, whole = (animate(person(0), walk(frames=3), SixJoints(), skinned=value) for value in (skinned, False))
+    assert ((limited.skeleton.rig.weights > 0).sum(axis=1) == 4).all()
+    limited.save_skinned(tmp_path / "limited.glb")
+    whole.save_skinned(tmp_path / "whole.glb")
+    assert limited.report["skinned_deviation"] < 1e-5
+    assert limited.report["influence_deviation"] == pytest.approx(whole.report["skinned_deviation"], rel=1e-3)
+    assert whole.report["skinned_deviation"] > 1e-4
+    assert "influence_deviation" not in whole.report
+
+
+def test_a_pose_keeps_all_weights_unless_it_becomes_skinned():
+    pose = Clip.still(person(1, pose=0))
+    assert "influence_deviation" not in animate(person(0), pose, SixJoints(), skinned=None).report
+    assert "influence_deviation" in animate(person(0), pose, SixJoints(), skinned=True).report
 
 
 def test_its_result_has_joints_and_is_saved_skinned(tmp_path):

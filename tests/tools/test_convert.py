@@ -11,7 +11,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
 from mimesh.render.movie import MOVIES
-from mimesh.tools.convert import LARGE, convert, size_note, taken_rate_note
+from mimesh.tools.convert import LARGE, convert, size_note, skinned_note, taken_rate_note
 
 CLIPS = sorted({*CLIP_WRITERS, ""})
 MESHES = sorted(MESH_WRITERS)
@@ -175,3 +175,11 @@ def test_impossible_frame_rates_are_refused(fps, tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
     with pytest.raises(InputError, match="expected a frame rate of 10,000 or less"):
         load_clip(tmp_path / "a.glb", fps=fps)
+
+
+def test_notes_tell_large_deviations_of_skinned_files():
+    assert skinned_note({}) == skinned_note({"influence_deviation": 0.019, "skinned_deviation": 1e-5}) == ()
+    (note,) = skinned_note({"influence_deviation": 0.031, "skinned_deviation": 1e-5})
+    assert note.startswith("four weights a vertex, as files of joints have, move a vertex by up to 0.031")
+    (note,) = skinned_note({"influence_deviation": 0.0, "skinned_deviation": 0.012})
+    assert "up to 0.012 of the mesh's size from its frame: fingers" in note

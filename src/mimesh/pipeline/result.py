@@ -221,6 +221,8 @@ class ClipResult(_Playable):
     def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
+        A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does.
+
         Args:
             path: the file or folder.
             blendshapes: write a .glb or .gltf with this many morph targets instead of one a frame. The largest distance
