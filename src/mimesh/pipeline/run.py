@@ -305,6 +305,8 @@ def play(
             driving = counted(driving, len(clip), half)
             scale = driving_norm.radius / identity_norm.radius
             limited = len(clip) > 1 if options.skinned is None else options.skinned
+            # The weights of an identity's own file stay as they are.
+            limited = limited and prepared.rigs.identity is None
             drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
