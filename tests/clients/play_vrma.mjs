@@ -49,7 +49,7 @@ const frames = times.map((time) => {
   }
   const hips = vrm.humanoid.getRawBoneNode("hips").getWorldPosition(new THREE.Vector3()).toArray();
   const weights = [];
-  gltf.scene.traverse((object) => object.isMesh && weights.push(object.morphTargetInfluences ?? []));
+  gltf.scene.traverse((object) => object.isMesh && weights.push([...(object.morphTargetInfluences ?? [])]));
   return { bones, hips, weights };
 });
 console.log(JSON.stringify({ frames, animations: found, meta: vrm.meta.metaVersion, warnings }));

@@ -251,8 +251,9 @@ class ClipResult(_Playable):
     ) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
-        A .vrma has the motion of the humanoid bones of VRM alone. Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
-        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation").
+        Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
+        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation"). A
+        .vrma has the motion of the humanoid bones of VRM alone.
 
         Args:
             names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own"

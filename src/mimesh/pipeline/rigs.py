@@ -18,9 +18,11 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
+from ..io.gltf.bake import AnimatedValues
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
-from ..io.gltf.shared_skeleton import SharedMotion, copy_motion
+from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
 from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
 
@@ -65,6 +67,9 @@ class Rigs:
             copied = copy_motion(identity.source, clip.skeleton)
             if copied is not None and (copied.same_rest or own is None):
                 return cls(own, copied=copied)
+            morphs = copy_morphs(identity.source, clip.skeleton)
+            if morphs is not None:
+                return cls(own, copied=morphs)
         if clip.skeleton is not None:
             try:
                 driving = clip.skeleton.person()
@@ -97,6 +102,14 @@ NO_RIGS = Rigs()
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
+
+
+def face_tracks(identity: OwnRig, clip: Clip) -> AnimatedValues:
+    """Return the morph weights of an identity's file that a clip's file animates by name."""
+    joints = clip.skeleton
+    if not isinstance(joints, GltfJoints):
+        return {}
+    return morph_tracks(identity.source.document, named_weights(joints.document, joints.channels, joints.times))
 
 
 def heading_axis(hips: Float[np.ndarray, "3 3"]) -> str:
