@@ -32,6 +32,8 @@ def vrm(
     targets: tuple[str, ...] = (),
     expressions: dict[str, dict] | None = None,
     named: bool = False,
+    weights: np.ndarray | None = None,
+    still: bool = True,
 ) -> tuple[Path, AnimatedRig, dict[str, int]]:
     """Write a VRM without animations; returns its path, its rig and the node of each bone by its name in VRM 1.0.
 
@@ -40,6 +42,8 @@ def vrm(
         targets: names of morph targets, each of which moves random vertices of the head.
         expressions: those of VRMC_vrm by name; with version 0 rows of blendShapeGroups.
         named: leave the bones their names; else these say nothing.
+        weights: of the targets in every frame, 30 a second: an animation.
+        still: leave the bones out of the animation; else the left upper arm turns in it.
     """
     front = "+z" if version else "-z"
     moving = moving_rig(7, fingers=True, front=front, arms=10.0)
@@ -55,6 +59,9 @@ def vrm(
     draft.chunks, draft.size = [memoryview(document.binary)], len(document.binary)
     for mesh in gltf["meshes"] if targets else []:
         add_targets(draft, mesh, targets)
+    if weights is not None:
+        meshes = [number for number, node in enumerate(gltf["nodes"]) if "mesh" in node]
+        draft.gltf["animations"] = [animation(draft, meshes, weights, None if still else nodes["leftUpperArm"])]
     draft.gltf |= extensions(version, nodes, expressions or {})
     draft.gltf["materials"] = [{"extensions": {"VRMC_materials_mtoon": {"specVersion": "1.0"}}}]
     draft.save(path)
@@ -70,6 +77,18 @@ def add_targets(draft: Draft, mesh: dict, targets: tuple[str, ...]) -> None:
         primitive["targets"] = [{"POSITION": draft.add_floats(move, bounds=True)} for move in moves]
     mesh["extras"] = {"targetNames": list(targets)}
     mesh["weights"] = [0.0] * len(targets)
+
+
+def animation(draft: Draft, meshes: list[int], weights: np.ndarray, turning: int | None) -> dict:
+    """An animation of morph weights, and of one node by up to a quarter turn about z."""
+    times = draft.add_floats(np.arange(len(weights))[:, None] / 30.0, bounds=True)
+    samplers = [{"input": times, "output": draft.add_floats(weights.reshape(-1, 1))}]
+    channels = [{"sampler": 0, "target": {"node": node, "path": "weights"}} for node in meshes]
+    if turning is not None:
+        turns = Rotation.from_rotvec(np.linspace([0, 0, 0], [0, 0, np.pi / 2], len(weights)))
+        samplers.append({"input": times, "output": draft.add_floats(turns.as_quat())})
+        channels.append({"sampler": 1, "target": {"node": turning, "path": "rotation"}})
+    return {"name": "face", "samplers": samplers, "channels": channels}
 
 
 def extensions(version: int, nodes: dict[str, int], expressions: dict[str, dict]) -> dict:

@@ -127,7 +127,9 @@ def humanoid_rig(
         and joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) not in ancestors(facing.parents, joints[f"{side}Foot"])
         for side in SIDES
     )
-    facing, joints, order = attach_feet(facing, joints, poses() if loose else np.zeros((0, 1, 4, 4)), path)
+    facing, joints, order = attach_feet(
+        facing, joints, poses() if loose else np.zeros((0, len(facing.parents), 4, 4)), path
+    )
     # Fingers that the file itself names count before those found by their names.
     unnamed = [side for side in SIDES if not any(name in joints for name in finger_joints(side))]
     hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}

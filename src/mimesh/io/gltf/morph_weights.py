@@ -21,6 +21,8 @@ from .vrm import OVERRIDDEN, Expression, animated_expressions, vrm_expressions
 
 BINARY = 0.5
 """Weight above which an expression without intermediate values is full (VRM 1.0, expressions.md)."""
+NEGLIGIBLE = 1e-5
+"""Weight of an expression that counts as none: frames are not exactly at the times of keys, which are float32."""
 _PREFIX = re.compile(r"^blendshapes?\d*\.", re.IGNORECASE)
 """Name of Maya's node before that of the target."""
 _SIDE = re.compile(r"(?:[_. -]([lrLR])|(?<=[a-z])([LR]))$")
@@ -159,5 +161,5 @@ def _remaining(
             continue
         for other, weights in values.items():
             if other not in reduced and key in expressions[other].overrides:
-                factor -= weights > 0 if expressions[other].overrides[key] == "block" else weights
+                factor -= weights > NEGLIGIBLE if expressions[other].overrides[key] == "block" else weights
     return np.maximum(factor, 0.0)
