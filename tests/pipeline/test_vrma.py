@@ -117,7 +117,7 @@ def test_other_rigs_are_written_from_a_t_pose(turn, tmp_path):
         expected = world[:, k] - world[:, parents[k]]
         assert np.allclose(bones, expected, atol=1e-4 * np.linalg.norm(expected[0])), name
     # And so they do on a VRM that gets the file.
-    avatar, _, nodes = vrm(tmp_path / "b.vrm")
+    avatar, _, _ = vrm(tmp_path / "b.vrm")
     played = mimesh.animate(avatar, result.save(tmp_path / "c.vrma"), ground=False)
     at = {joint: played.own.node_matrices([node])[:, 0, :3, 3] for joint, node in played.own.joints.items()}
     for name, bones in limbs(motion).items():
@@ -153,7 +153,7 @@ def test_joints_found_on_a_surface_become_bones(up, front, tmp_path):
     for options in ({"names": "mixamo"}, {"root_bone": True}, {"rest": "T"}):
         with pytest.raises(InputError, match="which has the bones of VRM; leave them out"):
             result.save_skinned(tmp_path / "walk.vrma", **options)
-    result.save_skinned(tmp_path / "slow.vrma", fps=12)
+    result.save_skinned(tmp_path / "slow.vrma", fps=12.0)
     assert load_clip(tmp_path / "slow.vrma").fps == 12
 
 

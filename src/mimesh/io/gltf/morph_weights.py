@@ -63,7 +63,7 @@ def named_weights(
 def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> AnimatedValues:
     """Compute the morph weights of all nodes of a file that has targets or expressions of the given names.
 
-    A target has the weight of its name, else the sum of the expressions that move it, else the weight that the file has.
+    A target has the weight of its name, else the sum of the expressions that move it, else the weight of the file.
     """
     find = _finder(weights)
     tracks: AnimatedValues = {}
