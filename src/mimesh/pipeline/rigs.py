@@ -94,6 +94,19 @@ NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
 
 
+def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
+    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
+    if not has_rig(mesh) or still_joints(mesh) is None:
+        return None
+    try:
+        humanoid = read_own_rig(mesh).humanoid
+    except InputError as error:
+        return False, str(error)
+    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
+    known = len(humanoid.joints) - fingers
+    return True, f"{len(humanoid.character.parents)} joints, {known} of a person and {fingers} of fingers known by name"
+
+
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
