@@ -96,10 +96,10 @@ NO_RIGS = Rigs()
 
 def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
     """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
-    if not has_rig(mesh) or still_joints(mesh) is None:
+    if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
         return None
     try:
-        humanoid = read_own_rig(mesh).humanoid
+        humanoid = read_own_rig(dataclasses.replace(mesh, vertices=mesh.source.vertices)).humanoid
     except InputError as error:
         return False, str(error)
     fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)

@@ -335,6 +335,7 @@ def play(
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
         skeleton = _animated_rig(prepared, motion, shift)
         own = _own_animation(prepared, skeleton)
+        report |= {} if own is None else {"rig": "own"}
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if motion.drive is not prepared.drive:
             report["influence_deviation"] = _influence_deviation(prepared, motion)
