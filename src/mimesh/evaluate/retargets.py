@@ -37,6 +37,8 @@ MEASURED_FRAMES = 6
 """Frames of a clip, evenly spread, in which surfaces are compared."""
 INFLUENCES = 6
 """Largest weights of the shipped body that are measured."""
+NOT_GIVEN = (None, None, None, None)
+"""Axes that the user does not give."""
 METRICS = ("limb_deg", "end_effector", "sole_height", "touching", "penetration")
 
 
@@ -141,7 +143,7 @@ def copy_rotations(identity: Mesh, actor: Actor) -> ClipResult | None:
     )
     options = MotionOptions(ground=False)
     method = find_method("mime")
-    prepared = prepare(identity, actor.clip, lambda norm: method, (None,) * 4, None, options, rigs=rigs)
+    prepared = prepare(identity, actor.clip, lambda norm: method, NOT_GIVEN, None, options, rigs=rigs)
     moved = play(prepared, Timer(), options)
     clip = Clip(identity, moved.vertices, actor.clip.fps)
     return ClipResult(clip, "copy rotations", Timer(), moved.report, moved.notes)

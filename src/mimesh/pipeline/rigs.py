@@ -74,12 +74,13 @@ class Rigs:
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
-        identity, driving = axes[:2], axes[2:]
-        if self.identity is not None and identity == (None, None):
-            identity = "+y", axis_name(self.identity.humanoid.turn[2])
-        if self.driving is not None and driving in ((None, None), ("+y", None)):
-            driving = "+y", self.driving.front or heading_axis(self.driving.rotation[0, 0])
-        return (*identity, *driving)
+        up, front, driving_up, driving_front = axes
+        if self.identity is not None and up is None and front is None:
+            up, front = "+y", axis_name(self.identity.humanoid.turn[2])
+        if self.driving is not None and driving_up in (None, "+y") and driving_front is None:
+            driving_up = "+y"
+            driving_front = self.driving.front or heading_axis(self.driving.rotation[0, 0])
+        return up, front, driving_up, driving_front
 
     def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
         """Return the method with the rigs; methods without joints are left as they are."""

@@ -261,9 +261,9 @@ def move(
     """
     with timer.step("prepare"):
         rigs = read_rigs(identity, clip, options, corrections)
-        if rigs.copied is None or options.changes_motion:
-            prepared = prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
-    if rigs.copied is not None and not options.changes_motion:
+        copied = rigs.copied is not None and not options.changes_motion
+        prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+    if prepared is None:
         return copy_animation(identity, clip, rigs, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
 
