@@ -144,7 +144,8 @@ def print_clips(facts: dict[str, Any]) -> None:
     from ..tools.convert import frames_at
 
     clips, seconds = facts["clips"], sum(facts["seconds"].values())
-    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {moved_by(facts | {'report': clips[0]['report']})}, {seconds:.1f} s")
+    by = moved_by({**facts, "report": clips[0]["report"]})
+    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
     for clip in clips:
         print(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
     for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):
