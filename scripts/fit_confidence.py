@@ -67,7 +67,8 @@ def collect(
             pair = make()
             prepared = prepare(pair.identity, Clip.still(pair.driving), lambda _: method, axes, False, MotionOptions())
             assert isinstance(prepared.drive, SkinnedDrive)
-            meshes = [dataclasses.asdict(confidence) for confidence in prepared.drive.confidence or ()]
+            confidences = [confidence for confidence in prepared.drive.confidence or () if confidence is not None]
+            meshes = [dataclasses.asdict(confidence) for confidence in confidences]
             pmd, error = CREATURE_ERROR if name == CREATURES else _errors(play(prepared, Timer()).vertices[0], pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))

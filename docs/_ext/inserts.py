@@ -133,6 +133,36 @@ def speed() -> str:
     return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
+def rigs() -> str:
+    """Return the table of retargeting on own rigs, from docs/rigs.json."""
+    report = json.loads((DOCS / "rigs.json").read_text())
+    keys = {
+        "limbs, degrees": "limb_deg",
+        "ends of limbs": "end_effector",
+        "heights of soles": "sole_height",
+        "feet that agree on contact": "touching",
+        "soles slide": "skate",
+        "the driving's": "skate_driving",
+    }
+    rows = [
+        [group.replace("_", " "), *(_median_and_p90(figures.get(key)) for key in keys.values())]
+        for group, figures in report["results"].items()
+    ]
+    head = f"{report['pairs']} pairs of {report['characters']} characters with {report['clips']} clips of other makers"
+    failed = f"{len(report['failed'])} raised an exception, {report['upside_down']} are upside down"
+    return (
+        f"{head}: {failed}. Medians, and 90th percentiles in brackets: angle between the directions of limbs; distance "
+        "of wrists from shoulders and ankles from hips, over the length of the limb; difference of the heights of soles, "
+        "over the leg; share of feet; speed of soles while the driving's stand, in heights a second. “copied rotations” "
+        "are the same pairs as “clips with a rig”, with each joint's rotation copied from its namesake as one does by "
+        f"hand.\n\n{markdown_table(['', *keys], rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+    )
+
+
+def _median_and_p90(figure: dict[str, float] | None) -> str:
+    return "-" if figure is None else f"{figure['median']:.2g} ({figure['p90']:.2g})"
+
+
 def _ms(value: float | None) -> str:
     return "-" if value is None else f"{_figure(value)} ms"
 
@@ -174,6 +204,7 @@ INSERTS = {
     "card": card,
     "table": table,
     "speed": speed,
+    "rigs": rigs,
     "transcript": transcript,
     "notes": notes,
     "commands": command_reference,

@@ -197,7 +197,7 @@ def test_other_joints_keep_their_names():
 
 
 def test_unknown_layouts_are_refused():
-    with pytest.raises(InputError, match=r"--names: expected one of mimesh, .*rigify, found 'maya'"):
+    with pytest.raises(InputError, match=r"--names: expected one of own, .*rigify, found 'maya'"):
         engine_rig(moving_rig(0), "maya")
     with pytest.raises(InputError, match="--rest: expected one of file, T, A, found 'sitting'"):
         check_layout("vrm", "sitting")

@@ -19,7 +19,7 @@ from ..core.errors import InputError
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.rig import Rig, descendants
 from ..core.skinning import blend_matrices, place_joints, skin_points
-from .engine_names import REQUIRED, SCHEMES, RestPose, Scheme, check_layout
+from .engine_names import REQUIRED, SCHEMES, Scheme, check_layout
 from .joint_names import FINGERS
 
 A_ANGLE = 50.0
@@ -41,8 +41,8 @@ class Layout:
     """A scheme of SCHEMES."""
     root_bone: bool = False
     """Add a bone on the ground that carries the displacement over it; the hips keep the rest."""
-    rest: RestPose = "file"
-    """Pose that the mesh is bound in."""
+    rest: str = "file"
+    """Pose that the mesh is bound in, one of RestPose."""
     fps: float | None = None
     """Frame rate of the file, sampled from the motion's; None keeps that."""
 
@@ -61,7 +61,7 @@ def engine_rig(
     skeleton: AnimatedRig,
     names: str = "own",
     root_bone: bool = False,
-    rest: RestPose = "file",
+    rest: str = "file",
     *,
     up: str = "+y",
     front: str = "+z",
@@ -91,7 +91,7 @@ def engine_rig(
     return _with_root(bound, scheme.root, axes[:, 1], root_bone) if root_bone or scheme.has_root else bound
 
 
-def _check_joints(skeleton: AnimatedRig, names: str, rest: RestPose) -> None:
+def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
     """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]
     if missing and (SCHEMES[names].bones or rest != "file"):
@@ -101,7 +101,7 @@ def _check_joints(skeleton: AnimatedRig, names: str, rest: RestPose) -> None:
         )
 
 
-def _bind(skeleton: AnimatedRig, rest: RestPose, axes: Float[np.ndarray, "3 3"]) -> AnimatedRig:
+def _bind(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> AnimatedRig:
     """Bind a rig in a rest pose, in which all joints have the given axes (columns: left, up, front of the file)."""
     old, positions = skeleton.rig, skeleton.joint_positions()
     turn = _rest_turns(skeleton, rest, axes)  # of each joint, from the file's pose to the rest pose
@@ -119,7 +119,7 @@ def _bind(skeleton: AnimatedRig, rest: RestPose, axes: Float[np.ndarray, "3 3"])
     return replace(skeleton, mesh=mesh, rig=rig, rotation=rotation, root=positions[:, 0], positions=positions)
 
 
-def _rest_turns(skeleton: AnimatedRig, rest: RestPose, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "J 3 3"]:
+def _rest_turns(skeleton: AnimatedRig, rest: str, axes: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "J 3 3"]:
     """Compute the rotation of every joint, in the world, from the file's pose to a rest pose.
 
     Arms, hands and legs get their directions; trunk and head stay, fingers of the A-pose stay with their hand.
@@ -281,7 +281,7 @@ def _arrange(skeleton: AnimatedRig, scheme: Scheme) -> AnimatedRig:
         new,
         skeleton.rotation[:, bones.source],
         paths[:, 0],
-        paths,
+        positions=paths,
     )
 
 
@@ -325,5 +325,5 @@ def _with_root(skeleton: AnimatedRig, name: str, up: Float[np.ndarray, " 3"], mo
         ),
         np.concatenate([np.tile(rig.rotation[0], (frames, 1, 1, 1)), skeleton.rotation], axis=1),
         path,
-        np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
+        positions=np.concatenate([path[:, None], skeleton.joint_positions()], axis=1),
     )

@@ -143,12 +143,18 @@ def joined_facts(facts: Sequence[dict[str, Any]], names: Sequence[str], driving:
     }
 
 
+def moved_by(facts: dict[str, Any]) -> str:
+    """Name what moved the identity: the model, or the rig of its own file."""
+    return "on its own rig" if facts["report"].get("rig") == "own" else facts["model"]
+
+
 def print_clips(facts: dict[str, Any]) -> None:
     """Print a file of several clips: a line for each, notes with the clips that they are about, and the pages."""
     from ..tools.convert import frames_at
 
     clips, seconds = facts["clips"], sum(facts["seconds"].values())
-    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {facts['model']}, {seconds:.1f} s")
+    by = moved_by({**facts, "report": clips[0]["report"]})
+    print(f"{facts['output']}: {facts['vertices']} vertices, {len(clips)} clips, {by}, {seconds:.1f} s")
     for clip in clips:
         print(f"clip: {clip['name']}, {frames_at(clip['frames'], clip['fps'])}")
     for line in dict.fromkeys(line for clip in clips for line in clip["report"].get("joints", ())):

@@ -14,6 +14,7 @@ from .clips import (
     clip_names,
     clip_output,
     joined_facts,
+    moved_by,
     print_clips,
     save_clips,
 )
@@ -319,7 +320,7 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
     length = "" if facts["fps"] is None else f", {frames_at(facts['frames'], facts['fps'])}"
     seconds = sum(facts["seconds"].values())
-    print(f"{facts['output']}: {facts['vertices']} vertices{length}, {facts['model']}, {seconds:.1f} s")
+    print(f"{facts['output']}: {facts['vertices']} vertices{length}, {moved_by(facts)}, {seconds:.1f} s")
     for line in facts["report"].get("joints", ()):
         print(f"joints: {line}")
     for note in facts["report"]["notes"]:

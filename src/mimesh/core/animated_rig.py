@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +36,8 @@ class AnimatedRig:
     """World rotation of every joint in every frame."""
     root: Float[np.ndarray, "T 3"]
     """Position of the root joint."""
+    person: Mapping[str, int] | None = None
+    """Index of each joint that is known to be a person's, by our name; None: the names are ours."""
     positions: Float[np.ndarray, "T J 3"] | None = None
     """Position of every joint; None: bones keep their lengths, so positions follow from `root` and `rotation`."""
 

@@ -90,7 +90,7 @@ def linked_to_body(joints: tuple[str, ...], parents: tuple[int, ...], driving: t
     """Find the joint of a driving that each joint of a person follows."""
     index = {name: k for k, name in enumerate(driving)}
     above = tuple(tuple(joints[k] for k in ancestors(parents, j)) for j in range(len(joints)))
-    return LinkedJoints(driving, _nearest_known(above, index), {})
+    return LinkedJoints(driving, _nearest_known(above, index), {}, {name: j for j, name in enumerate(joints)})
 
 
 def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
@@ -130,7 +130,7 @@ class KnownIdentity:
             for name, end in self.whole.items()
             if name in index and end in index
         }
-        return LinkedJoints(driving, follows, whole)
+        return LinkedJoints(driving, follows, whole, self.person)
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +192,8 @@ class LinkedJoints:
     whole: Mapping[int, tuple[int, Float[np.ndarray, " 3"]]]
     """Joints of the identity that move a whole limb: index of the driving's joint at the other end of the limb, and
     direction of the limb in a T-pose."""
+    person: Mapping[str, int]
+    """Index of each joint of the identity that is known to be a person's."""
 
     def rotations(
         self, rotation: Float[np.ndarray, "T D 3 3"], positions: Float[np.ndarray, "T D 3"]
@@ -293,6 +295,11 @@ class SkinnedDrive:
         if self.known is None:
             return self.follow(vertices)
         return self.known.rotation[t], self.known.positions[t]
+
+    @property
+    def person(self) -> Mapping[str, int]:
+        """Index of each joint of the identity that is known to be a person's, by our name."""
+        return {name: j for j, name in enumerate(self.joints)} if self.linked is None else self.linked.person
 
     @property
     def driving_joints(self) -> tuple[str, ...]:

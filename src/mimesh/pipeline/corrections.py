@@ -107,7 +107,8 @@ def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, Jo
     vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
     identity = prepared.identity_norm.undo(drive.rig.joints)
     driving = norm.undo(drive.driving_pose(frame, vertices)[1])
-    return _named(drive.joints, identity), _named(drive.driving_joints, driving)
+    mine = without_fingers({name: identity[j] for name, j in drive.person.items()})
+    return mine, without_fingers(dict(zip(drive.driving_joints, driving, strict=True)))
 
 
 def shown_bones() -> dict[str, str | None]:
@@ -120,10 +121,6 @@ def shown_bones() -> dict[str, str | None]:
         if name not in HIDDEN:
             bones[name] = None if above < 0 else body.joint_names[above]
     return bones
-
-
-def _named(names: tuple[str, ...], joints: Float[np.ndarray, "J 3"]) -> JointPositions:
-    return without_fingers(dict(zip(names, joints, strict=True)))
 
 
 def _read(given: GivenJoints, source: str) -> JointCorrections | None:

@@ -21,7 +21,6 @@ from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 
 if TYPE_CHECKING:
-    from ..bodies.engine_names import RestPose
     from ..io.gltf.own_animation import OwnAnimation
     from ..player.pack import Panel
     from ..player.page import Download
@@ -72,7 +71,10 @@ class _Playable(Protocol):
         Those of fingers are left out: all others can be corrected and passed to `transfer`.
         """
         rig = self.skeleton
-        return None if rig is None else without_fingers(dict(zip(rig.names, rig.rig.joints, strict=True)))
+        if rig is None:
+            return None
+        person = {name: j for j, name in enumerate(rig.names)} if rig.person is None else rig.person
+        return without_fingers({name: rig.rig.joints[j] for name, j in person.items()})
 
     def panels(self) -> list[Panel] | None:
         """Return identity, driving and result with the axes of the report, for the player; None without the inputs."""
@@ -246,7 +248,7 @@ class ClipResult(_Playable):
         path: str | Path,
         names: str = "own",
         root_bone: bool = False,
-        rest: RestPose = "file",
+        rest: str = "file",
         fps: float | None = None,
     ) -> Path:
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.

@@ -79,12 +79,13 @@ class Rigs:
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
-        identity, driving = axes[:2], axes[2:]
-        if self.identity is not None and identity == (None, None):
-            identity = "+y", axis_name(self.identity.humanoid.turn[2])
-        if self.driving is not None and driving in ((None, None), ("+y", None)):
-            driving = "+y", self.driving.front or heading_axis(self.driving.rotation[0, 0])
-        return (*identity, *driving)
+        up, front, driving_up, driving_front = axes
+        if self.identity is not None and up is None and front is None:
+            up, front = "+y", axis_name(self.identity.humanoid.turn[2])
+        if self.driving is not None and driving_up in (None, "+y") and driving_front is None:
+            driving_up = "+y"
+            driving_front = self.driving.front or heading_axis(self.driving.rotation[0, 0])
+        return up, front, driving_up, driving_front
 
     def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
         """Return the method with the rigs; methods without joints are left as they are."""
@@ -97,6 +98,19 @@ class Rigs:
 
 NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
+
+
+def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
+    """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
+    if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
+        return None
+    try:
+        humanoid = read_own_rig(dataclasses.replace(mesh, vertices=mesh.source.vertices)).humanoid
+    except InputError as error:
+        return False, str(error)
+    fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
+    known = len(humanoid.joints) - fingers
+    return True, f"{len(humanoid.character.parents)} joints, {known} of a person and {fingers} of fingers known by name"
 
 
 def still_clip(mesh: Mesh) -> Clip:

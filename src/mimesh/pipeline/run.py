@@ -149,7 +149,7 @@ def prepare(
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-    rigs = Rigs.read(identity, clip, options.rig) if rigs is None else rigs
+    rigs = read_rigs(identity, clip, options, corrections) if rigs is None else rigs
     axes = rigs.axes(axes)
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
     method = choice(norms[1])
@@ -166,6 +166,12 @@ def prepare(
             drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     rest = _normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
+
+
+def read_rigs(identity: Mesh, clip: Clip, options: MotionOptions, corrections: Corrections) -> Rigs:
+    """Read the rigs of both files; that of a mesh whose joints the user has corrected is not used."""
+    rigs = Rigs.read(identity, clip, options.rig if corrections.identity is None else "mimesh")
+    return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None, copied=None)
 
 
 def _prepared_drive(
@@ -254,10 +260,10 @@ def move(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     with timer.step("prepare"):
-        rigs = Rigs.read(identity, clip, options.rig)
-        if rigs.copied is None or options.changes_motion:
-            prepared = prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
-    if rigs.copied is not None and not options.changes_motion:
+        rigs = read_rigs(identity, clip, options, corrections)
+        copied = rigs.copied is not None and not options.changes_motion
+        prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+    if prepared is None:
         return copy_animation(identity, clip, rigs, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
 
@@ -332,6 +338,7 @@ def play(
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
+        report |= {} if own is None else {"rig": "own"}
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if motion.drive is not prepared.drive:
             report["influence_deviation"] = _influence_deviation(prepared, motion)
@@ -451,7 +458,7 @@ def _animated_rig(prepared: Prepared, motion: _JointMotion, shift: Float[np.ndar
     rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
     if own is not None:
         identity = identity.with_vertices(own.humanoid.character.mesh.vertices)
-    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root)
+    return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root, drive.person)
 
 
 def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | None:

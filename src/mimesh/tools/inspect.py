@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..pipeline.rigs import rig_facts
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -116,6 +117,7 @@ def inspect_file(path: str | Path) -> FileFacts:
 def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = None) -> FileFacts:
     """Collect the facts of a mesh in memory, and of its clip and its file where given."""
     path = None if path is None else Path(path)
+    rig = rig_facts(mesh)
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
     # Faces between three distinct positions.
@@ -155,10 +157,15 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
-        details=getattr(mesh.source, "details", ()),
+        details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(*rig)),) if rig else ()),
         stands=_stands(mesh) if len(mesh.faces) else None,
-        notes=getattr(mesh.source, "notes", ()),
+        notes=getattr(mesh.source, "notes", ()) if rig is None or not rig[0] else (),
     )
+
+
+def _rig_text(used: bool, text: str) -> str:
+    """Describe the file's own rig."""
+    return text if used else f"not used: {text}"
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:

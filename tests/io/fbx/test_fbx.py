@@ -15,7 +15,7 @@ from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.beside import confined
 from mimesh.io.gltf.animation import animation_names, read_channels
 from mimesh.io.gltf.document import open_document, read_floats
-from mimesh.io.gltf.skin import read_skin
+from mimesh.io.gltf.skin_file import read_skin
 
 pytest.importorskip("ufbx")
 METRE = 0.01

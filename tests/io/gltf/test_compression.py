@@ -12,7 +12,7 @@ import pytest
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import element_bytes, open_document, read_accessor
-from mimesh.io.gltf.skin import read_skin
+from mimesh.io.gltf.skin_file import read_skin
 
 DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
 

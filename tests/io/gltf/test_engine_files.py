@@ -14,8 +14,10 @@ from mimesh.bodies.engine_names import SCHEMES
 from mimesh.bodies.engine_rig import engine_rig
 from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_skinned
-from mimesh.io.gltf.document import open_document, read_accessor
+from mimesh.io.gltf.animation import read_channels
+from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.read import read_rest
+from mimesh.io.gltf.skinned import KEY_LIMIT
 
 FPS = 30.0
 LAYOUTS = [(names, root, rest) for names in SCHEMES for root in (False, True) for rest in ("file", "T", "A")]
@@ -34,11 +36,10 @@ def parents_of(gltf):
 
 
 def frame_of(document, t):
-    """The file's vertices in frame t: read at rest after the values of frame t were written into the joint nodes."""
+    """The file's vertices in frame t: read at rest after the values at its time were written into the joint nodes."""
     gltf = copy.deepcopy(document.gltf)
-    for channel in gltf["animations"][0]["channels"]:
-        values = read_accessor(document, gltf["animations"][0]["samplers"][channel["sampler"]]["output"])
-        gltf["nodes"][channel["target"]["node"]][channel["target"]["path"]] = values[t].astype(float).tolist()
+    for channel in read_channels(document, 0):
+        gltf["nodes"][channel.node][channel.path] = channel.sample(np.array([t / FPS]))[0].tolist()
     return read_rest(dataclasses.replace(document, gltf=gltf))[0].vertices
 
 
@@ -48,10 +49,11 @@ def test_frames_of_the_file_are_those_of_the_rig(names, root_bone, rest, tmp_pat
     size = np.ptp(rig.mesh.vertices, axis=0).max()
     assert np.abs(load_mesh(tmp_path / f"{names}.glb").vertices - rig.mesh.vertices).max() < 1e-5 * size
     for t in (0, 3):
-        assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1e-5 * size
+        # Keys are thinned within KEY_LIMIT.
+        assert np.abs(frame_of(document, t) - posed(rig, t)).max() < 1.1 * KEY_LIMIT * size
 
 
-@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "mimesh"])
+@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "own"])
 def test_nodes_have_the_documented_names_and_parents(names, tmp_path):
     _, document = written(tmp_path, names)
     joints = document.gltf["skins"][0]["joints"]
@@ -67,7 +69,7 @@ def test_nodes_have_the_documented_names_and_parents(names, tmp_path):
     assert not any("scale" in node or "matrix" in node for node in nodes)
 
 
-@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "mimesh"])
+@pytest.mark.parametrize("names", [name for name in SCHEMES if name != "own"])
 def test_bones_have_no_rotation_at_rest(names, tmp_path):
     """Godot's profile wants no transform on the node of the skeleton, VRM 0.x bones without rotations."""
     _, document = written(tmp_path, names, rest="T")

@@ -74,7 +74,8 @@ class OwnAnimation:
                 f"--names, --root-bone: expected the bones of a person in {self.source.document.path}, found others; "
                 "leave the options out"
             )
-        return dataclasses.replace(self, renamed=new_names(self.joints, bones), root_bone=root_bone)
+        old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
+        return dataclasses.replace(self, renamed=new_names(self.joints, bones, old), root_bone=root_bone)
 
     def resampled(self, fps: float) -> OwnAnimation:
         """Sample the animation at another frame rate, between frames as players of glTF do."""
@@ -154,12 +155,15 @@ def node_value(entry: dict[str, Any], path: str, document: Document) -> Float[np
     return np.array(entry.get("weights") or mesh.get("weights") or [0.0] * count, float)[None]
 
 
-def new_names(joints: Mapping[str, int], bones: Mapping[str, str]) -> dict[int, str]:
-    """Assign new names to the nodes of a person's joints.
+def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence[str]) -> dict[int, str]:
+    """Assign new names to the nodes of a person's joints, whose names were `old`.
 
-    A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them.
+    A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them. A
+    joint that is called neck is one, even if it carries the arms, as in 3ds Max.
     """
     trunk = [joints[name] for name in TRUNK if name in joints]
+    if "Neck" not in joints and len(trunk) > 1 and "neck" in old[trunk[-1]].lower():
+        joints = {**joints, "Neck": trunk.pop()}
     names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
     known = {name: node for name, node in joints.items() if name not in TRUNK} | dict(zip(names, trunk, strict=False))
     return {node: bones[name] for name, node in known.items() if name in bones}

@@ -1,0 +1,131 @@
+"""Measure retargeting on characters' own rigs: every chosen character with clips of other makers.
+
+    python scripts/measure_rigs.py POOL --motions FILE ... [-o docs/rigs.json] [--characters 40] [--clips 20]
+
+POOL is a pool of rigged characters; those of its splits train and val are used. FILEs are motions without a mesh: .bvh,
+or .glb with animations of joints. Figures: `evaluate/retargets.py`. "copied rotations" is what users do by hand with
+constraints: each joint gets the rotation of its namesake, rest poses are not calibrated.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from mimesh.bodies.character_pool import read_pool
+from mimesh.commands.terminal import progress
+from mimesh.core.mesh import cut_clip
+from mimesh.evaluate.limb_calibration import LimbedCharacter
+from mimesh.evaluate.provenance import commit, libraries, machine
+from mimesh.evaluate.retargets import (
+    METRICS,
+    Actor,
+    choose_characters,
+    copy_rotations,
+    measure,
+    motion_actors,
+    pool_actor,
+    retarget,
+    summary,
+    write_pool,
+)
+from mimesh.io import load_mesh
+from mimesh.io.atomic import whole_file
+from mimesh.io.gltf.animation import animation_names
+from mimesh.io.gltf.document import open_document
+
+MOST_FRAMES = 150
+"""Longer motions are cut to so many frames, in the middle."""
+CLIPS_OF_A_CHARACTER = 3
+"""Clips of each character of the pool that others imitate."""
+
+
+def main() -> None:
+    """Measure all pairs and write the report; a pair that raises an exception is counted and named."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("pool", type=Path)
+    parser.add_argument("--motions", type=Path, nargs="+", default=[], metavar="FILE")
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/rigs.json"))
+    parser.add_argument("--characters", type=int, default=40)
+    parser.add_argument("--clips", type=int, default=20)
+    args = parser.parse_args()
+    pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
+    chosen = choose_characters(tuple(pool), args.characters)
+    with tempfile.TemporaryDirectory() as folder:
+        players = choose_characters(tuple(c for c in pool if c.clips), 8)
+        paths = write_pool([*{c.meta.file: c for c in (*chosen, *players)}.values()], Path(folder))
+        actors = [pool_actor(c, paths[c.meta.file], clip) for c in players for clip in _spread(list(c.clips))]
+        actors += [actor for path in args.motions for actor in _motions(path)]
+        pairs: list[dict[str, Any]] = []
+        with progress("pairs", quiet=False) as advance:
+            for k, character in enumerate(chosen):
+                others = [actor for actor in actors if actor.maker != character.meta.maker]
+                mesh = load_mesh(paths[character.meta.file])
+                limbed = LimbedCharacter(character.rig, character.limbs)
+                for actor in _alternating(others)[: args.clips]:
+                    pairs.append(_measure_pair(mesh, limbed, actor) | {"pack": character.meta.pack})
+                if advance is not None:
+                    advance(k + 1, len(chosen))
+    report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "characters": len(chosen)}
+    report |= {"clips": args.clips, "pairs": len(pairs), "failed": [pair for pair in pairs if "error" in pair]}
+    report |= {"upside_down": sum((pair.get("upright") or 1.0) < 0 for pair in pairs), "results": _table(pairs)}
+    with whole_file(args.output) as temporary:
+        temporary.write_text(json.dumps(report | {"figures": pairs}, indent=1) + "\n")
+    print(json.dumps({key: report[key] for key in ("pairs", "failed", "upside_down", "results")}, indent=2))
+
+
+def _measure_pair(mesh, limbed: LimbedCharacter, actor: Actor) -> dict[str, Any]:
+    """Measure one pair, with the tool and with rotations copied by hand; an exception is part of the figures."""
+    row: dict[str, Any] = {"identity": mesh.name, "driving": actor.name}
+    begin = time.perf_counter()
+    try:
+        result = retarget(mesh, actor)
+    except Exception as error:  # that there is none is what is measured
+        return row | {"error": repr(error)}
+    row |= {"own": result.own is not None, "notes": list(result.notes), "seconds": time.perf_counter() - begin}
+    row |= measure(result, limbed, actor)
+    by_hand = copy_rotations(mesh, actor)
+    return row | ({} if by_hand is None else {"copied rotations": measure(by_hand, limbed, actor)})
+
+
+def _motions(path: Path) -> list[Actor]:
+    """Read motions without a mesh; of several animations in a file a few, evenly spread."""
+    names = animation_names(open_document(path)) if path.suffix.lower() in (".glb", ".gltf") else ()
+    actors = list(motion_actors(path, path.stem, _spread(list(names)) or None))
+    cut = [(max(len(actor.clip) - MOST_FRAMES, 0) // 2, actor) for actor in actors]
+    return [Actor(a.name, a.maker, cut_clip(a.clip, start, start + MOST_FRAMES, 1), a.limbed) for start, a in cut]
+
+
+def _spread(names: list[str]) -> list[str]:
+    """Choose CLIPS_OF_A_CHARACTER names, evenly spread."""
+    count = min(CLIPS_OF_A_CHARACTER, len(names))
+    return [names[k * (len(names) - 1) // max(count - 1, 1)] for k in range(count)]
+
+
+def _alternating(actors: list[Actor]) -> list[Actor]:
+    """Order clips so that those of each maker come in turn."""
+    by_maker: dict[str, list[Actor]] = {}
+    for actor in actors:
+        by_maker.setdefault(actor.maker, []).append(actor)
+    longest = max(map(len, by_maker.values()), default=0)
+    return [some[k] for k in range(longest) for some in by_maker.values() if k < len(some)]
+
+
+def _table(pairs: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Summarise the figures by pack, of all, and of rotations copied by hand beside the tool on the same pairs."""
+    by_hand = [pair for pair in pairs if "copied rotations" in pair]
+    groups = {"all": pairs, **{pack: [p for p in pairs if p["pack"] == pack] for pack in {p["pack"] for p in pairs}}}
+    groups |= {"clips with a rig": by_hand, "copied rotations": [pair["copied rotations"] for pair in by_hand]}
+    keys = (*METRICS, "skate", "skate_driving", "seconds")
+    return {
+        name: {key: summary(values) for key in keys if (values := [p[key] for p in rows if p.get(key) is not None])}
+        for name, rows in groups.items()
+    }
+
+
+if __name__ == "__main__":
+    main()
