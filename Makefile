@@ -51,7 +51,8 @@ gallery: $(or $(wildcard $(VENV)/.dev),$(VENV)/.base)
 # Other programs, each in an environment of its own; tests of one that cannot be installed are skipped and say so.
 clients: $(VENV)/.dev
 	-test -d .clients/validator || npm install --silent --prefix .clients/validator gltf-validator@2.0.0-dev.3.10
-	-test -d .clients/three || npm install --silent --prefix .clients/three three@0.187.0 @pixiv/three-vrm@3.5.5
+	-test -d .clients/three/node_modules/@pixiv/three-vrm-animation || npm install --silent --prefix .clients/three \
+	  three@0.187.0 @pixiv/three-vrm@3.5.5 @pixiv/three-vrm-animation@3.5.5
 	-test -x $(BPY) || { $(BLENDER_PYTHON) -m venv .clients/bpy && $(BPY) -m pip install --quiet bpy==4.5.15; }
 	OMP_NUM_THREADS=1 MIMESH_FORMATS=docs/formats.json $(BIN)/python -m pytest -q -rs -m client tests/clients
 	$(BIN)/python scripts/write_formats.py

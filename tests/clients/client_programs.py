@@ -30,13 +30,23 @@ def validator() -> list[str]:
 
 def three() -> list[str]:
     """Return the command that plays a skinned glTF file in three.js; the file and times in seconds are to be added."""
+    return _three("play_skinned.mjs", "three-vrm")
+
+
+def three_vrm_animation() -> list[str]:
+    """Return the command that plays a VRM animation; avatar, animation and times in seconds are to be added."""
+    return _three("play_vrma.mjs", "three-vrm-animation")
+
+
+def _three(script: str, package: str) -> list[str]:
+    """Return the command that runs a script with the folder of three.js and the packages of three-vrm."""
     folder, node = Path(os.environ.get("MIMESH_THREE", CLIENTS / "three")), shutil.which("node")
     modules = folder / "node_modules"
-    if node is None or not (modules / "three").is_dir() or not (modules / "@pixiv" / "three-vrm").is_dir():
+    if node is None or not (modules / "three").is_dir() or not (modules / "@pixiv" / package).is_dir():
         pytest.skip(
-            f"no three.js and three-vrm in {folder}: run make clients with Node.js installed, or set MIMESH_THREE"
+            f"no three.js and {package} in {folder}: run make clients with Node.js installed, or set MIMESH_THREE"
         )
-    return [node, str(Path(__file__).with_name("play_skinned.mjs")), str(modules)]
+    return [node, str(Path(__file__).with_name(script)), str(modules)]
 
 
 @functools.cache

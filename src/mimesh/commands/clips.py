@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 JOINT_SUFFIXES = (".glb", ".gltf")
 """Formats that hold joints and morph targets."""
+BONES_ONLY = ".vrma"
+"""Format that holds the motion of bones and no mesh."""
 
 
 def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
@@ -43,27 +45,34 @@ def check_clip_output(
     """
     from ..bodies.engine_rig import Layout
     from ..core.errors import InputError
-    from ..io import clip_suffixes
+    from ..io import clip_suffixes, refuse_vrm
+    from ..pipeline.vrma import check_bones_layout
     from ..render.movie import MOVIES
 
+    refuse_vrm(output)
     options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
     given = [option for option, present in options.items() if present]
     if len(given) > 1:
         raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
     frames = morphs or blendshapes is not None
-    if len(driving) > 1 and (frames or output.suffix.lower() not in JOINT_SUFFIXES):
+    jointed = (*JOINT_SUFFIXES, BONES_ONLY)
+    if len(driving) > 1 and (frames or output.suffix.lower() not in jointed):
         found = given[0] if frames else f"'{output.suffix}'"
         raise InputError(
-            f"{output}: expected joints in a .glb or .gltf for {len(driving)} clips, found {found}; "
+            f"{output}: expected joints in a .glb, .gltf or .vrma for {len(driving)} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
-    check_suffix(output, JOINT_SUFFIXES if given else (*clip_suffixes(), *MOVIES, ""))
+    holds = JOINT_SUFFIXES if frames else jointed if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, "")
+    check_suffix(output, holds)
     layout.check()
-    if layout != Layout() and (frames or output.suffix.lower() not in JOINT_SUFFIXES):
+    if layout != Layout() and (frames or output.suffix.lower() not in jointed):
         raise InputError(
             f"--names, --root-bone, --rest, --output-fps: expected joints in a .glb or .gltf, found {output.name} "
             "without; change the output, or leave these options out"
         )
+    if output.suffix.lower() == BONES_ONLY:
+        check_bones_layout(layout, output)
+        return True
     if skinned or len(driving) > 1 or layout != Layout():
         return True
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None

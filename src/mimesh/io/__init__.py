@@ -28,6 +28,7 @@ from .ply import PlySource
 from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
+    from ..motions.bone_motion import BoneMotion
     from .gltf.own_animation import OwnAnimation
 
 
@@ -203,6 +204,7 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
     from .gltf.skinned import write_gltf_skinned
 
     path = Path(path)
+    refuse_vrm(path)
     _must_be_gltf(path)
     with writing(path), whole_file(path) as temporary:
         return write_gltf_skinned(animations, temporary)
@@ -217,6 +219,7 @@ def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) ->
     from .gltf.own_animation import write_own_animations
 
     path = Path(path)
+    refuse_vrm(path)
     _must_be_gltf(path)
     with writing(path), whole_file(path) as temporary:
         write_own_animations(animations, temporary)
@@ -231,13 +234,38 @@ def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
     from .gltf.own_animation import write_own_pose
 
     path = Path(path)
-    _must_be_gltf(path)
+    _must_be_gltf(path, (".glb", ".gltf", ".vrm"))
     with writing(path), whole_file(path) as temporary:
         write_own_pose(animation, temporary)
 
 
-def _must_be_gltf(path: Path) -> None:
-    if path.suffix.lower() not in (".glb", ".gltf", ".vrm"):
+def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
+    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma).
+
+    Raises:
+        InputError: another format, or a path that cannot be written to.
+    """
+    from .gltf.vrma import write_vrma
+
+    path = Path(path)
+    if path.suffix.lower() != ".vrma":
+        raise InputError(f"{path}: expected .vrma for bones alone, found '{path.suffix}'; name another with -o")
+    with writing(path), whole_file(path) as temporary:
+        write_vrma(motions, temporary)
+
+
+def refuse_vrm(path: str | Path) -> None:
+    """Raise InputError for an animation in a .vrm: the specifications of VRM have none in it (see `gltf.vrm`)."""
+    path = Path(path)
+    if path.suffix.lower() == ".vrm":
+        raise InputError(
+            f"{path}: expected a format for an animation, found .vrm, which holds none by its specification; "
+            f"write {path.with_suffix('.vrma').name} (the motion alone) or {path.with_suffix('.glb').name}"
+        )
+
+
+def _must_be_gltf(path: Path, suffixes: tuple[str, ...] = (".glb", ".gltf")) -> None:
+    if path.suffix.lower() not in suffixes:
         raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
 
 

@@ -118,6 +118,7 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".usdc": read_usd,
     ".usdz": read_usd,
     ".vrm": _read_gltf,
+    ".vrma": _read_gltf,
 }
 MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".abc": _write_alembic,
@@ -159,11 +160,11 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".usdc": write_usd_clip,
     ".usdz": write_usd_clip,
 }
-ANIMATED = (".fbx", ".glb", ".gltf", ".vrm")
+ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 CACHES = (".mdd", ".npy", ".pc2")
 """Point caches: positions only, for a mesh file beside them."""
-MOTIONS = {".bvh"}
+MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
 FRAMES_ONLY = (*CACHES, ".npz")
 """Files of frames without a rest shape."""

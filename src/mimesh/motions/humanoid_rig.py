@@ -17,7 +17,7 @@ from jaxtyping import Float
 from ..bodies import RiggedBody
 from ..bodies.character_limbs import Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
-from ..bodies.joint_names import FINGERS, ancestors, named_fingers
+from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import unit_vectors
 from ..core.rig import descendants
@@ -127,8 +127,12 @@ def humanoid_rig(
         and joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) not in ancestors(facing.parents, joints[f"{side}Foot"])
         for side in SIDES
     )
-    facing, joints, order = attach_feet(facing, joints, poses() if loose else np.zeros((0, 1, 4, 4)), path)
-    hands = {name: joints[name] for name in joints if name.endswith("Hand")}
+    facing, joints, order = attach_feet(
+        facing, joints, poses() if loose else np.zeros((0, len(facing.parents), 4, 4)), path
+    )
+    # Fingers that the file itself names count before those found by their names.
+    unnamed = [side for side in SIDES if not any(name in joints for name in finger_joints(side))]
+    hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}
     joints |= named_fingers(facing.joint_names, facing.parents, hands)
     moving = moves_vertices(facing)
     joints = {name: joint for name, joint in joints.items() if moving[joint] or name in ("Hips", "Head")}

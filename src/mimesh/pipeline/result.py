@@ -18,7 +18,7 @@ from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
-from ..io import save_clip, save_mesh, save_own_pose
+from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -223,7 +223,8 @@ class ClipResult(_Playable):
     def save(self, path: str | Path, blendshapes: int | None = None, progress: Progress | None = None) -> Path:
         """Write the clip in the format of the suffix: a file, a movie, or without a suffix a folder of meshes.
 
-        A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does.
+        A .glb or .gltf has a morph target for each frame; `save_skinned` writes joints, as `mimesh animate` does. A
+        .vrma has joints alone.
 
         Args:
             path: the file or folder.
@@ -233,6 +234,9 @@ class ClipResult(_Playable):
         """
         from ..render.movie import write_clip
 
+        refuse_vrm(path)
+        if Path(path).suffix.lower() == ".vrma":
+            return self.save_skinned(path)
         with self.seconds.step("write"):
             deviation = write_clip(self.clip, Path(path), blendshapes=blendshapes, progress=progress)
         if deviation is not None:
@@ -250,7 +254,8 @@ class ClipResult(_Playable):
         """Write a .glb or .gltf of the identity at rest with joints, four weights a vertex and joint rotations.
 
         Such files are small for any length of clip, and game engines read them; see `skinned.save_skinned`, which also
-        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation").
+        writes several results to one file. The deviation from the frames is then in `report` ("skinned_deviation"). A
+        .vrma has the motion of the humanoid bones of VRM alone.
 
         Args:
             names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -18,9 +18,12 @@ from ..core.person_motion import PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
+from ..io.gltf.bake import AnimatedValues
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
-from ..io.gltf.shared_skeleton import SharedMotion, copy_motion
+from ..io.gltf.scene import node_parents
+from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
 from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
 
@@ -44,6 +47,8 @@ class Rigs:
     """The driving's animation, where both files have the same skeleton; then nothing else is needed."""
     notes: tuple[str, ...] = ()
     """Rigs that are not used, and why."""
+    others: AnimatedValues = field(default_factory=dict)
+    """Values of nodes beside those of a person, such as tails and skirts, that both files have by name."""
 
     @classmethod
     def read(cls, identity: Mesh, clip: Clip, choice: str = "own") -> Rigs:
@@ -55,6 +60,7 @@ class Rigs:
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
         own, driving, copied, notes = None, None, None, []
+        others: AnimatedValues = {}
         kept = choice == "own" and has_rig(identity) and still_joints(identity) is not None
         if kept:
             try:
@@ -65,12 +71,16 @@ class Rigs:
             copied = copy_motion(identity.source, clip.skeleton)
             if copied is not None and (copied.same_rest or own is None):
                 return cls(own, copied=copied)
+            others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
+            morphs = copy_morphs(identity.source, clip.skeleton)
+            if morphs is not None:
+                return cls(own, copied=morphs)
         if clip.skeleton is not None:
             try:
                 driving = clip.skeleton.person()
             except InputError as error:
                 notes.append(f"the joints of {clip.mesh.name} are not used, they are found on its surface: {error}")
-        return cls(own, driving, None, tuple(notes))
+        return cls(own, driving, None, tuple(notes), others)
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
@@ -111,6 +121,25 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
+
+
+def _beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:
+    """Select the values of nodes below a person's joints that carry none of them: faces, tails, skirts, props."""
+    parents, person = tuple(node_parents(own.source.document)), set(own.person.values())
+    carrying = {above for node in person for above in ancestors(parents, node)}
+    return {
+        (node, path): values
+        for (node, path), values in tracks.items()
+        if node not in carrying and person.intersection(ancestors(parents, node))
+    }
+
+
+def face_tracks(identity: OwnRig, clip: Clip) -> AnimatedValues:
+    """Return the morph weights of an identity's file that a clip's file animates by name."""
+    joints = clip.skeleton
+    if not isinstance(joints, GltfJoints):
+        return {}
+    return morph_tracks(identity.source.document, named_weights(joints.document, joints.channels, joints.times))
 
 
 def heading_axis(hips: Float[np.ndarray, "3 3"]) -> str:

@@ -31,7 +31,7 @@ from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
-from .rigs import NO_RIGS, Axes, Rigs
+from .rigs import NO_RIGS, Axes, Rigs, face_tracks
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -317,10 +317,15 @@ def play(
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
         shift, frames = _aligned(_refined(frames, prepared.refinement, timer), rest.vertices)
+        skeleton = None if motion is None else _animated_rig(prepared, motion, shift)
+        own = None if skeleton is None else _own_animation(prepared, skeleton)
+        placed = (identity_norm.undo(vertices + shift) for vertices in frames)
+        # The joints of a person alone move neither morph targets nor what else has been copied.
+        frames = own.vertices() if own is not None and (own.morphs or prepared.rigs.others) else placed
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
         before = (passes - 1) * len(clip)  # frames counted in the first pass
         for t, vertices in enumerate(frames):
-            moved[t] = identity_norm.undo(vertices + shift)
+            moved[t] = vertices
             # Long results are on disk: pages that have been written need not stay in memory.
             if t % PAGED == 0:
                 release_pages(moved)
@@ -329,12 +334,10 @@ def play(
     report = _report(prepared, moved)
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
-    skeleton = driving_joints = own = None
+    driving_joints = None
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
-        skeleton = _animated_rig(prepared, motion, shift)
-        own = _own_animation(prepared, skeleton)
         report |= {} if own is None else {"rig": "own"}
         notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
         if motion.drive is not prepared.drive:
@@ -463,5 +466,5 @@ def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | 
     own, clip = prepared.rigs.identity, prepared.clip
     if own is None:
         return None
-    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms())
+    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | prepared.rigs.others | face_tracks(own, clip)
     return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)

@@ -17,6 +17,7 @@ from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
+from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
     from .result import ClipResult
@@ -33,12 +34,13 @@ def save_skinned(
     names: Sequence[str] | None = None,
     layout: Layout = AS_IT_IS,
 ) -> Path:
-    """Write results of one identity as one .glb or .gltf: its mesh at rest with joints, and an animation for each.
+    """Write results of one identity as one .glb, .gltf or .vrma: its mesh at rest with joints, an animation for each.
 
     An identity that moved on its own bones keeps its file, to which the animations are added. Otherwise joints have
-    four weights a vertex and their rotations as keys, thinned where interpolation gives the others. The deviation of
-    the file from the frames of a result is then in its `report`: "skinned_deviation", largest distance of a vertex over
-    the mesh's size, and "keys_deviation", the part of it that thinned keys cause.
+    four weights a vertex and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
+    motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path of the hips. The deviation of a
+    file with a mesh from the frames of a result is then in its `report`: "skinned_deviation", largest distance of a
+    vertex over the mesh's size, and "keys_deviation", the part of it that thinned keys cause.
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -56,6 +58,8 @@ def save_skinned(
         raise InputError(f"{path}: expected a name for each of {len(results)} results, found {len(names)}")
     layout.check()
     found = names or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
+    if Path(path).suffix.lower() == ".vrma":
+        return save_bone_motions(results, Path(path), distinct_names(found), layout)
     if all(result.own is not None for result in results):
         return _save_on_own_rig(results, Path(path), distinct_names(found), layout)
     skeletons = []

@@ -1,4 +1,4 @@
-"""Reads and writes glTF 2.0 (.glb, .vrm, .gltf): meshes at rest, baked animations, and files with changed vertices.
+"""Reads and writes glTF 2.0 (.glb, .gltf, .vrm, .vrma): meshes at rest, baked animations, files with other vertices.
 
 Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
@@ -9,6 +9,7 @@ build                                                       builds a new file fo
 blend_shapes -> clip                                        writes a clip as morph targets with an animation
 animation -> bake                                           bakes animations to vertex positions
 motion                                                      plays animated joints without a mesh on the shipped body
+vrm, vrma, morph_weights                                    extensions of VRM; morph targets by name
 skin, skinned                                               reads rigged characters; writes a mesh with joints
 """
 
@@ -33,10 +34,12 @@ from .edit import GltfSource, edit_document, with_normals
 from .motion import is_motion, read_motion_clip, read_motion_mesh
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
+from .vrm import is_vrm_animation, vrm_bones
+from .vrma import with_hands
 
 
 def read_gltf(path: Path) -> Mesh:
-    """Read the default scene of a .glb, .vrm, .gltf or .fbx file at rest, in world coordinates and metres.
+    """Read the default scene of a .glb, .vrm, .vrma, .gltf or .fbx file at rest, in world coordinates and metres.
 
     Node transforms, default morph weights and skins (at the rest transforms of their joints) are applied. Vertices keep
     the file's order and its splits at seams. Animations, lines, points beside triangles, and scenes other than the
@@ -64,7 +67,7 @@ def _read_mesh(document: Document) -> Mesh:
 def read_gltf_clip(
     path: Path, fps: float | None = None, animation: str | None = None, progress: Progress | None = None
 ) -> Clip:
-    """Read an animation of a .glb, .vrm, .gltf or .fbx file, baked to vertex positions.
+    """Read an animation of a .glb, .vrm, .vrma, .gltf or .fbx file, baked to vertex positions.
 
     A file without animations gives one frame, unless `animation` is given. Joints without a mesh are played by the
     shipped body (see `gltf.motion`).
@@ -104,8 +107,11 @@ def still_joints(mesh: Mesh) -> GltfJoints | None:
 
 def _joints(document: Document, animation: str | None, clip: Clip, mesh: Mesh | None) -> GltfJoints:
     """Return the joints of a clip without a mesh, which the shipped body plays."""
+    channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
     played = None if clip.skeleton is None else clip.skeleton.person()
-    return GltfJoints(document, select_channels(document, animation), np.arange(len(clip)) / clip.fps, mesh, played)
+    if played is not None and is_vrm_animation(document) and vrm_bones(document):
+        played = with_hands(played, document, channels, times)
+    return GltfJoints(document, channels, times, mesh, played)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:

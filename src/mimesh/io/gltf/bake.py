@@ -91,14 +91,18 @@ def pose_frames(
     document: Document, rest: RestScene, values: AnimatedValues, frames: int
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
     """Yield the vertices of the Mesh in frames in which some properties of nodes have given values."""
+    morphing = {node for node, path in values if path == "weights"}
+    return _posed_blocks(document, rest, morphing, pose_nodes(document, values, frames))
 
-    def blocks() -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
-        for start in range(0, frames, FRAMES_PER_BLOCK):
-            some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
-            count = min(FRAMES_PER_BLOCK, frames - start)
-            yield some, world_matrices(document, animated_matrices(document, some, count))
 
-    return _posed_blocks(document, rest, {node for node, path in values if path == "weights"}, blocks())
+def pose_nodes(
+    document: Document, values: AnimatedValues, frames: int
+) -> Iterator[tuple[AnimatedValues, Float[np.ndarray, "B N 4 4"]]]:
+    """Yield given values of properties of nodes, and the world transforms of all nodes, for blocks of B frames."""
+    for start in range(0, frames, FRAMES_PER_BLOCK):
+        some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
+        count = min(FRAMES_PER_BLOCK, frames - start)
+        yield some, world_matrices(document, animated_matrices(document, some, count))
 
 
 def _posed_blocks(

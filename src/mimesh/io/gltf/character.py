@@ -26,7 +26,7 @@ from ...bodies.character_limbs import (
     name_sided_joints,
 )
 from ...bodies.character_pool import CharacterClip, CharacterMeta, PoolCharacter, facing_rotation, sampled_poses
-from ...bodies.joint_names import ancestors
+from ...bodies.joint_names import ancestors, without_fingers
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
@@ -35,10 +35,11 @@ from .animation import animated_nodes, animation_names, read_channels
 from .bake import frame_times, sample_nodes
 from .document import Document, open_document
 from .motion import PLAYED_PATHS, is_motion, rest_matrices
-from .origin import read_origin, vrm_bones, vrm_version
+from .origin import read_origin
 from .read import RestScene, read_rest
 from .scene import scene_nodes
 from .skin import rig_on_nodes, skin_joints
+from .vrm import vrm_bones, vrm_version
 
 CLIP_FPS = 30.0
 """Frame rate at which clips are read."""
@@ -79,7 +80,7 @@ def read_rigged_character(
     check_mesh(mesh, path)
     standing = read_standing(mesh, document, scene)
     rig, nodes, bound = carried_part(standing.rig), standing.nodes, standing.scene
-    known, facing = standing.known, standing.facing
+    known, facing = without_fingers(standing.known), standing.facing
     turn = facing_rotation(facing)
     rig = rig.turned(turn)
     joints = name_limb_joints(rig, path, known)
@@ -164,7 +165,7 @@ def read_standing(mesh: Mesh, document: Document, scene: RestScene) -> StandingC
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
     """
     bones = vrm_bones(document)
-    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(bones.values())
+    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(without_fingers(bones).values())
     bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
     try:
         return _standing(mesh, document, bound, joint_nodes, bones)
@@ -187,7 +188,7 @@ def _standing(
     frames[:, :3, 3] = rig.joints
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     rig = dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames)
-    known = {name: nodes.index(node) for name, node in bones.items()}
+    known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
     part, joints = carried_part(rig), name_sided_joints(rig, path, known)
     _check_one_skeleton(part, joints, path)
     height = np.ptp(part.mesh.vertices[:, 1])

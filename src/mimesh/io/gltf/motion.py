@@ -5,6 +5,9 @@ of the largest skin, where its inverse bind matrices define one, else the nodes'
 leave these in some frame of an animation. Rotations are world rotations, so node scales and mirrored joints cancel out.
 Animated scales are not played, because a body has a fixed size: joints that a file scales up from zero are there from
 the first frame.
+
+In a VRM animation (.vrma) joints are the humanoid bones that its extension lists, under the names of our joints, and
+rest is what its nodes are in the file.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from .animation import AnimationChannel, animated_nodes, frame_rate, select_chan
 from .bake import frame_times, sample_nodes
 from .document import Document
 from .scene import joint_matrices, local_matrices, node_parents, scene_nodes, sort_parents_first, world_matrices
+from .vrm import is_vrm_animation, vrm_bones
 
 PLAYED_PATHS = ("translation", "rotation")
 """Target paths of the channels that are played."""
@@ -74,7 +78,9 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     channels = [channel for channel in select_channels(document, animation) if channel.path in PLAYED_PATHS]
     fps = fps or frame_rate(channels) or DEFAULT_FPS
     nodes, parents = _find_joints(document)
-    T_world_rest = _append_world(rest_matrices(document))[nodes]
+    humanoid = _animated_bones(document)
+    at_rest = world_matrices(document, local_matrices(document)) if humanoid else rest_matrices(document)
+    T_world_rest = _append_world(at_rest)[nodes]
     times = frame_times(document, channels, fps)
     rotation, position = _joint_motion(document, channels, times, nodes, T_world_rest)
     parent = np.maximum(parents, 0)
@@ -84,7 +90,7 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     bones = (np.swapaxes(rotation[:, parent], -1, -2) @ (position - position[:, parent])[..., None])[..., 0]
     stretches = np.abs(bones - offsets).max(axis=(0, 2)) > NEGLIGIBLE * np.ptp(rest, axis=0).max()
     moved = {j: bones[:, j] for j in np.flatnonzero(stretches).tolist() if j > 0}
-    names = tuple("world" if n == WORLD_NODE else str(document.gltf["nodes"][n].get("name", f"node{n}")) for n in nodes)
+    names = tuple("world" if n == WORLD_NODE else _joint_name(document, n, humanoid) for n in nodes)
     local = to_local(rotation, parents)
     return Bvh(document.path.stem, names, parents, offsets, {}, local, position[:, 0], float(fps), moved)
 
@@ -155,8 +161,10 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     """Find the nodes that are joints, each after its parent, and the parent joint of each; the one root has -1."""
     node_parent = node_parents(document)
     order = sort_parents_first(document, node_parent)
-    joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
-    joints |= animated_nodes(document, PLAYED_PATHS)
+    joints = set(_animated_bones(document).values())
+    if not joints:
+        joints = {node for skin in document.gltf.get("skins", []) for node in skin["joints"]}
+        joints |= animated_nodes(document, PLAYED_PATHS)
     for node in tuple(joints):  # add the nodes between a joint and the next joint above it
         between, node = [], node_parent[node]
         while node >= 0 and node not in joints:
@@ -170,6 +178,18 @@ def _find_joints(document: Document) -> tuple[list[int], tuple[int, ...]]:
     root = index.get(WORLD_NODE, -1)
     parents = (index.get(node_parent[node], root) if node != WORLD_NODE else -1 for node in nodes)
     return nodes, tuple(parents)
+
+
+def _animated_bones(document: Document) -> dict[str, int]:
+    """Return the node of each joint of a VRM animation; empty for other files."""
+    return vrm_bones(document) if is_vrm_animation(document) else {}
+
+
+def _joint_name(document: Document, node: int, bones: dict[str, int]) -> str:
+    """Return the name of a node; in a VRM animation that of our joint, or one that stands for none."""
+    if bones:
+        return next((name for name, number in bones.items() if number == node), f"node{node}")
+    return str(document.gltf["nodes"][node].get("name", f"node{node}"))
 
 
 def _joint_motion(

@@ -20,7 +20,7 @@ from ...core.animated_rig import frames_around
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from .animation import PATH_WIDTHS, slerp
-from .bake import AnimatedValues, pose_frames
+from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
@@ -85,6 +85,16 @@ class OwnAnimation:
             for (node, path), values in self.tracks.items()
         }
         return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
+
+    @property
+    def morphs(self) -> bool:
+        """Whether morph targets are animated."""
+        return any(path == "weights" for _, path in self.tracks)
+
+    def node_matrices(self, nodes: Sequence[int]) -> Float[np.ndarray, "T N 4 4"]:
+        """Compute the world transforms of some nodes in every frame."""
+        blocks = pose_nodes(self.source.document, self.tracks, self.frames)
+        return np.concatenate([matrices[:, list(nodes)] for _, matrices in blocks])
 
     def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
         """Yield the vertices of the Mesh in every frame."""

@@ -7,7 +7,6 @@ of the joints' parents, as the inverse bind matrices have them.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,10 +16,12 @@ from .animation import animated_nodes
 from .bake import AnimatedValues
 from .document import Document
 from .edit import GltfSource
+from .morph_weights import morph_tracks, named_weights, target_count, target_names
 from .motion import PLAYED_PATHS, rest_matrices
 from .own_animation import node_properties
 from .own_rig import GltfJoints
 from .scene import local_matrices, node_parents, world_matrices
+from .vrm import animated_expressions
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
 """Largest differences of rest poses that count as the same: of the joints' axes, and of bones in lengths of the
@@ -70,7 +71,18 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
-    return SharedMotion(tracks | _other_tracks(mine, theirs, values, set(tracks)), same_rest)
+    tracks |= _other_tracks(mine, theirs, values, set(tracks))
+    faces = morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
+    return SharedMotion(faces | tracks, same_rest)
+
+
+def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
+    """Copy an animation of nothing but morph targets and expressions; None for others, and without common names."""
+    expressions = set(animated_expressions(driving.document).values())
+    if not all(channel.path == "weights" or channel.node in expressions for channel in driving.channels):
+        return None
+    tracks = morph_tracks(identity.document, named_weights(driving.document, driving.channels, driving.times))
+    return SharedMotion(tracks, True) if tracks else None
 
 
 def _joint_nodes(document: Document) -> list[int]:
@@ -151,19 +163,23 @@ def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool
 def _other_tracks(
     mine: Document, theirs: Document, values: AnimatedValues, done: set[tuple[int, str]]
 ) -> AnimatedValues:
-    """Copy the values of nodes that are no joints, by name: morph weights of a mesh with as many targets, props."""
+    """Copy the values of nodes that are no joints, by name: props, and morph weights of a mesh with the same targets.
+
+    Targets are the same if they have the same names, or if one of the files does not name them, the same number.
+    """
     their_names, my_names = _names(theirs), _names(mine)
     tracks: AnimatedValues = {}
     for (other, path), value in values.items():
         nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
         for node in nodes[:1]:
-            fits = path != "weights" or value.shape[1] == _target_count(mine, node)
+            fits = path != "weights" or (
+                value.shape[1] == target_count(mine, node) and _same_targets(mine, node, theirs, other)
+            )
             if fits and (node, path) not in done and not any(n == node for n, _ in done):
                 tracks[node, path] = value
     return tracks
 
 
-def _target_count(document: Document, node: int) -> int:
-    mesh: Any = document.gltf["nodes"][node].get("mesh")
-    primitives = [] if mesh is None else document.gltf["meshes"][mesh]["primitives"]
-    return max((len(primitive.get("targets", [])) for primitive in primitives), default=0)
+def _same_targets(mine: Document, node: int, theirs: Document, other: int) -> bool:
+    names = target_names(mine, node), target_names(theirs, other)
+    return not all(names) or names[0] == names[1]
