@@ -69,7 +69,7 @@ class Rigs:
                 notes.append(f"the rig of {identity.name} is not used, joints are found on its surface: {error}")
         if kept and isinstance(clip.skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
             copied = copy_motion(identity.source, clip.skeleton)
-            if copied is not None and (copied.same_rest or own is None):
+            if copied is not None and (copied.same_rest or (copied.alike and own is None)):
                 return cls(own, copied=copied)
             others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
             morphs = copy_morphs(identity.source, clip.skeleton)
