@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -35,6 +35,11 @@ class PersonMotion:
 class JointSource(Protocol):
     """The joints of the file that a clip was read from (see `Clip.skeleton`), read when they are needed."""
 
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are any."""
+        ...
+
     def cut(self, frames: slice) -> JointSource:
         """Select frames of the clip."""
         ...
@@ -53,6 +58,7 @@ class KnownJoints:
     """Joints that have been read already."""
 
     motion: PersonMotion
+    has_joints: ClassVar[bool] = True
 
     def cut(self, frames: slice) -> KnownJoints:
         """Select frames of the clip."""

@@ -75,7 +75,7 @@ class Rigs:
             morphs = copy_morphs(identity.source, clip.skeleton)
             if morphs is not None:
                 return cls(own, copied=morphs)
-        if clip.skeleton is not None:
+        if clip.skeleton is not None and clip.skeleton.has_joints:
             try:
                 driving = clip.skeleton.person()
             except InputError as error:

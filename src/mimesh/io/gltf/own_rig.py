@@ -17,11 +17,12 @@ from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
-from .animation import AnimationChannel
+from .animation import AnimationChannel, animated_nodes
 from .bake import AnimatedValues, sample_nodes
 from .character import read_clips, read_standing
 from .document import Document
 from .edit import GltfSource
+from .motion import PLAYED_PATHS
 from .own_animation import node_properties
 from .read import RestScene
 from .scene import local_matrices, node_parents, sort_parents_first
@@ -100,11 +101,11 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
 
 
 def has_rig(mesh: Mesh) -> bool:
-    """Return whether a mesh comes from a glTF file with a skin or with moving parts."""
+    """Return whether a mesh comes from a glTF file with a skin or with several moving parts."""
     if not isinstance(mesh.source, GltfSource):
         return False
-    gltf = mesh.source.document.gltf
-    return bool(gltf.get("skins") or gltf.get("animations"))
+    document = mesh.source.document
+    return bool(document.gltf.get("skins")) or len(animated_nodes(document, PLAYED_PATHS)) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,11 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether the file has any joints: a mesh may be moved by morph targets alone."""
+        return self.mesh is None or has_rig(self.mesh)
 
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
