@@ -15,7 +15,7 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from .amass import archive_names, is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
-from .motion import Motion, joint_tracks, leg_length, motion_clip, resample
+from .motion import Motion, joint_tracks, leg_length, resample
 from .retarget import retarget
 
 BVH = ".bvh"
@@ -95,5 +95,4 @@ def _joints_on_body(motion: Motion) -> PersonMotion:
 def first_frame(motion: Motion) -> Mesh:
     """Make a mesh of the shipped body in the first frame of a motion."""
     first = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
-    clip = motion_clip(load_body(), None, first)
-    return dataclasses.replace(clip.mesh, vertices=clip.vertices[0], up="+y")
+    return played(first).mesh
