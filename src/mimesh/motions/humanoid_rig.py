@@ -127,7 +127,7 @@ def humanoid_rig(
         and joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) not in ancestors(facing.parents, joints[f"{side}Foot"])
         for side in SIDES
     )
-    facing, joints, order = attach_feet(facing, joints, poses() if loose else np.zeros((0, 1, 4, 4)), path)
+    facing, joints, order = attach_feet(facing, joints, poses() if loose else np.zeros((0, len(facing.parents), 4, 4)), path)
     hands = {name: joints[name] for name in joints if name.endswith("Hand")}
     joints |= named_fingers(facing.joint_names, facing.parents, hands)
     moving = moves_vertices(facing)
