@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,12 @@ from mimesh.io.gltf.draft import Draft
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
 """T_world_armature of a z-up armature in hundredths of a unit."""
 FPS = 20.0
+LIMBS = ("Arm", "ForeArm", "Hand", "UpLeg", "Leg", "Foot")
+MOVING = (
+    *("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"),
+    *(f"{side}{part}" for side in ("Left", "Right") for part in LIMBS),
+)
+"""Joints that rigs of all naming schemes have."""
 
 
 def kept(faces: int = 300) -> np.ndarray:
@@ -100,14 +107,16 @@ def figure(shape: int | None = 0, fingers: bool = False) -> Figure:
     return Figure(body.joint_names, body.parents, body.shaped(coefficients)[1], body.weights, vertices)
 
 
-def exercise(person: Figure, frames: int = 6, seed: int = 0, size: float = 0.3) -> list[np.ndarray]:
-    """Make a motion: transforms of all joints from the T-pose in each frame."""
-    rng = np.random.default_rng(seed)
-    ends = {name: rng.normal(scale=size, size=3) for name in person.names if not name.endswith("Twist")}
-    ends |= {name: np.zeros(3) for name in ("Hips",)}
+def exercise(
+    person: Figure, frames: int = 6, seed: int = 0, size: float = 0.3, joints: tuple[str, ...] = MOVING
+) -> list[np.ndarray]:
+    """Make a motion of all persons alike: transforms of all joints from the T-pose in each frame."""
+    turns = {
+        name: np.random.default_rng([seed, zlib.crc32(name.encode())]).normal(scale=size, size=3) for name in joints
+    }
     return [
         person.pose(
-            {name: Rotation.from_rotvec(t / frames * turn).as_matrix() for name, turn in ends.items()},
+            {name: Rotation.from_rotvec(t / frames * turn).as_matrix() for name, turn in turns.items()},
             np.array([0.02 * t, 0.01 * np.sin(t), 0.1 * t]),
         )
         for t in range(1, frames + 1)
@@ -138,6 +147,58 @@ def _limited(weights: np.ndarray) -> np.ndarray:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
+def arms_down(person: Figure | None = None) -> np.ndarray:
+    """Rotations of a person's joints from the T-pose to arms that hang by 50 degrees, and spread legs."""
+    names = (figure() if person is None else person).names
+    rest = np.tile(np.eye(3), (len(names), 1, 1))
+    for side, sign in (("Left", -1), ("Right", 1)):
+        rest[names.index(f"{side}Arm")] = Rotation.from_euler("z", 50 * sign, degrees=True).as_matrix()
+        rest[names.index(f"{side}UpLeg")] = Rotation.from_euler("z", -8 * sign, degrees=True).as_matrix()
+    return rest
+
+
+def changed(person: Figure, *changes: str) -> Figure:
+    """Give a person other joints: "no toes", "no hands", "one joint a limb", "twists" or "spines"."""
+    for change in changes:
+        for side in ("Left", "Right"):
+            hand = (f"{side}HandFinger1", f"{side}FingerBase", f"{side[0]}Thumb", f"{side}Hand")
+            limbs = (*hand, f"{side}ForeArm", f"{side}ToeBase", f"{side}Foot", f"{side}Leg")
+            if change == "twists":
+                person = person.with_twist(f"{side}Arm", f"{side}ForeArm").with_twist(f"{side}UpLeg", f"{side}Leg")
+            removed = {"no toes": (f"{side}ToeBase",), "no hands": hand, "one joint a limb": limbs}
+            person = person.without(*removed.get(change, ()))
+        if change == "spines":
+            person = person.between("Spine0", "LowerBack", "Spine").between("SpineHalf", "Spine", "Spine1")
+    return person
+
+
+KINDS = {
+    "no toes": dict(person=("no toes",)),
+    "no hands": dict(person=("no toes", "no hands")),
+    "twists": dict(person=("twists",)),
+    "spines": dict(person=("spines",)),
+    "feet on roots": dict(hold={"LeftFoot": "", "RightFoot": ""}),
+    "three skins": dict(skins=3),
+    "metres, y up": dict(armature=np.eye(4)),
+    "A-pose": dict(rest="A"),
+    "nodes in another pose": dict(moved="bent"),
+}
+"""Kinds of rigs, as options of `of_kind`."""
+
+
+def of_kind(path: Path, kind: str, shape: int = 0, moving: bool = True, **options) -> tuple[Path, Figure, np.ndarray]:
+    """Write a character of a kind; returns the path, its joints, and their transforms from the T-pose to rest."""
+    chosen = dict(KINDS.get(kind, {}))
+    person = changed(figure(shape), *chosen.pop("person", ()))
+    turns = arms_down(person) if chosen.pop("rest", None) else None
+    if chosen.pop("moved", None):
+        options["moved"] = exercise(person, 1, seed=9)[0]
+    if moving:
+        options["clips"] = {"move": exercise(person)}
+    character(path, person=person, rest=turns, **chosen, **options)
+    return path, person, person.pose({} if turns is None else dict(zip(person.names, turns, strict=True)))
+
+
 def character(
     path: Path,
     shape: int | None = 0,
@@ -152,6 +213,7 @@ def character(
     clips: Mapping[str, list[np.ndarray]] | None = None,
     armature: np.ndarray = ARMATURE,
     skins: int = 1,
+    order: np.ndarray | None = None,
     change: Callable[[Draft], None] | None = None,
 ) -> Path:
     """Write person `shape` (None: the mean) with a skin of two sets of influences, and return `path`.
@@ -167,6 +229,7 @@ def character(
         clips: motions by name, as `exercise` makes them; with them nodes have translation, rotation and scale.
         armature: transform of the node above all joints.
         skins: number of meshes, each with its triangles and a skin that lists the joints in another order.
+        order: permutation of the vertices.
         change: changes the document before it is saved.
     """
     person, turn = figure(shape) if person is None else person, np.eye(3) if turn is None else turn
@@ -200,12 +263,15 @@ def character(
     draft = Draft({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]})
     draft.gltf |= {"nodes": nodes, "meshes": [], "skins": []}
     placed = np.concatenate([vertices, np.ones((len(remaining), 1))], axis=1) @ np.linalg.inv(armature).T
+    order = np.arange(len(remaining)) if order is None else order
+    placed, weights = placed[order, :3], _limited(person.weights[remaining])[order]
+    triangles = np.argsort(order)[triangles]
     for part, chosen in enumerate(np.array_split(triangles, skins)):
-        order = np.random.default_rng(part).permutation(count) if part else np.arange(count)
+        listed = np.random.default_rng(part).permutation(count) if part else np.arange(count)
         if part:
             nodes[0]["children"].append(len(nodes))
             nodes.append({"name": f"body{part}", "mesh": part, "skin": part})
-        _add_skin(draft, placed[:, :3], _limited(person.weights[remaining]), chosen, order, bind)
+        _add_skin(draft, placed, weights, chosen, listed, bind)
     for clip, motion in (clips or {}).items():
         world = [turned @ frame @ np.linalg.inv(at_rest) @ np.linalg.inv(turned) @ T_world_joint for frame in motion]
         _add_clip(draft, clip, np.stack([local(frame) for frame in world]))

@@ -11,7 +11,6 @@ import pytest
 import rigs
 from foreign_names import SCHEMES, renamed
 from networks import write_mime_network
-from scipy.spatial.transform import Rotation
 
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import Document, open_document
@@ -57,63 +56,6 @@ def furnish(draft: Draft) -> None:
     gltf.setdefault("animations", []).append(smiling)
 
 
-def arms_down() -> np.ndarray:
-    """Rotations of the joints from the T-pose to arms that hang by 50 degrees, and spread legs."""
-    names = rigs.figure().names
-    rest = np.tile(np.eye(3), (len(names), 1, 1))
-    for side, sign in (("Left", -1), ("Right", 1)):
-        rest[names.index(f"{side}Arm")] = Rotation.from_euler("z", 50 * sign, degrees=True).as_matrix()
-        rest[names.index(f"{side}UpLeg")] = Rotation.from_euler("z", -8 * sign, degrees=True).as_matrix()
-    return rest
-
-
-def bent() -> np.ndarray:
-    """World transforms of the joints of person 0 in some pose, in which a file may have its nodes."""
-    return rigs.exercise(rigs.figure(), 1, seed=9)[0]
-
-
-def ik_feet() -> dict[str, str]:
-    return {"LeftFoot": "", "RightFoot": ""}
-
-
-def person(*changes: str) -> rigs.Figure:
-    """Make person 0 with other joints."""
-    found = rigs.figure()
-    for change in changes:
-        if change == "no toes":
-            found = found.without("LeftToeBase", "RightToeBase")
-        elif change == "no hands":
-            for side in "LeftL", "RightR":
-                long, short = side[:-1], side[-1]
-                found = found.without(f"{long}HandFinger1", f"{long}FingerBase", f"{short}Thumb", f"{long}Hand")
-        elif change == "twists":
-            for side in ("Left", "Right"):
-                found = found.with_twist(f"{side}Arm", f"{side}ForeArm").with_twist(f"{side}UpLeg", f"{side}Leg")
-        elif change == "spines":
-            found = found.between("Spine0", "LowerBack", "Spine").between("SpineHalf", "Spine", "Spine1")
-    return found
-
-
-KINDS = {
-    "no toes": dict(person=("no toes",)),
-    "no hands": dict(person=("no toes", "no hands")),
-    "twists": dict(person=("twists",)),
-    "spines": dict(person=("spines",)),
-    "feet on roots": dict(hold=ik_feet()),
-    "three skins": dict(skins=3),
-    "metres, y up": dict(armature=np.eye(4)),
-    "A-pose": dict(rest=arms_down()),
-    "nodes in another pose": dict(moved=bent()),
-}
-
-
-def write(path: Path, person: tuple[str, ...] = (), **options) -> tuple[Path, rigs.Figure, list[np.ndarray]]:
-    """Write a character with a clip; returns its path, joints and motion."""
-    found = globals()["person"](*person)
-    motion = rigs.exercise(found)
-    return rigs.character(path, person=found, clips={"move": motion}, **options), found, motion
-
-
 def assert_untouched(old: Document, new: Document) -> None:
     """Check that a file has the contents of an old one, and that accessors and animations are only added."""
     assert bytes(new.binary)[: len(old.binary)] == bytes(old.binary)
@@ -139,18 +81,17 @@ def assert_plays_itself(path: Path, model: str, output: Path) -> None:
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_own_clip_through_own_rig(scheme, model, tmp_path):
-    path, _, _ = write(tmp_path / "own.glb", name=renamed(scheme), change=furnish)
+    path, *_ = rigs.of_kind(tmp_path / "own.glb", "T-pose", name=renamed(scheme), change=furnish)
     assert_plays_itself(path, model, tmp_path / "out.glb")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", rigs.KINDS)
 def test_own_clip_through_rigs_of_any_kind(kind, model, tmp_path):
-    path, _, _ = write(tmp_path / "own.gltf", change=furnish, **KINDS[kind])
+    path, *_ = rigs.of_kind(tmp_path / "own.gltf", kind, change=furnish)
     assert_plays_itself(path, model, tmp_path / "out.gltf")
 
 
 def test_the_clip_that_tests_write_is_the_figure_posed(tmp_path):
-    path, person, motion = write(tmp_path / "own.glb", rest=arms_down())
-    rest = person.pose(dict(zip(person.names, arms_down(), strict=True)))
-    expected = np.stack([rigs.posed(person, frame, rest) for frame in motion])
+    path, person, rest = rigs.of_kind(tmp_path / "own.glb", "A-pose")
+    expected = np.stack([rigs.posed(person, frame, rest) for frame in rigs.exercise(person)])
     np.testing.assert_allclose(load_clip(path).vertices, expected, atol=1e-5)
