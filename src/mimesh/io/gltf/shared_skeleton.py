@@ -19,8 +19,9 @@ from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
 from .own_animation import node_properties
-from .own_rig import GltfJoints
+from .own_rig import UNSKINNED, GltfJoints
 from .scene import local_matrices, node_parents, world_matrices
+from .skin import unweighted_vertices
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
 """Largest differences of rest poses that count as the same: of the joints' axes, and of bones in lengths of the
@@ -41,6 +42,10 @@ class SharedMotion:
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
     mine, theirs = identity.document, driving.document
+    if mine.damage is not None or theirs.damage is not None:
+        return None
+    if unweighted_vertices(mine, identity.rest) > UNSKINNED * len(identity.vertices):
+        return None
     joints = _joint_nodes(mine)
     pairs = _pairs(mine, theirs, joints)
     if len(pairs) < max(SHARED * len(joints), 2):
