@@ -26,6 +26,7 @@ from .motion import PLAYED_PATHS
 from .own_animation import node_properties
 from .read import RestScene
 from .scene import local_matrices, node_parents, sort_parents_first
+from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
@@ -87,9 +88,14 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
     document = source.document
     path = document.path
+    if document.damage is not None:
+        raise InputError(f"{path}: {document.damage}; export it again")
     standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
     rig, nodes = standing.rig, standing.nodes
     _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
+    if bare > UNSKINNED:
+        raise InputError(f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without")
     turn = facing_rotation(standing.facing)
 
     def poses() -> np.ndarray:

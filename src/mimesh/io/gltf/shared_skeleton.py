@@ -20,8 +20,9 @@ from .edit import GltfSource
 from .morph_weights import morph_tracks, named_weights, target_count, target_names
 from .motion import PLAYED_PATHS, rest_matrices
 from .own_animation import node_properties
-from .own_rig import GltfJoints
+from .own_rig import UNSKINNED, GltfJoints
 from .scene import local_matrices, node_parents, normalized_quaternions, world_matrices
+from .skin import unweighted_vertices
 from .vrm import animated_expressions
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
@@ -47,6 +48,10 @@ class SharedMotion:
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
     mine, theirs = identity.document, driving.document
+    if mine.damage is not None or theirs.damage is not None:
+        return None
+    if unweighted_vertices(mine, identity.rest) > UNSKINNED * len(identity.vertices):
+        return None
     joints = _joint_nodes(mine)
     pairs = _pairs(mine, theirs, joints)
     if len(pairs) < max(SHARED * len(joints), 2):
