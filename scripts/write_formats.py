@@ -19,6 +19,7 @@ ROWS = {
         "mesh, clip (joints, or morph targets)",
     ),
     ".vrm": ("as .glb", "as .glb, by `transfer`"),
+    ".vrma": ("motion of a person's joints", "motion of a person's joints"),
     ".usd .usda .usdc .usdz": ("mesh, clip (points, transforms, skins, blend shapes)", "mesh, clip (points over time)"),
     ".abc": ("mesh, clip", "mesh, clip"),
     ".obj": ("mesh; a folder of them is a clip", "mesh, folder of frames"),

@@ -121,7 +121,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     """Return the mesh if it is valid.
 
     Raises:
-        InputError: no vertices, NaN or infinite coordinates, a face index out of range, no extent, or one that overflows.
+        InputError: no vertices, NaN or infinite coordinates, a face index out of range, no extent, or too large ones.
     """
     vertices, faces = mesh.vertices, mesh.faces
     if len(vertices) == 0:

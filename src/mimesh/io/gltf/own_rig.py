@@ -93,9 +93,12 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
     standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
     rig, nodes = standing.rig, standing.nodes
     _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    _check_bound(document, path)
     bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
     if bare > UNSKINNED:
-        raise InputError(f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without")
+        raise InputError(
+            f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without; bind the mesh again"
+        )
     turn = facing_rotation(standing.facing)
 
     def poses() -> np.ndarray:
@@ -176,11 +179,27 @@ def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> 
     """
     loose = float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
     if loose > UNSKINNED:
-        raise InputError(f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without")
-    linear = T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)]), :3, :3]
+        raise InputError(
+            f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without; bind the mesh again"
+        )
+    _check_scales(T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)])], path)
+
+
+def _check_bound(document: Document, path: Path) -> None:
+    """Check that skins say where joints were when the mesh was bound, and that joints can be animated from there."""
+    skins = document.gltf.get("skins", [])
+    if any("inverseBindMatrices" not in skin for skin in skins):
+        raise InputError(f"{path}: expected inverse bind matrices in every skin, found none; export it again")
+    joints = sorted({joint for skin in skins for joint in skin["joints"]})
+    _check_scales(local_matrices(document)[joints], path)
+
+
+def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+    """Check that joints have a size, which is the same along all axes."""
+    linear = transforms[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
     if not (scale > 0).all():
-        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing")
+        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing; give it a size")
     unit = linear / scale[:, None]
     if (
         np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR

@@ -85,7 +85,11 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
     tracks |= _other_tracks(mine, theirs, values, set(tracks))
-    faces = morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
+    # In a copy of the same file all targets have been copied already, those that do not move included.
+    same_file = _names(mine) == _names(theirs) and all(
+        _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
+    )
+    faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
     return SharedMotion(faces | tracks, same_rest, alike)
 
 
