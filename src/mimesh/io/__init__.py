@@ -20,7 +20,18 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh
 from .atomic import whole_file, writing
 from .bvh_write import save_bvh as save_bvh
-from .formats import ANIMATED, CACHES, CLIP_READERS, CLIP_WRITERS, FRAME_SUFFIXES, MESH_READERS, MESH_WRITERS, MOTIONS
+from .formats import (
+    ANIMATED,
+    CACHES,
+    CLIP_READERS,
+    CLIP_WRITERS,
+    FRAME_SUFFIXES,
+    JOINTED,
+    MESH_READERS,
+    MESH_WRITERS,
+    MOTIONS,
+    gltf_file,
+)
 from .frame_folder import read_sequence, write_sequence
 from .mtl import copy_companions
 from .obj_source import ObjSource
@@ -184,12 +195,12 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
 
 
 def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a skinned mesh with its skeleton's animation as .glb or .gltf; see `save_rig_animations`."""
+    """Write a skinned mesh with its skeleton's animation as .glb, .gltf or .fbx; see `save_rig_animations`."""
     save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
 
 
 def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
-    """Write a skinned mesh with one or more animations of its rig as .glb or .gltf (see `gltf.skinned`).
+    """Write a skinned mesh with one or more animations of its rig as .glb, .gltf or .fbx (see `gltf.skinned`).
 
     Args:
         animations: of one rig: they have the same mesh, joints, weights and rest pose.
@@ -203,8 +214,8 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
     from .gltf.skinned import write_gltf_skinned
 
     path = Path(path)
-    _must_be_gltf(path)
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         return write_gltf_skinned(animations, temporary)
 
 
@@ -217,8 +228,8 @@ def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) ->
     from .gltf.own_animation import write_own_animations
 
     path = Path(path)
-    _must_be_gltf(path)
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         write_own_animations(animations, temporary)
 
 
@@ -231,14 +242,28 @@ def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
     from .gltf.own_animation import write_own_pose
 
     path = Path(path)
-    _must_be_gltf(path)
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         write_own_pose(animation, temporary)
 
 
-def _must_be_gltf(path: Path) -> None:
-    if path.suffix.lower() not in (".glb", ".gltf", ".vrm"):
-        raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
+def check_writable(path: Path) -> None:
+    """Check that the program that writes a format is installed, before the work is done.
+
+    Raises:
+        InputError: an .fbx, and no Blender.
+    """
+    if path.suffix.lower() == ".fbx":
+        from .fbx.write import find_blender
+
+        find_blender(path)
+
+
+def _must_hold_joints(path: Path) -> None:
+    if path.suffix.lower() not in JOINTED:
+        raise InputError(
+            f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; name another with -o"
+        )
 
 
 def mesh_suffixes() -> tuple[str, ...]:
