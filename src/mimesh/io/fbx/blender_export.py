@@ -4,6 +4,7 @@
     python blender_export.py -- JOB.json      where Python has `bpy`
 
 The job has the paths `glb`, `fbx` and `errors`, the frame rate `fps`, and `clips`, the parts of the one animation.
+Frame 0 is the file at rest.
 """
 
 # pyright: reportMissingImports=false, reportMissingModuleSource=false
@@ -86,7 +87,8 @@ def add_strips(clips, armatures):
         strip.action_frame_start, strip.action_frame_end = clip["first"], clip["last"]
         strip.frame_start, strip.frame_end = clip["first"], clip["last"]
         strip.extrapolation = "NOTHING"
-    data.action = None
+    # The exporter writes the nodes as they are in the current frame, with the active action.
+    bpy.context.scene.frame_set(0)
 
 
 def call(operator, options, **more):
