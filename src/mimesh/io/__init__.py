@@ -247,6 +247,19 @@ def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
         write_own_pose(animation, temporary)
 
 
+def save_as_fbx(source: Path, path: Path) -> None:
+    """Write a .glb, .gltf, .vrm or .fbx again as .fbx, with its skins, blend shapes and all its animations.
+
+    Raises:
+        InputError: a damaged file, no Blender, or a path that cannot be written to.
+    """
+    from .gltf.document import open_document
+    from .gltf.draft import AccessorCopier
+
+    with writing(path), gltf_file(path) as temporary:
+        AccessorCopier(open_document(source), whole=True).draft.save(temporary)
+
+
 def check_writable(path: Path) -> None:
     """Check that the program that writes a format is installed, before the work is done.
 

@@ -27,6 +27,8 @@ from .timeline import joined_animations
 SCRIPT = Path(__file__).with_name("blender_export.py")
 VARIABLE = "BLENDER"
 """Environment variable that names the program, or a Python interpreter that has `bpy`."""
+PACKAGE = "bpy==4.5.15"
+"""Blender as a package, in the version that was tested; its wheels are for Python 3.11."""
 SECONDS, SECONDS_PER_MIB = 300.0, 30.0
 """Longest run: starting Blender takes 2 to 5 s, a character of 13,000 vertices with 300 frames (1 MiB) 4 s."""
 
@@ -49,10 +51,9 @@ def find_blender(path: Path) -> list[str]:
         return _as_python(sys.executable)
     program = shutil.which("blender")
     if program is None:
-        python = "pip install bpy" if sys.version_info[:2] == (3, 11) else "pip install bpy in a Python 3.11"
         raise InputError(
-            f"{path}: expected Blender to write FBX, found none; install it, and set {VARIABLE} to the program if it is "
-            f"not on the search path ({python} and its interpreter do, too), or write a .glb"
+            f"{path}: expected Blender to write FBX, found none; pip install {PACKAGE} (in Python 3.11), or install "
+            f"the program and name it in {VARIABLE}, or write a .glb"
         )
     return _as_program(program)
 
