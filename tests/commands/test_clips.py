@@ -80,7 +80,10 @@ def test_several_clips_become_animations_of_one_file(files, capsys):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["walk.glb", "run.npz", "-o", "x.abc"], "expected joints in a .glb, .gltf or .vrma for 2 clips, found '.abc'"),
+        (
+            ["walk.glb", "run.npz", "-o", "x.abc"],
+            "expected joints in a .glb, .gltf, .fbx or .vrma for 2 clips, found '.abc'",
+        ),
         (["walk.glb", "run.npz", "--morphs"], "for 2 clips, found --morphs"),
         (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one DRIVING with it, found 2"),
         (["walk.glb", "--morphs", "--skinned"], "--morphs: expected it without --skinned"),
