@@ -69,8 +69,8 @@ def check_clip_output(
     layout.check()
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
         raise InputError(
-            f"--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found {output.name} "
-            "without; change the output, or leave these options out"
+            "--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found "
+            f"{output.name} without; change the output, or leave these options out"
         )
     if output.suffix.lower() == BONES_ONLY:
         check_bones_layout(layout, output)

@@ -60,9 +60,9 @@ def convert(
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
 
-    A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or the chosen
-    `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are. From
-    glTF to .fbx joints and all animations are kept, unless frames, a rate or an animation are chosen.
+    A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or a chosen
+    `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
+    From glTF to .fbx joints and all animations are kept, unless frames, a rate or an animation are chosen.
 
     Args:
         source: a file or a folder of frames.

@@ -1,4 +1,4 @@
-"""Read FBX files (.fbx) as glTF with the library ufbx (the extra `fbx`), and write them with Blender, in child processes.
+"""Read FBX files (.fbx) as glTF with ufbx (the extra `fbx`) and write them with Blender, both in child processes.
 
 to_glb (elements, geometry, materials, animation)    runs in the child: writes a .glb of an FBX file
 write (timeline, blender_export)                     has Blender export a .glb as FBX
