@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -58,7 +58,11 @@ class KnownJoints:
     """Joints that have been read already."""
 
     motion: PersonMotion
-    has_joints: ClassVar[bool] = True
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are any: yes."""
+        return True
 
     def cut(self, frames: slice) -> KnownJoints:
         """Select frames of the clip."""
