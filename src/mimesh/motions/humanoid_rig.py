@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.character_limbs import Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
+from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
 from ..bodies.skinned_character import SkinnedCharacter
@@ -24,7 +24,6 @@ from ..core.rig import descendants
 from .rest_calibration import rotation_between
 from .retarget import BONES, limb_alignments
 
-SIDES = ("Left", "Right")
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
 WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
@@ -25,10 +28,11 @@ from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.scene import node_parents
 from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
-from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
+from ..motions.humanoid_rig import LEG, HumanoidRig
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
+T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
 
@@ -59,28 +63,24 @@ class Rigs:
         """
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
-        own, driving, copied, notes = None, None, None, []
+        own, driving, notes = None, None, ()
         others: AnimatedValues = {}
-        kept = choice == "own" and has_rig(identity) and still_joints(identity) is not None
-        if kept:
-            try:
-                own = read_own_rig(identity)
-            except InputError as error:
-                notes.append(f"the rig of {identity.name} is not used, joints are found on its surface: {error}")
-        if kept and isinstance(clip.skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
-            copied = copy_motion(identity.source, clip.skeleton)
-            if copied is not None and (copied.same_rest or (copied.alike and own is None)):
-                return cls(own, copied=copied)
-            others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
-            morphs = copy_morphs(identity.source, clip.skeleton)
-            if morphs is not None:
-                return cls(own, copied=morphs)
-        if clip.skeleton is not None and clip.skeleton.has_joints:
-            try:
-                driving = clip.skeleton.person()
-            except InputError as error:
-                notes.append(f"the joints of {clip.mesh.name} are not used, they are found on its surface: {error}")
-        return cls(own, driving, None, tuple(notes), others)
+        skeleton = clip.skeleton
+        if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
+            without = f"the rig of {identity.name} is not used, joints are found on its surface"
+            own, notes = _if_usable(lambda: read_own_rig(identity), without)
+            if isinstance(skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
+                copied, morphs = copy_motion(identity.source, skeleton), copy_morphs(identity.source, skeleton)
+                if copied is not None and (copied.same_rest or (copied.alike and own is None)):
+                    return cls(own, copied=copied)
+                if morphs is not None:
+                    return cls(own, copied=morphs)
+                others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
+        if skeleton is not None and skeleton.has_joints:
+            without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
+            driving, more = _if_usable(skeleton.person, without)
+            notes += more
+        return cls(own, driving, None, notes, others)
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
@@ -103,6 +103,14 @@ class Rigs:
 
 NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
+
+
+def _if_usable(read: Callable[[], T], without: str) -> tuple[T | None, tuple[str, ...]]:
+    """Read a rig; None, and a note that tells why and what is done `without` it, where it cannot be used."""
+    try:
+        return read(), ()
+    except InputError as error:
+        return None, (f"{without}: {error}",)
 
 
 def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:

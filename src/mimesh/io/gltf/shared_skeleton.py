@@ -30,8 +30,6 @@ SAME_ROTATION, SAME_BONE = 0.01, 0.002
 longest bone."""
 ALIKE = 0.5
 """Largest difference of the joints' axes at rest with which rotations since rest can be copied: about 30 degrees."""
-SHARED = 1.0
-"""Share of the identity's joints that the driving file must have, by name and parent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +52,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         return None
     joints = _joint_nodes(mine)
     pairs = _pairs(mine, theirs, joints)
-    if len(pairs) < max(SHARED * len(joints), 2):
+    if len(pairs) < max(len(joints), 2):
         return None
     my_rest, their_rest = (
         _parent_frames(document, pairs_of)
