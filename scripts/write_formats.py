@@ -19,6 +19,7 @@ ROWS = {
         "mesh, clip (joints, or morph targets)",
     ),
     ".vrm": ("as .glb", "as .glb, by `transfer`"),
+    ".vrma": ("motion of a person's joints", "motion of a person's joints"),
     ".usd .usda .usdc .usdz": ("mesh, clip (points, transforms, skins, blend shapes)", "mesh, clip (points over time)"),
     ".abc": ("mesh, clip", "mesh, clip"),
     ".obj": ("mesh; a folder of them is a clip", "mesh, folder of frames"),
@@ -30,7 +31,7 @@ ROWS = {
     ".npz": ("mesh, clip; motions in the layout of AMASS", "mesh, clip"),
     ".npy": ("mesh, clip", "clip"),
     ".bvh": ("motion, played by the shipped body", ""),
-    ".fbx": ("mesh, clip (nodes, skins, blend shapes), motion (joints alone)", ""),
+    ".fbx": ("mesh, clip (nodes, skins, blend shapes), motion (joints alone)", "mesh, clip, by Blender"),
     ".gif .webp .mp4": ("", "pictures of the clip"),
 }
 """Suffixes -> what is read and what is written."""
@@ -68,8 +69,9 @@ RULES = """## What to expect
   writes one for each object). `--animation NAME` reads one only.
 * **FBX** is read as a glTF: y up and in metres, whatever the file's axes and unit are, with its names, skins (all
   influences), blend shapes, base colours and textures (embedded, or beside the file), and every animation sampled at
-  the file's frame rate. It is not written: results of an .fbx are .glb. Constraints, lights, cameras, dual quaternion
-  skinning (read as linear) and textures other than the base colour are left out.
+  the file's frame rate. It is written by Blender, where that is installed; results of an .fbx are .glb by default.
+  Constraints, lights, cameras, dual quaternion skinning (read as linear) and textures other than the base colour are
+  left out.
 * **Compressed glTF** (Draco, meshopt) is read, and written without compression. Basis textures are refused with an
   error that names them, unless the file can be read without.
 * **Damaged files.** The libraries for FBX, Draco and meshopt run in a child process with limits on memory and time

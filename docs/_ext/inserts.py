@@ -152,10 +152,11 @@ def rigs() -> str:
     failed = f"{len(report['failed'])} raised an exception, {report['upside_down']} are upside down"
     return (
         f"{head}: {failed}. Medians, and 90th percentiles in brackets: angle between the directions of limbs; distance "
-        "of wrists from shoulders and ankles from hips, over the length of the limb; difference of the heights of soles, "
-        "over the leg; share of feet; speed of soles while the driving's stand, in heights a second. “copied rotations” "
-        "are the same pairs as “clips with a rig”, with each joint's rotation copied from its namesake as one does by "
-        f"hand.\n\n{markdown_table(['', *keys], rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+        "of wrists from shoulders and ankles from hips, over the length of the limb; difference of the heights of "
+        "soles, over the leg; share of feet; speed of soles while the driving's stand, in heights a second. “copied "
+        "rotations” are the same pairs as “clips with a rig”, with each joint's rotation copied from its namesake as "
+        "one does by hand.\n\n"
+        f"{markdown_table(['', *keys], rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
     )
 
 

@@ -80,11 +80,14 @@ def test_several_clips_become_animations_of_one_file(files, capsys):
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["walk.glb", "run.npz", "-o", "x.abc"], "expected joints in a .glb or .gltf for 2 clips, found '.abc'"),
+        (
+            ["walk.glb", "run.npz", "-o", "x.abc"],
+            ".fbx or .vrma for 2 clips, found '.abc'",
+        ),
         (["walk.glb", "run.npz", "--morphs"], "for 2 clips, found --morphs"),
         (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one DRIVING with it, found 2"),
         (["walk.glb", "--morphs", "--skinned"], "--morphs: expected it without --skinned"),
-        (["walk.glb", "--morphs", "-o", "x.abc"], "expected an output in one of .glb .gltf, found '.abc'"),
+        (["walk.glb", "--morphs", "-o", "x.abc"], "expected an output in one of .fbx .glb .gltf, found '.abc'"),
         (["walk.glb", "run.npz", "-o", "walk.glb"], "expected an output apart from the inputs"),
     ],
 )

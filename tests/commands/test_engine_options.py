@@ -35,10 +35,10 @@ def test_engine_names_root_bone_rest_and_rate(files, capsys):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--morphs", "--names", "unreal"), "expected joints in a .glb or .gltf, found out.glb without"),
-        (("--morphs", "--root-bone"), "expected joints in a .glb or .gltf, found out.glb without"),
-        (("--blendshapes", "3", "--rest", "T"), "expected joints in a .glb or .gltf, found out.glb without"),
-        (("-o", "out.abc", "--output-fps", "30"), "expected joints in a .glb or .gltf, found out.abc without"),
+        (("--morphs", "--names", "unreal"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
+        (("--morphs", "--root-bone"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
+        (("--blendshapes", "3", "--rest", "T"), "expected joints in a .glb, .gltf or .fbx, found out.glb without"),
+        (("-o", "out.abc", "--output-fps", "30"), "expected joints in a .glb, .gltf or .fbx, found out.abc without"),
         (("--names", "maya"), "--names: expected one of own, mixamo, unreal, vrm, godot, rigify"),
         (("--rest", "sitting"), "--rest: expected one of file, T, A, found 'sitting'"),
         (("--output-fps", "0"), "--output-fps: expected a positive frame rate, found 0"),

@@ -28,7 +28,7 @@ def test_page_in_the_docs_is_the_generated_one(script):
 def test_every_format_is_on_the_page(script):
     named = {suffix: row for formats, row in script.ROWS.items() for suffix in formats.split()}
     assert {suffix for suffix, (read, _) in named.items() if read} == {*MESH_READERS, *CLIP_READERS}
-    assert {suffix for suffix, (_, written) in named.items() if written} - {".vrm"} == {
+    assert {suffix for suffix, (_, written) in named.items() if written} - {".vrm", ".vrma"} == {
         *MESH_WRITERS,
         *CLIP_WRITERS,
         *MOVIES,

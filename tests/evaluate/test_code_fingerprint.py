@@ -107,10 +107,10 @@ def on(*protocols: str) -> set[tuple[str, str]]:
 @pytest.mark.parametrize(
     ("definition", "expected"),
     [
-        (SkinnedMesh, JOINTED),
+        (SkinnedMesh, ALL),  # the pipeline of all methods refers to rigs
         (reorient, ALL),  # the pipeline of all methods refers to it
         (Refinement, ALL),
-        (JointTrack.smoothed, JOINTED),
+        (JointTrack.smoothed, ALL),
         (METHODS["mime"].prepare, JOINTED),
         (METHODS["skeleton"].prepare, of("skeleton")),
         (heat_weights, of("skeleton")),

@@ -125,7 +125,7 @@ def moving_rig(
     kept, triangles = decimation(600)
     names, parents, joints, weights = body.joint_names, body.parents, body.joints, body.weights
     if fingers:
-        names, parents, joints, weights = _with_fingers()
+        names, parents, joints, weights = with_fingers()
     weights = np.where(weights >= np.sort(weights, axis=1)[:, -4:-3], weights, 0.0)
     weights = weights / weights.sum(axis=1, keepdims=True)
     turns = np.zeros((len(names), 3))
@@ -168,7 +168,7 @@ def _forward(local, joints, parents, root):
     return rotation, position
 
 
-def _with_fingers():
+def with_fingers():
     """Names, parents, joints and weights of the body with 61 joints, as results whose fingers move have them."""
     body, hands = load_body(), load_hands()
     names, parents, weights = list(body.joint_names), list(body.parents), [body.weights.copy()]

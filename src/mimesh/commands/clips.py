@@ -12,10 +12,12 @@ if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
     from ..pipeline.result import ClipResult
 
-JOINT_SUFFIXES = (".glb", ".gltf")
+JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
+MORPH_SUFFIXES = (".glb", ".gltf")
+"""Those of them to which a number of morph targets can be given."""
 
 
 def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
@@ -59,16 +61,16 @@ def check_clip_output(
     if len(driving) > 1 and (frames or output.suffix.lower() not in jointed):
         found = given[0] if frames else f"'{output.suffix}'"
         raise InputError(
-            f"{output}: expected joints in a .glb, .gltf or .vrma for {len(driving)} clips, found {found}; "
+            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {len(driving)} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
-    holds = JOINT_SUFFIXES if frames else jointed if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, "")
-    check_suffix(output, holds)
+    held = MORPH_SUFFIXES if blendshapes is not None else JOINT_SUFFIXES if frames else jointed
+    check_suffix(output, held if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
     layout.check()
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
         raise InputError(
-            f"--names, --root-bone, --rest, --output-fps: expected joints in a .glb or .gltf, found {output.name} "
-            "without; change the output, or leave these options out"
+            "--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found "
+            f"{output.name} without; change the output, or leave these options out"
         )
     if output.suffix.lower() == BONES_ONLY:
         check_bones_layout(layout, output)
@@ -81,12 +83,14 @@ def check_clip_output(
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     """Check that a format can be written, before the work is done."""
     from ..core.errors import InputError
+    from ..io import check_writable
 
     if output.suffix.lower() not in suffixes:
         known = " ".join(sorted({suffix for suffix in suffixes if suffix}))
         raise InputError(
             f"{output}: expected an output in one of {known}, found '{output.suffix}'; name another with -o"
         )
+    check_writable(output)
 
 
 def check_single(driving: Sequence[Path], options: dict[str, object]) -> None:

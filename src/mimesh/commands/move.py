@@ -129,7 +129,7 @@ def transfer(
     from ..io import MESH_WRITERS, load_mesh
     from ..pipeline import transfer as run_transfer
 
-    # FBX is read only: the result of an .fbx is a .glb.
+    # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
     output = output or output_beside(identity, driving, suffix)
     _check_outputs(output, preview, open_it, identity, driving, reference, markers)

@@ -113,11 +113,15 @@ class Clip:
         return len(self.vertices) / self.fps
 
 
+LARGEST = 1e30
+"""Largest coordinate that is accepted: far above any unit, and far below the numbers whose products overflow."""
+
+
 def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     """Return the mesh if it is valid.
 
     Raises:
-        InputError: no vertices, NaN or infinite coordinates, a face index out of range, or no extent at all.
+        InputError: no vertices, NaN or infinite coordinates, a face index out of range, no extent, or too large ones.
     """
     vertices, faces = mesh.vertices, mesh.faces
     if len(vertices) == 0:
@@ -133,6 +137,11 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
         raise InputError(
             f"{path}: expected face indices in 0..{len(vertices) - 1}, found {worst}; "
             "the file is damaged, export it again"
+        )
+    largest = np.abs(vertices).max()
+    if largest > LARGEST:
+        raise InputError(
+            f"{path}: expected coordinates up to {LARGEST:g}, found {largest:g}; the file is damaged, export it again"
         )
     if np.ptp(vertices, axis=0).max() == 0.0:
         raise InputError(

@@ -35,6 +35,11 @@ class PersonMotion:
 class JointSource(Protocol):
     """The joints of the file that a clip was read from (see `Clip.skeleton`), read when they are needed."""
 
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are any."""
+        ...
+
     def cut(self, frames: slice) -> JointSource:
         """Select frames of the clip."""
         ...
@@ -53,6 +58,11 @@ class KnownJoints:
     """Joints that have been read already."""
 
     motion: PersonMotion
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are any: yes."""
+        return True
 
     def cut(self, frames: slice) -> KnownJoints:
         """Select frames of the clip."""

@@ -20,7 +20,18 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh
 from .atomic import whole_file, writing
 from .bvh_write import save_bvh as save_bvh
-from .formats import ANIMATED, CACHES, CLIP_READERS, CLIP_WRITERS, FRAME_SUFFIXES, MESH_READERS, MESH_WRITERS, MOTIONS
+from .formats import (
+    ANIMATED,
+    CACHES,
+    CLIP_READERS,
+    CLIP_WRITERS,
+    FRAME_SUFFIXES,
+    JOINTED,
+    MESH_READERS,
+    MESH_WRITERS,
+    MOTIONS,
+    gltf_file,
+)
 from .frame_folder import read_sequence, write_sequence
 from .mtl import copy_companions
 from .obj_source import ObjSource
@@ -185,12 +196,12 @@ def _save_blend_shapes(clip: Clip, path: Path, progress: Progress | None, blends
 
 
 def save_skinned(skeleton: AnimatedRig, fps: float, path: str | Path) -> None:
-    """Write a skinned mesh with its skeleton's animation as .glb or .gltf; see `save_rig_animations`."""
+    """Write a skinned mesh with its skeleton's animation as .glb, .gltf or .fbx; see `save_rig_animations`."""
     save_rig_animations([RigAnimation(skeleton.mesh.name, skeleton, fps)], path)
 
 
 def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) -> list[AnimatedRig]:
-    """Write a skinned mesh with one or more animations of its rig as .glb or .gltf (see `gltf.skinned`).
+    """Write a skinned mesh with one or more animations of its rig as .glb, .gltf or .fbx (see `gltf.skinned`).
 
     Args:
         animations: of one rig: they have the same mesh, joints, weights and rest pose.
@@ -205,8 +216,8 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
 
     path = Path(path)
     refuse_vrm(path)
-    _must_be_gltf(path)
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         return write_gltf_skinned(animations, temporary)
 
 
@@ -220,8 +231,8 @@ def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) ->
 
     path = Path(path)
     refuse_vrm(path)
-    _must_be_gltf(path)
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         write_own_animations(animations, temporary)
 
 
@@ -234,8 +245,8 @@ def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:
     from .gltf.own_animation import write_own_pose
 
     path = Path(path)
-    _must_be_gltf(path, (".glb", ".gltf", ".vrm"))
-    with writing(path), whole_file(path) as temporary:
+    _must_hold_joints(path)
+    with writing(path), gltf_file(path) as temporary:
         write_own_pose(animation, temporary)
 
 
@@ -264,9 +275,36 @@ def refuse_vrm(path: str | Path) -> None:
         )
 
 
-def _must_be_gltf(path: Path, suffixes: tuple[str, ...] = (".glb", ".gltf")) -> None:
-    if path.suffix.lower() not in suffixes:
-        raise InputError(f"{path}: expected .glb or .gltf for joints, found '{path.suffix}'; name another with -o")
+def save_as_fbx(source: Path, path: Path) -> None:
+    """Write a .glb, .gltf, .vrm or .fbx again as .fbx, with its skins, blend shapes and all its animations.
+
+    Raises:
+        InputError: a damaged file, no Blender, or a path that cannot be written to.
+    """
+    from .gltf.document import open_document
+    from .gltf.draft import AccessorCopier
+
+    with writing(path), gltf_file(path) as temporary:
+        AccessorCopier(open_document(source), whole=True).draft.save(temporary)
+
+
+def check_writable(path: Path) -> None:
+    """Check that the program that writes a format is installed, before the work is done.
+
+    Raises:
+        InputError: an .fbx, and no Blender.
+    """
+    if path.suffix.lower() == ".fbx":
+        from .fbx.write import find_blender
+
+        find_blender(path)
+
+
+def _must_hold_joints(path: Path) -> None:
+    if path.suffix.lower() not in JOINTED:
+        raise InputError(
+            f"{path}: expected .glb, .gltf or .fbx for joints, found '{path.suffix}'; name another with -o"
+        )
 
 
 def mesh_suffixes() -> tuple[str, ...]:

@@ -82,7 +82,7 @@ def child_result(
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
         code = _run(call, errors, limits, name)
-        message = _last_line(errors)
+        message = last_line(errors)
         if code == REFUSED:
             raise InputError(message.replace(str(source.absolute()), str(name)))
         if code != 0:
@@ -186,7 +186,7 @@ def _too_slow() -> str:
     return "that its decoder does not end; the file is damaged or too large, export it again"
 
 
-def _last_line(path: Path) -> str:
+def last_line(path: Path) -> str:
     """Return the last line of a text file, or what is left of it where it is long."""
     with path.open("rb") as file:
         file.seek(max(path.stat().st_size - LONGEST_MESSAGE, 0))

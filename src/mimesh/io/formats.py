@@ -6,7 +6,9 @@ A reader takes a Path and returns a Mesh or Clip. A writer takes the Mesh or Cli
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import tempfile
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..core.frame_buffer import Progress
@@ -22,6 +24,21 @@ from .stl import read_stl, write_stl
 from .usd import read_usd, read_usd_clip, write_usd, write_usd_clip
 
 
+@contextlib.contextmanager
+def gltf_file(path: Path) -> Iterator[Path]:
+    """Yield a temporary path for a glTF file, which becomes the file `path` when the block ends; .fbx by Blender."""
+    with whole_file(path) as temporary:
+        if path.suffix.lower() != ".fbx":
+            yield temporary
+            return
+        from .fbx.write import write_fbx
+
+        with tempfile.TemporaryDirectory(prefix="mimesh-") as folder:
+            glb = Path(folder, "scene.glb")
+            yield glb
+            write_fbx(glb, temporary, path)
+
+
 def _read_gltf(path: Path) -> Mesh:
     from .gltf import read_gltf
 
@@ -31,14 +48,14 @@ def _read_gltf(path: Path) -> Mesh:
 def _write_gltf(mesh: Mesh, path: Path) -> None:
     from .gltf import write_gltf
 
-    with whole_file(path) as temporary:
+    with gltf_file(path) as temporary:
         write_gltf(mesh, temporary)
 
 
 def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
     from .gltf import write_gltf_clip
 
-    with whole_file(path) as temporary:
+    with gltf_file(path) as temporary:
         write_gltf_clip(clip, temporary, progress)
 
 
@@ -122,6 +139,7 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
 }
 MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
     ".abc": _write_alembic,
+    ".fbx": _write_gltf,
     ".glb": _write_gltf,
     ".gltf": _write_gltf,
     ".npz": write_npz,
@@ -149,6 +167,7 @@ CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] =
 """Readers of clips except those of ANIMATED; arguments: path, frame rate (None: the file's), progress callback."""
 CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
     ".abc": _write_alembic_clip,
+    ".fbx": _write_gltf_clip,
     ".glb": _write_gltf_clip,
     ".gltf": _write_gltf_clip,
     ".mdd": write_mdd,
@@ -162,6 +181,8 @@ CLIP_WRITERS: dict[str, Callable[[Clip, Path, Progress | None], None]] = {
 }
 ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
+JOINTED = (".fbx", ".glb", ".gltf", ".vrm")
+"""Formats in which joints and weights are written."""
 CACHES = (".mdd", ".npy", ".pc2")
 """Point caches: positions only, for a mesh file beside them."""
 MOTIONS = {".bvh", ".vrma"}

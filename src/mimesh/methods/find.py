@@ -10,7 +10,7 @@ from jaxtyping import Int
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
-from .base import Method
+from .base import Method, RigMethod
 
 # Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
@@ -49,6 +49,17 @@ def check_weights(model: str) -> None:
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
             "repository, or train them with scripts/train_ablations.py (npt-table, mime-table: docs/training.md)"
         )
+
+
+def takes_rigs(model: str | Method) -> bool:
+    """Whether a method uses the rigs of the files.
+
+    Raises:
+        InputError: as `find_method`.
+    """
+    if model in ("mime", "copy", "deformation-transfer", "skeleton"):
+        return model == "mime"
+    return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
 
 
 def find_method(

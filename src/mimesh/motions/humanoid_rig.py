@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.character_limbs import Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
+from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
 from ..bodies.skinned_character import SkinnedCharacter
@@ -24,7 +24,6 @@ from ..core.rig import descendants
 from .rest_calibration import rotation_between
 from .retarget import BONES, limb_alignments
 
-SIDES = ("Left", "Right")
 LEG = ("UpLeg", "Leg", "Foot")
 """Joints of a leg from hip to ankle, without their side."""
 WHOLE = {"Arm": "Hand", "UpLeg": "Foot"}
@@ -77,12 +76,12 @@ class HumanoidRig:
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.
 
-        Besides those below the hips these are the joints elsewhere that move vertices: they go with the hips. Others
-        (handles of the animator, a root) stay as they are.
+        Besides those below the hips these are joints elsewhere that are a person's or move vertices: they go with the
+        hips. Others (handles of the animator, a root) stay as they are.
         """
         hips, parents = self.joints["Hips"], self.character.parents
         below = descendants([hips], parents)
-        weighted = np.unique(self.character.joint_of[self.character.weights > 0]).tolist()
+        weighted = np.union1d(self.character.joint_of[self.character.weights > 0], list(self.joints.values())).tolist()
         # The chain from a part that moves vertices up to the hips' tree or a root turns as one with the hips.
         others = [j for j in weighted if j < len(parents) and j not in below]
         kept = [hips, *(j for j in below if j != hips), *others]
@@ -127,9 +126,8 @@ def humanoid_rig(
         and joints.get(f"{side}Leg", joints[f"{side}UpLeg"]) not in ancestors(facing.parents, joints[f"{side}Foot"])
         for side in SIDES
     )
-    facing, joints, order = attach_feet(
-        facing, joints, poses() if loose else np.zeros((0, len(facing.parents), 4, 4)), path
-    )
+    moved = poses() if loose else np.zeros((0, len(facing.parents), 4, 4))
+    facing, joints, order = attach_feet(facing, joints, moved, path)
     # Fingers that the file itself names count before those found by their names.
     unnamed = [side for side in SIDES if not any(name in joints for name in finger_joints(side))]
     hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}

@@ -14,7 +14,7 @@ from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.normalization import Normalization
 from ..methods.base import Method
-from ..methods.find import find_method
+from ..methods.find import find_method, takes_rigs
 from .corrections import Corrections, GivenJoints
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
@@ -74,7 +74,7 @@ def transfer(
     choice = _choice(model, ensemble, seed, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
-    options = MotionOptions(rig=rig)
+    options = MotionOptions(rig=rig if takes_rigs(model) else "mimesh")
     moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
     mesh = identity.with_vertices(moved.vertices[0])
     return Result(
@@ -158,7 +158,7 @@ def animate(
         clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
-    options = MotionOptions(root, ground, smooth, skinned, rig)
+    options = MotionOptions(root, ground, smooth, skinned, rig if takes_rigs(model) else "mimesh")
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     notes = moved.notes
     if len(clip) == 1:

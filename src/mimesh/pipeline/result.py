@@ -19,14 +19,13 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import refuse_vrm, save_clip, save_mesh, save_own_pose
+from ..io.formats import JOINTED
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
     from ..player.pack import Panel
     from ..player.page import Download
 
-GLTF = (".glb", ".gltf", ".vrm")
-"""Suffixes of files that hold joints."""
 LARGEST_DOWNLOAD = 32 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
 
@@ -180,7 +179,7 @@ class Result(_Playable):
         """
         path = Path(path)
         with self.seconds.step("write"):
-            if self.own is not None and path.suffix.lower() in GLTF:
+            if self.own is not None and path.suffix.lower() in JOINTED:
                 save_own_pose(self.own, path)
             else:
                 save_mesh(self.mesh, path)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.character_limbs import SIDES
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
@@ -22,12 +25,14 @@ from ..io.gltf.bake import AnimatedValues
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
+from ..io.gltf.scene import node_parents
 from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
-from ..motions.humanoid_rig import LEG, SIDES, HumanoidRig
+from ..motions.humanoid_rig import LEG, HumanoidRig
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
+T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
 
@@ -46,6 +51,8 @@ class Rigs:
     """The driving's animation, where both files have the same skeleton; then nothing else is needed."""
     notes: tuple[str, ...] = ()
     """Rigs that are not used, and why."""
+    others: AnimatedValues = field(default_factory=dict)
+    """Values of nodes beside those of a person, such as tails and skirts, that both files have by name."""
 
     @classmethod
     def read(cls, identity: Mesh, clip: Clip, choice: str = "own") -> Rigs:
@@ -56,26 +63,24 @@ class Rigs:
         """
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
-        own, driving, copied, notes = None, None, None, []
-        kept = choice == "own" and has_rig(identity) and still_joints(identity) is not None
-        if kept:
-            try:
-                own = read_own_rig(identity)
-            except InputError as error:
-                notes.append(f"the rig of {identity.name} is not used, joints are found on its surface: {error}")
-        if kept and isinstance(clip.skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
-            copied = copy_motion(identity.source, clip.skeleton)
-            if copied is not None and (copied.same_rest or own is None):
-                return cls(own, copied=copied)
-            morphs = copy_morphs(identity.source, clip.skeleton)
-            if morphs is not None:
-                return cls(own, copied=morphs)
-        if clip.skeleton is not None:
-            try:
-                driving = clip.skeleton.person()
-            except InputError as error:
-                notes.append(f"the joints of {clip.mesh.name} are not used, they are found on its surface: {error}")
-        return cls(own, driving, None, tuple(notes))
+        own, driving, notes = None, None, ()
+        others: AnimatedValues = {}
+        skeleton = clip.skeleton
+        if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
+            without = f"the rig of {identity.name} is not used, joints are found on its surface"
+            own, notes = _if_usable(lambda: read_own_rig(identity), without)
+            if isinstance(skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
+                copied, morphs = copy_motion(identity.source, skeleton), copy_morphs(identity.source, skeleton)
+                if copied is not None and (copied.same_rest or (copied.alike and own is None)):
+                    return cls(own, copied=copied)
+                if morphs is not None:
+                    return cls(own, copied=morphs)
+                others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
+        if skeleton is not None and skeleton.has_joints:
+            without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
+            driving, more = _if_usable(skeleton.person, without)
+            notes += more
+        return cls(own, driving, None, notes, others)
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
@@ -100,6 +105,14 @@ NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
 
 
+def _if_usable(read: Callable[[], T], without: str) -> tuple[T | None, tuple[str, ...]]:
+    """Read a rig; None, and a note that tells why and what is done `without` it, where it cannot be used."""
+    try:
+        return read(), ()
+    except InputError as error:
+        return None, (f"{without}: {error}",)
+
+
 def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
     """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
     if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
@@ -116,6 +129,17 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
 def still_clip(mesh: Mesh) -> Clip:
     """Make a clip of one frame of a mesh, with the joints of its file."""
     return dataclasses.replace(Clip.still(mesh), skeleton=still_joints(mesh))
+
+
+def _beside_person(own: OwnRig, tracks: AnimatedValues) -> AnimatedValues:
+    """Select the values of nodes below a person's joints that carry none of them: faces, tails, skirts, props."""
+    parents, person = tuple(node_parents(own.source.document)), set(own.person.values())
+    carrying = {above for node in person for above in ancestors(parents, node)}
+    return {
+        (node, path): values
+        for (node, path), values in tracks.items()
+        if node not in carrying and person.intersection(ancestors(parents, node))
+    }
 
 
 def face_tracks(identity: OwnRig, clip: Clip) -> AnimatedValues:

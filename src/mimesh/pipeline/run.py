@@ -320,8 +320,8 @@ def play(
         skeleton = None if motion is None else _animated_rig(prepared, motion, shift)
         own = None if skeleton is None else _own_animation(prepared, skeleton)
         placed = (identity_norm.undo(vertices + shift) for vertices in frames)
-        # Joints alone do not move morph targets.
-        frames = own.vertices() if own is not None and own.morphs else placed
+        # The joints of a person alone move neither morph targets nor what else has been copied.
+        frames = own.vertices() if own is not None and (own.morphs or prepared.rigs.others) else placed
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
         before = (passes - 1) * len(clip)  # frames counted in the first pass
         for t, vertices in enumerate(frames):
@@ -466,5 +466,5 @@ def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | 
     own, clip = prepared.rigs.identity, prepared.clip
     if own is None:
         return None
-    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | face_tracks(own, clip)
+    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | prepared.rigs.others | face_tracks(own, clip)
     return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)

@@ -73,7 +73,8 @@ def formats(moving: bool) -> list[dict[str, str | bool]]:
     """List the formats for clips (`moving`) or poses; `needs` is the command that installs a missing library, or ""."""
     first = (".glb",) if moving else (".glb", ".obj")
     known = (*CLIP_WRITERS, *FRAMES, *MOVIES) if moving else tuple(MESH_WRITERS)
-    return [_format(suffix) for suffix in dict.fromkeys((*first, *known))]
+    # FBX needs Blender, which takes seconds for each file: the command line writes it.
+    return [_format(suffix) for suffix in dict.fromkeys((*first, *known)) if suffix != ".fbx"]
 
 
 def write(export: Export, results: list[tuple[str, str, ClipResult]], progress: Progress) -> Path:

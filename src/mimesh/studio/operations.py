@@ -103,7 +103,8 @@ def compute_result(prepared: Prepared, options: Options, progress: Progress) -> 
     moved = play(prepared, seconds, options.motion(prepared.method), progress, dtype)
     first: Float[np.ndarray, "V 3"] = moved.vertices[0].astype(np.float64)
     result_clip = Clip(prepared.identity.with_vertices(first), moved.vertices, clip.fps)
-    return ClipResult(result_clip, prepared.method.name, seconds, moved.report, moved.notes, moved.skeleton)
+    name = prepared.method.name
+    return ClipResult(result_clip, name, seconds, moved.report, moved.notes, moved.skeleton, own=moved.own)
 
 
 def _within(folder: Path | None) -> contextlib.AbstractContextManager[None]:

@@ -11,8 +11,8 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
-from ..io import clip_suffixes, load_clip, load_mesh, save_mesh
-from ..io.formats import FRAMES_ONLY, MESH_WRITERS, MOTIONS
+from ..io import check_writable, clip_suffixes, load_clip, load_mesh, save_as_fbx, save_mesh
+from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
 
@@ -60,8 +60,9 @@ def convert(
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
 
-    A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or the chosen
+    A clip is written as a clip if the format allows; in a format of one mesh it becomes the mesh at rest, or a chosen
     `frame`. In the source's own format all contents of the file are kept, except that of a `frame` only points are.
+    From glTF to .fbx joints and all animations are kept, unless frames, a rate or an animation are chosen.
 
     Args:
         source: a file or a folder of frames.
@@ -89,6 +90,10 @@ def convert(
         _refuse_options(target, cut | {"--blendshapes": blendshapes is not None}, "--frame takes one frame")
     elif not holds_clip:
         _refuse_options(target, {"--blendshapes": blendshapes is not None}, f"{suffix} files hold one mesh")
+    check_writable(target)
+    options = cut | {"--fps": fps is not None, "--animation": animation is not None, "--frame": frame is not None}
+    if suffix == ".fbx" and source.suffix.lower() in JOINTED and blendshapes is None and not any(options.values()):
+        return _whole_as_fbx(source, target)
     # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
     if frame is None and not holds_clip and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
         timed = {"--fps": fps is not None, "--animation": animation is not None}
@@ -105,6 +110,15 @@ def convert(
     if frame is None and animation is None:
         notes += animations_note(clip.mesh, source)
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def _whole_as_fbx(source: Path, target: Path) -> Converted:
+    """Write a glTF file as .fbx with its skins, blend shapes and all its animations."""
+    mesh = load_mesh(source)
+    save_as_fbx(source, target)
+    names = getattr(mesh.source, "animations", ())
+    notes = (f"{target.name} has the animations {', '.join(names)}",) if len(names) > 1 else ()
+    return Converted(len(mesh.vertices), 1, None, notes)
 
 
 def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:

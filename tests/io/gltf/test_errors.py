@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import gltf_samples as samples
+import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
+from mimesh.io import load_mesh
 from mimesh.io.gltf import read_gltf
 
 JsonChange = Callable[[dict[str, Any]], Any]
@@ -84,9 +86,6 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
         lambda g: [g["skins"][0].pop("inverseBindMatrices"), g["skins"][0].update(joints=[1])],
         "joints below 1",
     ),
-    "loop": (lambda g: g["nodes"][2].update(children=[4, 1]), "one parent for node 1|below itself"),
-    "own child": (lambda g: g["nodes"][6].update(children=[6]), "node 6 below itself"),
-    "two parents": (lambda g: g["nodes"][5].update(children=[4]), "one parent for node 4"),
     "no triangles": (
         lambda g: [p.update(mode=1) for mesh in g["meshes"] for p in mesh["primitives"]],
         r"with triangles, found none \(2 meshes, 1 animations\)",
@@ -188,3 +187,28 @@ def test_text_that_is_not_utf8_is_refused(tmp_path):
     path = tmp_path / "a.gltf"
     path.write_bytes(b'{"asset": "\xff"}')
     check_refused(path, "JSON, found text that does not parse")
+
+
+LINKS = {
+    "loop": (lambda g: g["nodes"][2].update(children=[4, 1]), "node 1 below itself"),
+    "own child": (lambda g: g["nodes"][6].update(children=[6]), "node 6 below itself"),
+    "two parents": (lambda g: g["nodes"][5].update(children=[4]), "two parents of node 4"),
+}
+
+
+@pytest.mark.parametrize("name", LINKS)
+def test_nodes_that_are_no_tree_are_left_out_with_a_note(name, tmp_path):
+    """Only of files with skins, whose surface does not need the rig; other files are refused."""
+    sample = samples.hero()
+    path, whole = tmp_path / "a.glb", sample.glb(tmp_path / "whole.glb")
+    modify, message = LINKS[name]
+    gltf = json.loads(json.dumps(sample.document_json()))
+    modify(gltf)
+    path.write_bytes(samples.pack_glb(gltf, bytes(sample.data)))
+    mesh = load_mesh(path)
+    assert any(message in note for note in mesh.source.notes)
+    np.testing.assert_allclose(mesh.vertices, load_mesh(whole).vertices)
+    for node in gltf["nodes"]:
+        node.pop("skin", None)
+    path.write_bytes(samples.pack_glb(gltf, bytes(sample.data)))
+    check_refused(path, "one parent|below itself")

@@ -1,8 +1,9 @@
-"""Read FBX files (.fbx) as glTF with the library ufbx (the extra `fbx`), in a child process.
+"""Read FBX files (.fbx) as glTF with ufbx (the extra `fbx`) and write them with Blender, both in child processes.
 
 to_glb (elements, geometry, materials, animation)    runs in the child: writes a .glb of an FBX file
+write (timeline, blender_export)                     has Blender export a .glb as FBX
 
-The parent reads that .glb like any other (`gltf.document.open_document`), so that all code for glTF works on FBX.
+The parent reads and writes .glb files like any other, so that all code for glTF works on FBX.
 """
 
 from __future__ import annotations

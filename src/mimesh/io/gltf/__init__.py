@@ -158,7 +158,7 @@ def write_gltf_clip(
 def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
     """List what is lost or changed when the file is written again, one line each."""
     gltf = document.gltf
-    notes = []
+    notes = [] if document.damage is None else [f"{document.damage}: left out what contradicts a tree, and the rig"]
     skins, animations = len(gltf.get("skins", [])), len(gltf.get("animations", []))
     if skins or animations:
         dropped = [_count_text(skins, "skin"), _count_text(animations, "animation")]

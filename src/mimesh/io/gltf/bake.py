@@ -30,7 +30,7 @@ from .scene import (
 
 FRAMES_PER_BLOCK = 64
 """Frames whose node transforms are computed at once: bounds memory at 64 matrices a node."""
-AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T C"]]
+AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T _"]]
 """Values of the animated properties in T frames, by (node, target path)."""
 
 

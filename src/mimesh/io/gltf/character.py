@@ -34,7 +34,7 @@ from ...core.mesh import Mesh, check_mesh
 from .animation import animated_nodes, animation_names, read_channels
 from .bake import frame_times, sample_nodes
 from .document import Document, open_document
-from .motion import PLAYED_PATHS, is_motion, rest_matrices
+from .motion import PLAYED_PATHS, bind_poses, is_motion
 from .origin import read_origin
 from .read import RestScene, read_rest
 from .scene import scene_nodes
@@ -142,6 +142,10 @@ def _moving_nodes(document: Document) -> set[int]:
     }
 
 
+class NotUpright(InputError):
+    """A character that does not stand upright in the pose that is taken as its rest pose."""
+
+
 @dataclass(frozen=True, eq=False)
 class StandingCharacter:
     """A character of a glTF file in a rest pose in which it stands."""
@@ -159,20 +163,22 @@ class StandingCharacter:
 
 
 def read_standing(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
-    """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where the bind pose does not stand.
+    """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
     Raises:
         InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
     """
     bones = vrm_bones(document)
     joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(without_fingers(bones).values())
-    bound = dataclasses.replace(scene, T_world_node=rest_matrices(document))
-    try:
-        return _standing(mesh, document, bound, joint_nodes, bones)
-    except InputError:
-        if not document.gltf.get("skins"):
-            raise
-        return _standing(mesh, document, scene, joint_nodes, bones)
+    for T_world_node in bind_poses(document):
+        bound = dataclasses.replace(scene, T_world_node=T_world_node)
+        try:
+            return _standing(mesh, document, bound, joint_nodes, bones)
+        except NotUpright:
+            continue  # the bind pose may have another orientation
+        except InputError:
+            break
+    return _standing(mesh, document, scene, joint_nodes, bones)
 
 
 def _standing(
@@ -196,7 +202,7 @@ def _standing(
     trunk = shoulders - hips
     upright = trunk[1] > UPRIGHT * np.linalg.norm(trunk)
     if not (upright and hips[1] - part.mesh.vertices[:, 1].min() > SHORTEST_LEG * height):
-        raise InputError(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
+        raise NotUpright(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
                          "turn it, or leave it out")  # fmt: skip
     facing = find_facing(part, joints, "-z" if vrm_version(document) == 0 else "+z")
     return StandingCharacter(rig, nodes, facing, known, scene)

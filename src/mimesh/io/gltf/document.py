@@ -21,6 +21,7 @@ from .accessor_types import COMPONENT_TYPES, element_size
 from .check import COMPRESSION_EXTENSIONS, MESHOPT, check_document
 from .compression import compressed_views, decompress, is_fallback
 from .mapped_files import MappedFiles
+from .node_tree import cut_broken_links
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
@@ -42,6 +43,8 @@ class Document:
     images: tuple[bytes | None, ...] = field(repr=False)
     """Content of each image; None where its file does not exist or is not an image."""
     mapped_files: MappedFiles = field(default_factory=MappedFiles, repr=False)
+    damage: str | None = None
+    """What was wrong with the tree of nodes; such a file gives its surface, but no rig."""
 
     def release_pages(self) -> None:
         """Release the memory of the pages that have been read from mapped files; the data stays readable."""
@@ -66,12 +69,13 @@ def open_document(path: Path) -> Document:
         raise InputError(f"{path}: expected a binary glTF ('glTF' at the start), found {magic!r}; export it again")
     gltf = _parse_json(text, path)
     check_document(gltf, path)
+    gltf, damage = cut_broken_links(gltf)
     compressed = compressed_views(gltf, path)
     gltf, binary = _join_buffers(gltf, chunk, path, mapped_files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
     images = tuple(_read_image(image, gltf, binary, path, mapped_files) for image in gltf.get("images", []))
-    document = Document(path, gltf, binary, images, mapped_files)
+    document = Document(path, gltf, binary, images, mapped_files, damage)
     for index in sorted(_used_accessors(gltf)):
         element_bytes(document, index)  # reports a damaged accessor on reading, not later on writing
     return document

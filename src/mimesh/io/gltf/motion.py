@@ -12,6 +12,8 @@ rest is what its nodes are in the file.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Float
 
@@ -96,10 +98,15 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
 
 
 def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
-    """Return the world transforms of all nodes in the bind pose of the largest skin.
+    """Return the world transforms of all nodes in the bind pose of the largest skin; the first of `bind_poses`."""
+    return next(bind_poses(document))
+
+
+def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
+    """Yield the world transforms of all nodes in the bind pose of the largest skin, in the likeliest orientation first.
 
     World from bind space, through joint j in the file's pose, is node j times its inverse bind matrix. Undoing it takes
-    a node from that pose into bind space; `_bind_orientation` and the median scale take bind space back to the world.
+    a node from that pose into bind space; an orientation and the median scale take bind space back to the world.
     Nodes that the skin does not list follow the nearest joint above them.
 
     Without usable inverse bind matrices, these are the nodes' transforms in the file.
@@ -110,7 +117,8 @@ def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     T_world_node, skins = world_matrices(document, local_matrices(document)), document.gltf.get("skins", [])
     bound_skins = [number for number, skin in enumerate(skins) if "inverseBindMatrices" in skin]
     if not bound_skins:
-        return T_world_node
+        yield T_world_node
+        return
     largest = max(bound_skins, key=lambda number: len(skins[number]["joints"]))
     T_world_bind = joint_matrices(document, largest, T_world_node)
     if not np.isfinite(T_world_bind).all():
@@ -121,35 +129,36 @@ def rest_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     scale = np.cbrt(np.abs(np.linalg.det(T_world_bind[:, :3, :3])))
     invertible = np.flatnonzero(scale > NEGLIGIBLE * scale.max(initial=0.0)).tolist()
     if not invertible:
-        return T_world_node
+        yield T_world_node
+        return
     joint_of_node = {skins[largest]["joints"][joint]: joint for joint in invertible}
     parent, nearest_joint = node_parents(document), {WORLD_NODE: invertible[0]}
     order = sort_parents_first(document, parent)
     above_joints = parent[next(node for node in order if node in joint_of_node)]
-    orientation = _bind_orientation(T_world_bind[invertible], _append_world(T_world_node)[above_joints])
-    T_rest_bind = np.eye(4)
-    T_rest_bind[:3, :3] = orientation * np.median(scale[invertible])
-    T_rest_node = np.empty_like(T_world_node)
-    for node in order:
-        nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
-        T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
-    return T_rest_node
+    for orientation in _bind_orientations(T_world_bind[invertible], _append_world(T_world_node)[above_joints]):
+        T_rest_bind = np.eye(4)
+        T_rest_bind[:3, :3] = orientation * np.median(scale[invertible])
+        T_rest_node = np.empty_like(T_world_node)
+        for node in order:
+            nearest_joint[node] = joint_of_node.get(node, nearest_joint[parent[node]])
+            T_rest_node[node] = T_rest_bind @ np.linalg.inv(T_world_bind[nearest_joint[node]]) @ T_world_node[node]
+        yield T_rest_node
 
 
-def _bind_orientation(
+def _bind_orientations(
     T_world_bind: Float[np.ndarray, "J 4 4"], T_world_above: Float[np.ndarray, "4 4"]
-) -> Float[np.ndarray, "3 3"]:
-    """Choose the axis-aligned rotation from bind space to the world.
+) -> list[Float[np.ndarray, "3 3"]]:
+    """List axis-aligned rotations from bind space to the world, the likeliest first.
 
     Candidates, in the order that exporters use them: the rotation of the node above the joints, and the identity. The
-    first one with about the same up axis as the mean rotation of the joints is taken; what remains is the joints' pose.
-    If none fits, it is the axis-aligned rotation nearest to that mean.
+    first one with about the same up axis as the mean rotation of the joints is the likeliest; what remains is the
+    joints' pose. If none fits, it is the axis-aligned rotation nearest to that mean.
     """
     mean = nearest_rotation(nearest_rotation(T_world_bind[:, :3, :3]).sum(axis=0))
-    for candidate in (_nearest_axis_rotation(nearest_rotation(T_world_above[:3, :3])), np.eye(3)):
-        if (mean @ candidate.T)[1, 1] > SAME_UP_COSINE:
-            return candidate
-    return _nearest_axis_rotation(mean)
+    candidates = [_nearest_axis_rotation(nearest_rotation(T_world_above[:3, :3])), np.eye(3)]
+    likely = [candidate for candidate in candidates if (mean @ candidate.T)[1, 1] > SAME_UP_COSINE]
+    first = (likely or [_nearest_axis_rotation(mean)])[0]
+    return [first, *(candidate for candidate in candidates if not np.array_equal(candidate, first))]
 
 
 def _nearest_axis_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3 3"]:

@@ -17,14 +17,16 @@ from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
-from .animation import AnimationChannel
+from .animation import AnimationChannel, animated_nodes
 from .bake import AnimatedValues, sample_nodes
 from .character import read_clips, read_standing
 from .document import Document
 from .edit import GltfSource
+from .motion import PLAYED_PATHS
 from .own_animation import node_properties
 from .read import RestScene
 from .scene import local_matrices, node_parents, sort_parents_first
+from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
@@ -86,9 +88,17 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
     document = source.document
     path = document.path
+    if document.damage is not None:
+        raise InputError(f"{path}: {document.damage}; export it again")
     standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
     rig, nodes = standing.rig, standing.nodes
     _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    _check_bound(document, path)
+    bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
+    if bare > UNSKINNED:
+        raise InputError(
+            f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without; bind the mesh again"
+        )
     turn = facing_rotation(standing.facing)
 
     def poses() -> np.ndarray:
@@ -100,11 +110,11 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
 
 
 def has_rig(mesh: Mesh) -> bool:
-    """Return whether a mesh comes from a glTF file with a skin or with moving parts."""
+    """Return whether a mesh comes from a glTF file with a skin or with several moving parts."""
     if not isinstance(mesh.source, GltfSource):
         return False
-    gltf = mesh.source.document.gltf
-    return bool(gltf.get("skins") or gltf.get("animations"))
+    document = mesh.source.document
+    return bool(document.gltf.get("skins")) or len(animated_nodes(document, PLAYED_PATHS)) > 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +128,11 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether the file has any joints: a mesh may be moved by morph targets alone."""
+        return self.mesh is None or has_rig(self.mesh)
 
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
@@ -164,11 +179,27 @@ def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> 
     """
     loose = float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
     if loose > UNSKINNED:
-        raise InputError(f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without")
-    linear = T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)]), :3, :3]
+        raise InputError(
+            f"{path}: expected a skin with weights, found {loose:.0%} of the vertices without; bind the mesh again"
+        )
+    _check_scales(T_world_joint[np.unique(rig.joint_of[rig.joint_of < len(rig.parents)])], path)
+
+
+def _check_bound(document: Document, path: Path) -> None:
+    """Check that skins say where joints were when the mesh was bound, and that joints can be animated from there."""
+    skins = document.gltf.get("skins", [])
+    if any("inverseBindMatrices" not in skin for skin in skins):
+        raise InputError(f"{path}: expected inverse bind matrices in every skin, found none; export it again")
+    joints = sorted({joint for skin in skins for joint in skin["joints"]})
+    _check_scales(local_matrices(document)[joints], path)
+
+
+def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+    """Check that joints have a size, which is the same along all axes."""
+    linear = transforms[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)
     if not (scale > 0).all():
-        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing")
+        raise InputError(f"{path}: expected joints with a size, found one scaled to nothing; give it a size")
     unit = linear / scale[:, None]
     if (
         np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR

@@ -26,7 +26,7 @@ def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
 
 
 def animated_matrices(
-    document: Document, animated: Mapping[tuple[int, str], Float[np.ndarray, "T C"]], frames: int
+    document: Document, animated: Mapping[tuple[int, str], Float[np.ndarray, "T _"]], frames: int
 ) -> Float[np.ndarray, "T N 4 4"]:
     """Return each node's local transform in T frames.
 

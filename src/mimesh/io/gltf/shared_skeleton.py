@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
+from ...core.geometry import nearest_rotation
 from .animation import animated_nodes
 from .bake import AnimatedValues
 from .document import Document
@@ -19,15 +20,16 @@ from .edit import GltfSource
 from .morph_weights import morph_tracks, named_weights, target_count, target_names
 from .motion import PLAYED_PATHS, rest_matrices
 from .own_animation import node_properties
-from .own_rig import GltfJoints
-from .scene import local_matrices, node_parents, world_matrices
+from .own_rig import UNSKINNED, GltfJoints
+from .scene import local_matrices, node_parents, normalized_quaternions, world_matrices
+from .skin import unweighted_vertices
 from .vrm import animated_expressions
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
 """Largest differences of rest poses that count as the same: of the joints' axes, and of bones in lengths of the
 longest bone."""
-SHARED = 1.0
-"""Share of the identity's joints that the driving file must have, by name and parent."""
+ALIKE = 0.5
+"""Largest difference of the joints' axes at rest with which rotations since rest can be copied: about 30 degrees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,43 +39,56 @@ class SharedMotion:
     tracks: AnimatedValues
     same_rest: bool
     """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
+    alike: bool
+    """Whether the rest poses are alike enough for the copy of the whole skeleton."""
 
 
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
     """Copy the animation of a driving clip to the nodes of another file; None if that has another skeleton."""
     mine, theirs = identity.document, driving.document
+    if mine.damage is not None or theirs.damage is not None:
+        return None
+    if unweighted_vertices(mine, identity.rest) > UNSKINNED * len(identity.vertices):
+        return None
     joints = _joint_nodes(mine)
     pairs = _pairs(mine, theirs, joints)
-    if len(pairs) < max(SHARED * len(joints), 2):
+    if len(pairs) < max(len(joints), 2):
         return None
     my_rest, their_rest = (
         _parent_frames(document, pairs_of)
         for document, pairs_of in ((mine, list(pairs)), (theirs, list(pairs.values())))
     )
-    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(initial=0)
+    turned = np.abs(_unit_axes(my_rest) - _unit_axes(their_rest)).max(axis=(1, 2), initial=0)
     lengths = [np.linalg.norm(rest[:, :3, 3], axis=1) for rest in (my_rest, their_rest)]
     longest = max(lengths[0].max(initial=0), 1e-12)
     moved = np.abs(my_rest[:, :3, 3] - their_rest[:, :3, 3]).max(initial=0) / longest
     above_same = _same_above(mine, theirs, pairs)
-    if turned > SAME_ROTATION or not above_same:
-        return None
-    same_rest = bool(moved < SAME_BONE)
+    alike = bool(above_same and (turned < ALIKE).all())
+    same_rest = bool(alike and moved < SAME_BONE and (turned < SAME_ROTATION).all())
     scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
     values = driving.values()
     tracks: AnimatedValues = {}
     for k, (node, other) in enumerate(pairs.items()):
+        if turned[k] >= ALIKE:
+            continue
         own, static = (node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other)))
         for path in ("translation", "rotation", "scale"):
             value = values.get((other, path), np.array(static[path], float)[None])
             if path == "translation" and not same_rest:
                 value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
+            if path == "rotation" and not same_rest:
+                value = _since_rest(value, my_rest[k], their_rest[k])
             if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
     tracks |= _other_tracks(mine, theirs, values, set(tracks))
-    faces = morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
-    return SharedMotion(faces | tracks, same_rest)
+    # In a copy of the same file all targets have been copied already, those that do not move included.
+    same_file = _names(mine) == _names(theirs) and all(
+        _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
+    )
+    faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
+    return SharedMotion(faces | tracks, same_rest, alike)
 
 
 def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
@@ -82,7 +97,17 @@ def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     if not all(channel.path == "weights" or channel.node in expressions for channel in driving.channels):
         return None
     tracks = morph_tracks(identity.document, named_weights(driving.document, driving.channels, driving.times))
-    return SharedMotion(tracks, True) if tracks else None
+    return SharedMotion(tracks, True, True) if tracks else None
+
+
+def _since_rest(
+    quaternions: Float[np.ndarray, "T 4"], mine: Float[np.ndarray, "4 4"], theirs: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "T 4"]:
+    """Turn a joint from its own rest pose as far as the driving's joint is turned from its one."""
+    from scipy.spatial.transform import Rotation
+
+    own, other = (Rotation.from_matrix(nearest_rotation(rest[:3, :3])) for rest in (mine, theirs))
+    return normalized_quaternions((own * other.inv() * Rotation.from_quat(quaternions)).as_quat())
 
 
 def _joint_nodes(document: Document) -> list[int]:

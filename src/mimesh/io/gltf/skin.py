@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.mesh import Mesh
-from .document import Document
+from .document import Document, read_floats
 from .read import RestScene, VertexRange, get_primitive
 from .scene import (
     joint_matrices,
@@ -72,6 +72,19 @@ def rig_on_nodes(
     names = tuple(str(document.gltf["nodes"][node].get("name", f"node{node}")) for node in nodes)
     parents = tuple(tree.nearest_joint(node_parent[node]) for node in nodes)
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
+
+
+def unweighted_vertices(document: Document, rest: RestScene) -> int:
+    """Count the skinned vertices without weights or with NaN, which follow the first joint (see `read_influences`)."""
+    count = 0
+    for span in rest.vertex_ranges:
+        if _find_skin(document, span) is None:
+            continue
+        primitive = get_primitive(document, (span.node, span.primitives[0]))
+        sets = [name for name in primitive["attributes"] if name.startswith("WEIGHTS_")]
+        total = sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets)
+        count += int((~(np.asarray(total) > 0)).sum())
+    return count
 
 
 def _find_skin(document: Document, span: VertexRange) -> int | None:

@@ -111,7 +111,7 @@ def animated_expressions(document: Document) -> dict[str, int]:
     groups, count = json_object(extension, "expressions"), len(document.gltf.get("nodes", []))
     rows = {name: row for group in ("custom", "preset") for name, row in json_object(groups, group).items()}
     nodes = {name: row.get("node") for name, row in rows.items() if isinstance(row, dict)}
-    return {name: node for name, node in nodes.items() if _is_index(node, count)}
+    return {name: node for name, node in nodes.items() if isinstance(node, int) and _is_index(node, count)}
 
 
 def json_object(value: Any, key: str) -> dict[str, Any]:

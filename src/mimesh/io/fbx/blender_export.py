@@ -1,0 +1,112 @@
+"""Script that Blender runs: import a .glb and export it as .fbx. It is never imported by mimesh.
+
+    blender --background --factory-startup --python blender_export.py -- JOB.json
+    python blender_export.py -- JOB.json      where Python has `bpy`
+
+The job has the paths `glb`, `fbx` and `errors`, the frame rate `fps`, and `clips`, the parts of the one animation.
+Frame 0 is the file at rest.
+"""
+
+# pyright: reportMissingImports=false, reportMissingModuleSource=false
+
+import json
+import sys
+from pathlib import Path
+
+import bpy
+
+CENTIMETRE = 0.01
+"""Metres of Blender's unit during the export: FBX is in centimetres, and objects then need no scale of 100."""
+IMPORT = {
+    # Bones keep the local axes that the joints have in the file.
+    "bone_heuristic": "BLENDER",
+    "disable_bone_shape": True,
+}
+EXPORT = {
+    "object_types": {"ARMATURE", "MESH", "EMPTY"},
+    "axis_forward": "-Z",
+    "axis_up": "Y",
+    "apply_unit_scale": True,
+    "apply_scale_options": "FBX_SCALE_NONE",
+    "add_leaf_bones": False,
+    "use_armature_deform_only": False,
+    "primary_bone_axis": "Y",
+    "secondary_bone_axis": "X",
+    "armature_nodetype": "NULL",
+    "use_mesh_modifiers": False,
+    "mesh_smooth_type": "OFF",
+    "bake_anim_use_all_bones": True,
+    "bake_anim_use_nla_strips": True,
+    "bake_anim_use_all_actions": False,
+    "bake_anim_force_startend_keying": True,
+    "bake_anim_step": 1.0,
+    "bake_anim_simplify_factor": 0.0,
+    "path_mode": "COPY",
+    "embed_textures": True,
+}
+"""Options of Blender's FBX exporter: every frame is a key, no bones are added, shape keys are kept."""
+ARMATURE = "Armature"
+"""Name of the armature's node in the file: Unreal Engine leaves a root node of this name out of the skeleton."""
+
+
+def export(job):
+    """Import the .glb, arrange its animation, and write the .fbx."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.unit_settings.system = "METRIC"
+    scene.unit_settings.scale_length = CENTIMETRE
+    scene.render.fps = max(1, round(job["fps"]))
+    scene.render.fps_base = scene.render.fps / job["fps"]
+    call(bpy.ops.import_scene.gltf, IMPORT, filepath=job["glb"])
+    armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
+    if len(armatures) == 1:
+        for other in [thing for thing in bpy.data.objects if thing.name == ARMATURE and thing != armatures[0]]:
+            other.name = f"{ARMATURE} (of the file)"
+        armatures[0].name = ARMATURE
+    if job["clips"]:
+        add_strips(job["clips"], armatures)
+    call(bpy.ops.export_scene.fbx, EXPORT, filepath=job["fbx"], bake_anim=bool(job["clips"]))
+
+
+def add_strips(clips, armatures):
+    """Add a strip of time for each clip to the armature, or to any object where only shape keys move."""
+    moving = [thing for thing in armatures if thing.animation_data and thing.animation_data.action]
+    owner = (moving or armatures or list(bpy.data.objects))[0]
+    data = owner.animation_data or owner.animation_data_create()
+    action = data.action or bpy.data.actions.new("time")
+    slot = getattr(data, "action_slot", None)
+    for thing in bpy.data.objects:
+        for track in list(thing.animation_data.nla_tracks) if thing.animation_data else []:
+            thing.animation_data.nla_tracks.remove(track)
+    track = data.nla_tracks.new()
+    for clip in clips:
+        strip = track.strips.new(clip["name"], clip["first"], action)
+        strip.name = clip["name"]
+        if slot is not None:
+            strip.action_slot = slot
+        strip.action_frame_start, strip.action_frame_end = clip["first"], clip["last"]
+        strip.frame_start, strip.frame_end = clip["first"], clip["last"]
+        strip.extrapolation = "NOTHING"
+    # The exporter writes the nodes as they are in the current frame, with the active action.
+    bpy.context.scene.frame_set(0)
+
+
+def call(operator, options, **more):
+    """Call an operator with those options that this version of Blender has."""
+    known = operator.get_rna_type().properties.keys()
+    return operator(**{key: value for key, value in options.items() if key in known}, **more)
+
+
+def main():
+    """Run the job that the command line names; an error becomes one line of its file `errors`."""
+    job = json.loads(Path(sys.argv[sys.argv.index("--") + 1]).read_text(encoding="utf-8"))
+    try:
+        export(job)
+    except Exception as error:
+        # Whatever Blender raises: the caller makes one line of it.
+        Path(job["errors"]).write_text(" ".join(str(error).split()), encoding="utf-8")
+        raise
+
+
+if __name__ == "__main__":
+    main()

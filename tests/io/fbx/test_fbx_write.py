@@ -1,0 +1,139 @@
+"""Writing FBX: what Blender is given, how it is found, and what happens where it is missing or fails."""
+
+import json
+import stat
+import sys
+from pathlib import Path
+
+import gltf_samples as samples
+import numpy as np
+import pytest
+
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip, load_mesh, save_as_fbx, save_mesh
+from mimesh.io.fbx import write
+from mimesh.io.fbx.timeline import GAP, joined_animations
+from mimesh.io.fbx.write import find_blender
+from mimesh.io.gltf.animation import animation_names
+from mimesh.io.gltf.document import open_document
+from mimesh.tools.convert import convert
+
+
+def program(folder: Path, body: str, name: str = "blender") -> Path:
+    """Write a Python program that stands for Blender: `job` is what it is asked for."""
+    path = folder / name
+    head = f"#!{sys.executable}\nimport json, sys, time\njob = json.load(open(sys.argv[sys.argv.index('--') + 1]))\n"
+    path.write_text(head + body)
+    path.chmod(path.stat().st_mode | stat.S_IXUSR)
+    return path
+
+
+@pytest.fixture
+def no_blender(monkeypatch):
+    monkeypatch.delenv("BLENDER", raising=False)
+    monkeypatch.setattr(write.shutil, "which", lambda name: None)
+    monkeypatch.setattr(write.importlib.util, "find_spec", lambda name: None)
+
+
+@pytest.fixture
+def copier(tmp_path, monkeypatch):
+    """A program that gives back the .glb with its job: `read(path)` returns both."""
+    body = "open(job['fbx'], 'w').write(json.dumps(job))\n"
+    body += "open(sys.argv[0] + '.glb', 'wb').write(open(job['glb'], 'rb').read())\n"
+    monkeypatch.setenv("BLENDER", str(program(tmp_path, body)))
+
+    def read(path):
+        return json.loads(path.read_text()), open_document(tmp_path / "blender.glb")
+
+    return read
+
+
+def test_missing_blender_is_one_line_that_says_how_to_get_it(no_blender, tmp_path):
+    with pytest.raises(InputError, match=r"out\.fbx: expected Blender .* found none; pip install bpy==.* BLENDER, or"):
+        find_blender(tmp_path / "out.fbx")
+
+
+def test_blender_is_looked_for_before_the_work(no_blender, tmp_path):
+    with pytest.raises(InputError, match="expected Blender"):
+        convert(tmp_path / "not there.glb", tmp_path / "out.fbx")
+
+
+def test_named_program_comes_first_then_the_package_then_the_search_path(monkeypatch, tmp_path):
+    monkeypatch.setenv("BLENDER", str(program(tmp_path, "")))
+    assert find_blender(tmp_path)[0] == str(tmp_path / "blender")
+    monkeypatch.setenv("BLENDER", sys.executable)
+    assert find_blender(tmp_path)[:2] == [sys.executable, "-P"]
+    monkeypatch.setenv("BLENDER", "nothing of that name")
+    with pytest.raises(InputError, match="BLENDER=nothing of that name, found no program"):
+        find_blender(tmp_path)
+    monkeypatch.delenv("BLENDER")
+    monkeypatch.setattr(write.importlib.util, "find_spec", lambda name: name == "bpy")
+    assert find_blender(tmp_path)[0] == sys.executable
+    monkeypatch.setattr(write.importlib.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(write.shutil, "which", lambda name: "/usr/bin/blender")
+    assert find_blender(tmp_path)[:2] == ["/usr/bin/blender", "--background"]
+
+
+@pytest.mark.parametrize(
+    ("body", "found"),
+    [
+        ("open(job['errors'], 'w').write('Error: no such operator')\nsys.exit(1)", "found 'Error: no such operator'"),
+        ("print('Saved session recovery')\nsys.exit(0)", "found 'Saved session recovery'"),
+        ("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)", "found 'exit code -11'"),
+    ],
+)
+def test_failure_of_blender_is_one_line_and_writes_nothing(body, found, monkeypatch, tmp_path):
+    monkeypatch.setenv("BLENDER", str(program(tmp_path, body)))
+    path = samples.hero().glb(tmp_path / "hero.glb")
+    with pytest.raises(InputError, match=found) as caught:
+        save_mesh(load_mesh(path), tmp_path / "out.fbx")
+    assert "\n" not in str(caught.value)
+    assert "or write a .glb" in str(caught.value)
+    assert not list(tmp_path.glob("*.fbx"))
+
+
+def test_blender_that_does_not_end_is_stopped(monkeypatch, tmp_path):
+    monkeypatch.setenv("BLENDER", str(program(tmp_path, "time.sleep(60)")))
+    monkeypatch.setattr(write, "SECONDS", 0.5)
+    monkeypatch.setattr(write, "SECONDS_PER_MIB", 0.0)
+    with pytest.raises(InputError, match="in 0 s, found it still running"):
+        save_as_fbx(samples.hero().glb(tmp_path / "hero.glb"), tmp_path / "out.fbx")
+
+
+def test_all_animations_become_parts_of_one_and_the_first_frame_is_at_rest(copier, tmp_path):
+    path = samples.hero().glb(tmp_path / "hero.glb")
+    save_as_fbx(path, tmp_path / "out.fbx")
+    job, document = copier(tmp_path / "out.fbx")
+    names = animation_names(open_document(path))
+    assert tuple(clip["name"] for clip in job["clips"]) == names
+    joined = load_clip(tmp_path / "blender.glb", fps=job["fps"]).vertices
+    assert np.abs(joined[0] - load_mesh(path).vertices).max() < 1e-6
+    first = GAP
+    for clip in job["clips"]:
+        alone = load_clip(path, fps=job["fps"], animation=clip["name"]).vertices
+        assert (clip["first"], clip["last"]) == (first, first + len(alone) - 1)
+        assert np.abs(joined[clip["first"] : clip["last"] + 1] - alone).max() < 1e-6
+        first = clip["last"] + GAP
+    assert len(document.gltf["animations"]) == 1
+
+
+def test_nodes_that_move_and_are_no_joints_get_a_skin(tmp_path):
+    sample = samples.hero()
+    joints = {joint for skin in sample.gltf["skins"] for joint in skin["joints"]}
+    other = next(node for node in range(len(sample.gltf["nodes"])) if node not in joints)
+    sample.gltf["animations"][0]["channels"][0]["target"]["node"] = other
+    draft, timeline = joined_animations(open_document(sample.glb(tmp_path / "hero.glb")))
+    assert {other} | joints == set(draft.gltf["skins"][-1]["joints"])
+    assert len(timeline["clips"]) == len(sample.gltf["animations"])
+    draft.save(tmp_path / "again.glb")
+    before, after = (load_mesh(tmp_path / name).vertices for name in ("hero.glb", "again.glb"))
+    assert np.array_equal(before, after)
+
+
+def test_file_without_animations_has_no_parts(copier, tmp_path):
+    path = samples.hero().glb(tmp_path / "hero.glb")
+    document = open_document(path)
+    document.gltf.pop("animations", None)
+    draft, timeline = joined_animations(document)
+    assert timeline["clips"] == []
+    assert "animations" not in draft.gltf or draft.gltf["animations"] == []

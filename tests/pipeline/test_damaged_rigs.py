@@ -1,0 +1,216 @@
+"""Rigs that are damaged or contradict themselves: one note says what is wrong, and joints are found on the surface."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rigs
+from foreign_names import renamed
+from networks import write_mime_network
+
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf.draft import Draft
+from mimesh.pipeline import animate
+
+PERSON = rigs.figure()
+FIRST = 2
+"""Node of the first joint."""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    pytest.importorskip("onnx")
+    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory) -> Path:
+    return rigs.of_kind(tmp_path_factory.mktemp("driving") / "move.glb", "T-pose")[0]
+
+
+def node(draft: Draft, joint: str) -> dict:
+    return draft.gltf["nodes"][FIRST + PERSON.names.index(joint)]
+
+
+def index(joint: str) -> int:
+    return FIRST + PERSON.names.index(joint)
+
+
+def replace(draft: Draft, name: str, change) -> None:
+    """Change the values of an attribute of the first primitive."""
+    attributes = draft.gltf["meshes"][0]["primitives"][0]["attributes"]
+    view = draft.gltf["accessors"][attributes[name]]["bufferView"]
+    values = np.frombuffer(bytes(draft.chunks[2 * view]), "<f4").reshape(-1, 4)
+    draft.chunks[2 * view] = memoryview(change(values).astype("<f4")).cast("B")
+
+
+def scaled(joint: str, scale: list[float]):
+    return lambda draft: _with_scale(node(draft, joint), scale)
+
+
+def _with_scale(entry: dict, scale: list[float]) -> None:
+    matrix = np.array(entry["matrix"]).reshape(4, 4).T
+    entry["matrix"] = (matrix @ np.diag([*scale, 1.0])).T.ravel().tolist()
+
+
+def cycle(draft: Draft) -> None:
+    node(draft, "LeftHand").setdefault("children", []).append(index("LeftArm"))
+
+
+def two_parents(draft: Draft) -> None:
+    node(draft, "Head").setdefault("children", []).append(index("RightFoot"))
+
+
+def no_weights(draft: Draft) -> None:
+    for name in ("WEIGHTS_0", "WEIGHTS_1"):
+        replace(draft, name, lambda values: 0 * values)
+
+
+def some_weights(value: float):
+    """Give every second vertex only these weights."""
+
+    def change(draft: Draft) -> None:
+        for name in ("WEIGHTS_0", "WEIGHTS_1"):
+            replace(
+                draft, name, lambda values: np.where(np.arange(len(values))[:, None] % 2, value * np.ones(4), values)
+            )
+
+    return change
+
+
+def no_bind_matrices(draft: Draft) -> None:
+    del draft.gltf["skins"][0]["inverseBindMatrices"]
+
+
+def limb_missing(draft: Draft) -> None:
+    """Rename all joints of a leg."""
+    for joint in ("LeftUpLeg", "LeftLeg", "LeftFoot", "LeftToeBase", "LHipJoint"):
+        node(draft, joint)["name"] = f"part{index(joint)}"
+
+
+def duplicate_names(draft: Draft) -> None:
+    for joint in PERSON.names:
+        node(draft, joint)["name"] = "Bone"
+
+
+def joints_elsewhere(draft: Draft) -> None:
+    """The skin of the shown mesh has its joints below a node that the scene does not have; the scene has others."""
+    draft.gltf["nodes"][0]["children"].remove(FIRST)
+
+
+DAMAGES = {
+    "cycle": (cycle, "LeftArm|below itself"),
+    "two parents": (two_parents, "two parents"),
+    "no weights": (no_weights, "skin with weights, found 100%|weights"),
+    "half without weights": (some_weights(0.0), "skin with weights, found 50%"),
+    "half with NaN weights": (some_weights(float("nan")), "skin with weights, found 50%"),
+    "half with negative weights": (some_weights(-1.0), "skin with weights, found 50%"),
+    "a joint scaled to nothing": (scaled("LeftForeArm", [0.0, 0.0, 0.0]), "scaled to nothing|finite|length"),
+    "a sheared joint": (scaled("LeftForeArm", [1.0, 3.0, 0.5]), "scaled equally"),
+    "a limb missing": (limb_missing, "LeftUpLeg"),
+    "duplicate names": (duplicate_names, "LeftUpLeg"),
+    "no bind matrices": (no_bind_matrices, "."),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_rig_gives_a_note_and_the_surface(damage, model, driving, tmp_path):
+    change, message = DAMAGES[damage]
+    path = rigs.character(tmp_path / "a.glb", change=change, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is None
+    notes = [note for note in result.notes if "is not used" in note]
+    assert len(notes) == 1
+    assert "\n" not in notes[0]
+    assert re.search("expected .*; ", notes[0])
+    assert re.search(message, notes[0])
+    assert np.isfinite(result.clip.vertices).all()
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_rig_of_the_driving_gives_a_note_and_the_surface(damage, model, tmp_path):
+    path, *_ = rigs.of_kind(tmp_path / "a.glb", "T-pose")
+    damaged = rigs.character(tmp_path / "b.glb", change=DAMAGES[damage][0], name=renamed("mixamo"))
+    result = animate(str(path), load_clip(damaged), model)
+    assert result.own is not None
+    assert any("are not used" in note for note in result.notes)
+
+
+def test_weights_that_do_not_add_up_to_one_are_divided_by_their_sum(model, driving, tmp_path):
+    def halve(draft: Draft) -> None:
+        for name in ("WEIGHTS_0", "WEIGHTS_1"):
+            replace(draft, name, lambda values: 0.3 * values)
+
+    whole, halved = (
+        animate(str(rigs.character(tmp_path / "a.glb", change=change)), str(driving), model) for change in (None, halve)
+    )
+    assert halved.own is not None
+    np.testing.assert_allclose(halved.clip.vertices, whole.clip.vertices, atol=1e-5)
+
+
+def test_two_characters_in_a_file_are_no_identity(model, driving, tmp_path):
+    """The second has its own skeleton, below the same armature."""
+
+    def twice(draft: Draft) -> None:
+        gltf, count = draft.gltf, len(PERSON.names)
+        start = len(gltf["nodes"])
+        for number in range(FIRST, FIRST + count):
+            entry = dict(gltf["nodes"][number])
+            if "children" in entry:
+                entry["children"] = [child - FIRST + start for child in entry["children"]]
+            gltf["nodes"].append(entry)
+        skin = dict(gltf["skins"][0])
+        gltf["skins"].append(skin | {"joints": [joint - FIRST + start for joint in skin["joints"]]})
+        gltf["nodes"].append({"name": "twin", "mesh": 0, "skin": 1})
+        gltf["nodes"][0]["children"] += [start, len(gltf["nodes"]) - 1]
+        matrix = np.array(gltf["nodes"][start]["matrix"])
+        matrix[12] += 0.02
+        gltf["nodes"][start]["matrix"] = matrix.tolist()
+
+    path = rigs.character(tmp_path / "a.glb", change=twice, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is None
+    assert any("expected one character" in note for note in result.notes)
+
+
+def test_two_roots_are_one_character(model, driving, tmp_path):
+    """Legs on a root of their own move with the hips."""
+    whole, split = (
+        animate(str(rigs.character(tmp_path / "a.glb", hold=hold, name=renamed("mixamo"))), str(driving), model)
+        for hold in (None, {"LHipJoint": "", "RHipJoint": ""})
+    )
+    assert split.own is not None
+    np.testing.assert_allclose(split.clip.vertices, whole.clip.vertices, atol=1e-5)
+
+
+def test_joints_outside_of_the_scene_move_the_mesh_all_the_same(model, driving, tmp_path):
+    """A mesh follows the joints of its skin wherever they are; the armature above them is not there either."""
+    path = rigs.character(tmp_path / "a.glb", change=joints_elsewhere, armature=np.eye(4), name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert np.isfinite(result.clip.vertices).all()
+
+
+def test_a_skeleton_that_lies_down_at_rest_is_raised_or_not_used(model, driving, tmp_path):
+    lying = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    path = rigs.character(tmp_path / "a.glb", turn=lying, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    extent = np.ptp(result.clip.vertices[0], axis=0)
+    assert extent[1] == extent.max() if result.own else any("stands upright" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("name", ["joint beyond the skin", "fewer bind matrices"])
+def test_files_whose_surface_is_not_known_are_refused(name, tmp_path):
+    def change(draft: Draft) -> None:
+        skin = draft.gltf["skins"][0]
+        if name == "fewer bind matrices":
+            draft.gltf["accessors"][skin["inverseBindMatrices"]]["count"] -= 2
+        else:
+            del skin["joints"][-3:]
+
+    path = rigs.character(tmp_path / "a.glb", change=change)
+    with pytest.raises(InputError, match=r"^[^\n]*expected .* in skin 0, found [^\n]*$"):
+        load_mesh(path)

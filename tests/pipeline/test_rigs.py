@@ -1,0 +1,257 @@
+"""Identities that keep their rigs: the same person on another rig, changes of the file, drivings of any kind."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rigs
+from foreign_names import SCHEMES, renamed
+from motion_files import write_bvh
+from networks import write_mime_network, write_network
+from people import person as person_mesh
+from people import walk
+from scipy.spatial.transform import Rotation
+
+from mimesh.bodies import load_body
+from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
+from mimesh.core.mesh import Clip
+from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io.gltf.document import open_document
+from mimesh.motions import load_motion, window
+from mimesh.pipeline import animate, transfer
+from mimesh.pipeline.skinned import save_skinned
+
+EXACT = 1e-5
+"""Largest distance of a vertex, over the size of the mesh, where both rigs have the same weights and rest pose."""
+LOOSE = {"A-pose": 2e-3, "no hands": 0.05}
+"""The same for kinds of rigs whose rest pose has to be estimated: limbs are aligned by their directions, which does not
+show their twist, and a forearm without a hand joint by its surface."""
+QUARTER = Rotation.from_euler("y", 90, degrees=True).as_matrix()
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    pytest.importorskip("onnx")
+    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory) -> Path:
+    """Write person 0 with a clip, in a T-pose, with our names."""
+    return rigs.of_kind(tmp_path_factory.mktemp("driving") / "move.glb", "T-pose")[0]
+
+
+def deviation(vertices: np.ndarray, expected: np.ndarray) -> float:
+    """Compare two motions that may start at different places."""
+    shift = (vertices[0] - expected[0]).mean(axis=0)
+    return np.abs(vertices - expected - shift).max() / np.ptp(expected[0], axis=0).max()
+
+
+def truth(person: rigs.Figure, rest: np.ndarray | None = None) -> np.ndarray:
+    return np.stack([rigs.posed(person, frame, rest) for frame in rigs.exercise(person)])
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_the_same_person_on_a_rig_with_other_names_and_axes(scheme, model, driving, tmp_path):
+    path = rigs.character(tmp_path / "a.glb", name=renamed(scheme), frames=3)
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    assert deviation(result.clip.vertices, truth(rigs.figure())) < EXACT
+
+
+@pytest.mark.parametrize("kind", rigs.KINDS)
+def test_the_same_person_on_a_rig_of_another_kind(kind, model, driving, tmp_path):
+    path, person, rest = rigs.of_kind(tmp_path / "a.glb", kind, moving=False, name=renamed("mixamo"), frames=3)
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    expected = np.tile(truth(person, rest), (1, rigs.KINDS[kind].get("skins", 1), 1))
+    assert deviation(result.clip.vertices, expected) < LOOSE.get(kind, EXACT)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in rigs.KINDS if kind not in ("no toes", "no hands")])
+def test_the_rig_of_the_driving_may_be_of_any_kind(kind, model, tmp_path):
+    path, *_ = rigs.of_kind(tmp_path / "move.glb", kind, name=renamed("biped"))
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("godot"), frames=3)
+    result = animate(str(identity), str(path), model)
+    assert deviation(result.clip.vertices, truth(rigs.figure())) < LOOSE.get(kind, EXACT)
+
+
+def other_person(path: Path, **options) -> Path:
+    return rigs.character(path, 1, name=renamed("unreal"), **options)
+
+
+def test_the_order_of_vertices_does_not_matter(model, driving, tmp_path):
+    order = np.random.default_rng(0).permutation(len(rigs.kept()))
+    first, second = (
+        animate(str(other_person(tmp_path / f"{k}.glb", order=chosen)), str(driving), model).clip.vertices
+        for k, chosen in enumerate((None, order))
+    )
+    np.testing.assert_allclose(second, first[:, order], atol=EXACT)
+
+
+@pytest.mark.parametrize("turn", [QUARTER, QUARTER @ QUARTER, QUARTER.T])
+def test_an_identity_that_faces_another_axis_moves_along_it(turn, model, driving, tmp_path):
+    first, second = (
+        animate(str(other_person(tmp_path / "a.glb", turn=matrix)), str(driving), model) for matrix in (None, turn)
+    )
+    assert second.own is not None
+    assert deviation(second.clip.vertices, first.clip.vertices @ turn.T) < EXACT
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(100.0, (0, 0, 0)), (0.01, (0, 0, 0)), (1.0, (3.0, 0.5, -2.0))])
+def test_size_and_place_of_the_identity_are_kept(scale, shift, model, driving, tmp_path):
+    person = rigs.figure(1)
+    moved = dataclasses.replace(person, joints=scale * person.joints + shift, vertices=scale * person.vertices + shift)
+    first, second = (
+        animate(str(rigs.character(tmp_path / "a.glb", person=figure)), str(driving), model).clip.vertices
+        for figure in (person, moved)
+    )
+    np.testing.assert_allclose(second, scale * first + shift, atol=2 * EXACT * scale)
+
+
+def limb_direction(vertices_or_joints: dict[str, np.ndarray], start: str, end: str) -> np.ndarray:
+    vector = vertices_or_joints[end] - vertices_or_joints[start]
+    return vector / np.linalg.norm(vector)
+
+
+def test_limbs_of_one_joint_point_where_the_drivings_limbs_do(model, driving, tmp_path):
+    person = rigs.changed(rigs.figure(), "one joint a limb")
+    path = rigs.character(tmp_path / "blocks.glb", person=person, name=renamed("kaykit"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    whole = rigs.figure()
+    remaining, frames = rigs.kept(), rigs.exercise(whole)
+    at_rest = whole.vertices[remaining]
+    for limb, end in (("LeftArm", "LeftHand"), ("RightUpLeg", "RightFoot")):
+        j, tail = whole.names.index(limb), whole.names.index(end)
+        near = np.argsort(np.linalg.norm(at_rest - whole.joints[tail], axis=1))[:6]
+        carried = person.weights[remaining][near][:, person.names.index(limb)].min()
+        assert carried > 0.9
+        for t, frame in enumerate(frames):
+            points = whole.joints[[j, tail], :, None]
+            ends = frame[[j, tail], :3, :3] @ points
+            ends = ends[..., 0] + frame[[j, tail], :3, 3]
+            wanted = ends[1] - ends[0]
+            before = at_rest[near].mean(axis=0) - whole.joints[j]
+            chosen = result.skeleton.transforms()[t, result.skeleton.names.index(renamed("kaykit")(limb)), :3, :3]
+            found = chosen @ before
+            cosine = found @ wanted / np.linalg.norm(found) / np.linalg.norm(wanted)
+            assert np.degrees(np.arccos(min(cosine, 1.0))) < 8
+
+
+def without_mesh(draft) -> None:
+    """Leave out the mesh and the skin, as files of motions do."""
+    for node in draft.gltf["nodes"]:
+        node.pop("mesh", None)
+        node.pop("skin", None)
+    for key in ("meshes", "skins"):
+        del draft.gltf[key]
+
+
+def test_a_clip_without_a_mesh_drives_a_rig(model, tmp_path):
+    """The person has the size of the clip's skeleton; the motion's path scales with the legs."""
+    path, *_ = rigs.of_kind(tmp_path / "move.glb", "T-pose", change=without_mesh, armature=np.eye(4))
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"))
+    result = animate(str(identity), str(path), model, ground=False)
+    assert result.own is not None
+    transforms, expected = result.skeleton.transforms(), rigs.exercise(rigs.figure())
+    names = rigs.figure().names
+    for limb in ("LeftForeArm", "RightLeg", "Spine1"):
+        j = result.skeleton.names.index(renamed("mixamo")(limb))
+        for t, frame in enumerate(expected):
+            turn = transforms[t, j, :3, :3] @ frame[names.index(limb), :3, :3].T
+            assert np.degrees(Rotation.from_matrix(turn).magnitude()) < 2
+
+
+def test_a_bvh_file_drives_a_rig(model, tmp_path):
+    motion = window(load_motion("walk"), 0.0, 0.3)
+    path = write_bvh(tmp_path / "walk.bvh", load_body(), motion)
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("unreal"))
+    result = animate(str(identity), str(path), model)
+    assert result.own is not None
+    assert result.notes == ()
+    assert np.isfinite(result.clip.vertices).all()
+
+
+def test_a_mesh_without_joints_drives_a_rig(model, tmp_path):
+    identity = rigs.character(tmp_path / "a.glb")
+    result = animate(str(identity), walk(frames=3), model)
+    assert result.own is not None
+    result.save_skinned(tmp_path / "out.glb")
+    np.testing.assert_allclose(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices, atol=2e-5)
+
+
+def test_a_pose_is_put_on_the_nodes_and_the_rig_is_kept(model, tmp_path):
+    person = rigs.figure()
+    frame = rigs.exercise(person)[-1]
+    driving = rigs.character(tmp_path / "pose.glb", moved=frame)
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("godot"), frames=3)
+    result = transfer(str(identity), str(driving), model)
+    expected = rigs.posed(person, frame)
+    assert deviation(result.mesh.vertices[None], expected[None]) < EXACT
+    result.save(tmp_path / "out.glb")
+    assert deviation(load_mesh(tmp_path / "out.glb").vertices[None], expected[None]) < EXACT
+    old, new = (open_document(path).gltf for path in (identity, tmp_path / "out.glb"))
+    assert new["skins"] == old["skins"]
+    assert [node["name"] for node in new["nodes"]] == [node["name"] for node in old["nodes"]]
+
+
+def test_other_files_get_the_pose_without_the_rig(model, driving, tmp_path):
+    identity = rigs.character(tmp_path / "a.glb")
+    result = transfer(str(identity), str(driving), model)
+    result.save(tmp_path / "out.obj")
+    np.testing.assert_allclose(load_mesh(tmp_path / "out.obj").vertices, result.mesh.vertices, atol=1e-5)
+
+
+def test_the_rig_is_left_out_where_it_is_not_wanted(model, driving, tmp_path):
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"))
+    result = animate(str(identity), str(driving), model, rig="mimesh")
+    assert result.own is None
+    assert "mixamorig:Hips" not in result.skeleton.names
+
+
+def test_models_without_joints_leave_the_rig_out(driving, tmp_path):
+    pytest.importorskip("onnx")
+    network = str(write_network(tmp_path / "npt.onnx"))
+    identity = rigs.character(tmp_path / "a.glb")
+    result = animate(str(identity), walk(frames=2), network)
+    assert result.own is None
+    assert result.skeleton is None
+
+
+@pytest.mark.parametrize("names", ["mixamo", "unreal", "vrm", "godot", "rigify"])
+def test_bones_get_the_names_of_engines_and_a_root_bone(names, model, driving, tmp_path):
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("biped"), frames=3)
+    result = animate(str(identity), str(driving), model)
+    result.save_skinned(tmp_path / "out.glb", names=names, root_bone=True, fps=40.0)
+    gltf = open_document(tmp_path / "out.glb").gltf
+    bones = [node["name"] for node in gltf["nodes"]]
+    assert {ENGINE_NAMES[names].bones[joint] for joint in ("Hips", "LeftArm", "RightLeg", "Head")} <= set(bones)
+    written = load_clip(tmp_path / "out.glb")
+    assert written.fps == 40
+    size = np.ptp(result.clip.vertices[0], axis=0).max()
+    np.testing.assert_allclose(written.vertices[::2], result.clip.vertices, atol=EXACT * size)
+
+
+def test_several_clips_go_into_the_identitys_file(model, driving, tmp_path):
+    identity = rigs.of_kind(tmp_path / "a.glb", "T-pose", shape=1, name=renamed("unreal"))[0]
+    whole = load_clip(driving)
+    short = dataclasses.replace(whole.mesh, name="short")
+    clips = [whole, Clip(short, whole.vertices[:3], whole.fps, skeleton=whole.skeleton.cut(slice(0, 3)))]
+    results = [animate(str(identity), clip, model) for clip in clips]
+    save_skinned(results, tmp_path / "out.glb")
+    animations = open_document(tmp_path / "out.glb").gltf["animations"]
+    assert [animation["name"] for animation in animations] == ["move", "short", "move"]
+    for number, result in enumerate(results):
+        written = load_clip(tmp_path / "out.glb", animation=str(number))
+        np.testing.assert_allclose(written.vertices, result.clip.vertices, atol=2e-5)
+
+
+def test_a_still_mesh_without_a_rig_is_no_rig(model, driving, tmp_path):
+    save_mesh(person_mesh(0), tmp_path / "a.glb")
+    result = animate(str(tmp_path / "a.glb"), str(driving), model)
+    assert result.own is None
+    assert not any("rig" in note for note in result.notes)
