@@ -18,8 +18,8 @@ ROWS = {
         "mesh, clip (nodes, skins, morph targets), motion (joints alone)",
         "mesh, clip (joints, or morph targets)",
     ),
-    ".vrm": ("as .glb", "as .glb, by `transfer`"),
-    ".vrma": ("motion of a person's joints", "motion of a person's joints"),
+    ".vrm": ("as .glb", "mesh in a pose, by `transfer`"),
+    ".vrma": ("motion and expressions, played by the shipped body", "motion of VRM's bones, by `animate`"),
     ".usd .usda .usdc .usdz": ("mesh, clip (points, transforms, skins, blend shapes)", "mesh, clip (points over time)"),
     ".abc": ("mesh, clip", "mesh, clip"),
     ".obj": ("mesh; a folder of them is a clip", "mesh, folder of frames"),
@@ -67,6 +67,14 @@ RULES = """## What to expect
   a *Mesh Cache* modifier.
 * **Several animations** in a glTF file: the first one is read, together with those that move other nodes (Blender
   writes one for each object). `--animation NAME` reads one only.
+* **VRM** characters (0.x and 1.0) are glTF files. They keep all their extensions (expressions, spring bones, MToon) in
+  results of `transfer` and in the .glb of `animate`; with that suffix three-vrm takes both. A .vrm holds no animation:
+  the specification of VRM 1.0 lists `animations` among the unused items, that of 0.x does not list them among what is
+  saved. So `animate` writes .glb or .vrma. At rest a VRM is in a T-pose: a .vrm in another pose is written with a note.
+* **VRM animations** (.vrma, VRMC_vrm_animation 1.0) hold humanoid bones and the path of the hips, and no mesh. Bones
+  are those that the extension lists, whatever their nodes are called. Expressions are read, too; the direction of the
+  gaze is not. Written are the bones, fingers included, from a T-pose, and no expressions. A file of expressions alone
+  is refused.
 * **FBX** is read as a glTF: y up and in metres, whatever the file's axes and unit are, with its names, skins (all
   influences), blend shapes, base colours and textures (embedded, or beside the file), and every animation sampled at
   the file's frame rate. It is written by Blender, where that is installed; results of an .fbx are .glb by default.

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from networks import write_mime_network
 from people import person, walk
+from vrm_files import bone_positions, vrm, vrma
 
 from mimesh.cli import run
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
@@ -95,6 +96,34 @@ def test_what_a_file_cannot_hold_is_refused_before_the_work(files, words, expect
     assert animate(files, *words) == 2
     assert expected in capsys.readouterr().err
     assert not list(files.glob("x.*"))
+
+
+def test_a_vrma_has_bones_alone(files, tmp_path, capsys):
+    path, _, _ = vrm(tmp_path / "avatar.vrm")
+    words = ["animate", str(path), str(files / "pose.vrma"), "--no-preview", "--json", "-o"]
+    drive(files / "pose.vrma")
+    assert run([*words, str(tmp_path / "a.vrma"), "--output-fps", "60"]) == 0
+    assert json.loads(capsys.readouterr().out)["report"]["rig"] == "own"
+    assert load_clip(tmp_path / "a.vrma").fps == 60
+    assert run([*words, str(tmp_path / "b.vrma"), "--names", "mixamo"]) == 2
+    assert "which has the bones of VRM; leave them out" in capsys.readouterr().err
+    assert run([*words, str(tmp_path / "b.vrm")]) == 2
+    assert "found .vrm, which holds none by its specification; write b.vrma" in capsys.readouterr().err
+
+
+def test_a_vrm_in_a_pose_has_a_note(files, tmp_path, capsys):
+    path, _, _ = vrm(tmp_path / "avatar.vrm")
+    drive(files / "pose.vrma")
+    posed = str(tmp_path / "posed.vrm")
+    assert run(["transfer", str(path), str(files / "pose.vrma"), "-o", posed, "--no-preview", "--json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["report"]["notes"]
+    assert any(note.startswith("posed.vrm rests in the pose") for note in notes)
+
+
+def drive(path):
+    """Write a VRM animation of the skeleton of a generated VRM."""
+    _, rig, _ = vrm(path.with_name("skeleton.vrm"))
+    vrma(path, bone_positions(rig), spread=0.1)
 
 
 def test_several_clips_need_a_model_with_joints(files, capsys):

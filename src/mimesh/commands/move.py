@@ -280,13 +280,14 @@ def _facts(
 ) -> dict[str, Any]:
     """Return the facts about a result and its file, with all notes; `shown` are the paths of the preview."""
     from ..pipeline.result import Result
-    from ..tools.convert import blend_note, not_kept, rate_note, size_note, skinned_note
+    from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
     mesh = result.moved.mesh
     fps = None if isinstance(result, Result) else result.fps
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
-    notes = [*result.notes, *not_kept(mesh, output), *rate, *blended, *skinned_note(result.report), *driving_notes]
+    kept = (*not_kept(mesh, output), *posed_vrm_note(output))
+    notes = [*result.notes, *kept, *rate, *blended, *skinned_note(result.report), *driving_notes]
     facts: dict[str, Any] = {
         "output": str(output),
         "model": result.model,

@@ -171,6 +171,13 @@ def not_kept(mesh: Mesh, path: Path) -> tuple[str, ...]:
     return (f"{suffix} files as written here hold no {' or '.join(missing)}: left out of {path.name}",)
 
 
+def posed_vrm_note(path: Path) -> tuple[str, ...]:
+    """Return a note that a .vrm in a pose is not what programs expect: VRM demands a T-pose at rest (tpose.md)."""
+    if path.suffix.lower() != ".vrm":
+        return ()
+    return (f"{path.name} rests in the pose, programs that animate a .vrm expect a T-pose: write a .glb for a pose",)
+
+
 def size_note(path: Path) -> tuple[str, ...]:
     """Return a note on how to make a clip smaller, if its file is large."""
     if not path.is_file() or (size := path.stat().st_size) < LARGE:
