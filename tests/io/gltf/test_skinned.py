@@ -63,7 +63,7 @@ def test_skinned_result_of_a_model_without_joints_is_refused(tmp_path):
 
 
 def test_skinned_result_in_another_format_is_refused(result, tmp_path):
-    with pytest.raises(InputError, match=r"expected \.glb or \.gltf for joints, found '\.obj'"):
+    with pytest.raises(InputError, match=r"expected \.glb, \.gltf or \.fbx for joints, found '\.obj'"):
         save_skinned(result.skeleton, 30.0, tmp_path / "hero.obj")
 
 
