@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
+from gltf_samples import props
 from networks import write_mime_network
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.own_rig import _check_bound
 from mimesh.pipeline import animate
 
 PERSON = rigs.figure()
@@ -214,3 +217,8 @@ def test_files_whose_surface_is_not_known_are_refused(name, tmp_path):
     path = rigs.character(tmp_path / "a.glb", change=change)
     with pytest.raises(InputError, match=r"^[^\n]*expected .* in skin 0, found [^\n]*$"):
         load_mesh(path)
+
+
+def test_a_file_without_skins_is_not_damaged(tmp_path):
+    """Figures of rigid parts have moving nodes and no skin."""
+    _check_bound(open_document(props().glb(tmp_path / "props.glb")), tmp_path / "props.glb")

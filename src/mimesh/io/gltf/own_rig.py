@@ -202,7 +202,7 @@ def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
         raise InputError(f"{path}: expected joints with a size, found one scaled to nothing; give it a size")
     unit = linear / scale[:, None]
     if (
-        np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max() > SHEAR
+        np.abs(unit.swapaxes(-1, -2) @ unit - np.eye(3)).max(initial=0.0) > SHEAR
         or (np.ptp(scale, axis=1) > SHEAR * scale.max(axis=1)).any()
     ):
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
