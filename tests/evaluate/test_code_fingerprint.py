@@ -27,8 +27,8 @@ from mimesh.methods.find import find_method
 from mimesh.methods.heat_weights import heat_weights
 from mimesh.methods.npt import NPTMethod
 from mimesh.methods.onnx_models import load_network
+from mimesh.pipeline.orientation import reorient
 from mimesh.pipeline.refine import Refinement
-from mimesh.pipeline.run import reorient
 from mimesh.player.page import write_player
 from mimesh.studio.jobs import Worker
 

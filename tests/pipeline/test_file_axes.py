@@ -13,7 +13,7 @@ from mimesh.core.normalization import ORIENTATIONS, ROTATIONS, Normalization
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.methods.confidence import Confidence
 from mimesh.methods.find import find_method
-from mimesh.pipeline.run import reorient
+from mimesh.pipeline.orientation import reorient
 from mimesh.studio.operations import detect_facing
 from mimesh.tools.inspect import inspect_file
 

@@ -7,7 +7,7 @@ of blocks with one joint a limb. Character frame: y up, facing +z, the left side
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,8 @@ from ..core.errors import InputError
 from .joint_names import ancestors, named_joints, other_side
 from .skinned_character import SkinnedCharacter
 
+FindJoints = Callable[[SkinnedCharacter], dict[str, int]]
+"""Finds the joints of a character, y up, that `name_limb_joints` finds by name; raises InputError if it cannot."""
 SIDES = ("Left", "Right")
 TAILS = {"Arm": ("ForeArm", "Hand"), "ForeArm": ("Hand",), "UpLeg": ("Leg", "Foot"), "Leg": ("Foot",)}
 """Limbs without their side, and the joints at their other end: the first one that a character has."""
@@ -29,6 +31,10 @@ LOOSE_FOOT = 0.05
 
 Measured: up to 0.003 for feet that a solver keeps on the shin, 0.08 and more for the other leg's shin.
 """
+
+
+class UnnamedJoints(InputError):
+    """Joints whose names do not say which are thighs and upper arms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +53,8 @@ def name_limb_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, in
     """Find the joint of each joint of the shipped body, as `named_joints` does, for figures with fewer joints too.
 
     A leg of one joint is the thigh; hips are the joint by this name or where the legs meet, or the lowest joint of the
-    trunk that has weights; sides are those of the figure: some makers name
-    them as seen by the viewer. Limb joints that move no vertex are left out.
+    trunk that has weights; sides are those of the figure: some makers name them as seen by the viewer. Limb joints that
+    move no vertex are left out.
 
     Args:
         known: joints that the file itself names, in place of those found by their names.
@@ -87,7 +93,7 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
     """Find the joints by name alone, left and right as the maker named them; see `name_limb_joints`.
 
     Raises:
-        InputError: an upper arm or a thigh is not found by name.
+        UnnamedJoints: an upper arm or a thigh is not found by name.
     """
     found = dict(known) if known else named_joints(rig.joint_names, rig.parents)
     for side in SIDES:
@@ -99,7 +105,7 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
             del found[name]
     missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
     if missing:
-        raise InputError(
+        raise UnnamedJoints(
             f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
             f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
         )

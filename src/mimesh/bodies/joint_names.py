@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TypeVar
 
 from ..core.errors import InputError
@@ -73,16 +73,39 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     plain = plain_names(joint_names)
     found = _limbs(plain)
     hips = [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
-    legs = _common_ancestors(found, ("LeftUpLeg", "RightUpLeg"), parents)
+    legs = common_ancestors(found, "UpLeg", parents)
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
-    chest = _common_ancestors(found, ("LeftArm", "RightArm"), parents)
+    chest = common_ancestors(found, "Arm", parents)
     if chest:
-        trunk = _below(chest, found.get("Hips", -1))
-        spread = [trunk[0], trunk[len(trunk) // 2], trunk[-1]] if len(trunk) > 2 else trunk
-        found |= dict(zip(("LowerBack", "Spine", "Spine1")[3 - len(spread) :], spread, strict=True))
-        found |= _head(plain, parents, chest[0])
+        found |= trunk_joints(chest, _head(plain, parents, chest[0]), found.get("Hips", -1), parents)
     return found
+
+
+def common_ancestors(found: Mapping[str, int], part: str, parents: tuple[int, ...]) -> list[int]:
+    """List the common ancestors of the left and right joint of a part, nearest first; empty if there are none."""
+    if not all(side + part in found for side in ("Left", "Right")):
+        return []
+    first, second = (ancestors(parents, found[side + part]) for side in ("Left", "Right"))
+    return [j for j in first if j in second]
+
+
+def trunk_joints(chest: list[int], head: int | None, hips: int, parents: tuple[int, ...]) -> dict[str, int]:
+    """Name the joints of trunk and neck by the hierarchy.
+
+    Args:
+        chest: the common ancestors of both arms, nearest first.
+        head: joint of the head, if it is known.
+        hips: joint of the hips; -1 if it is not known.
+    """
+    trunk = _below(chest, hips)
+    spread = [trunk[0], trunk[len(trunk) // 2], trunk[-1]] if len(trunk) > 2 else trunk
+    found: dict[str, int] = dict(zip(("LowerBack", "Spine", "Spine1")[3 - len(spread) :], spread, strict=True))
+    if head is None:
+        return found
+    neck = _below(ancestors(parents, head), chest[0])[:-1]
+    ends = [neck[0], neck[-1]] if len(neck) > 1 else neck
+    return found | {"Head": head, **dict(zip(("Neck", "Neck1"), ends, strict=False))}
 
 
 def finger_joints(side: str) -> tuple[str, ...]:
@@ -228,27 +251,15 @@ def _limbs(plain: list[str]) -> dict[str, int]:
     return found
 
 
-def _common_ancestors(found: dict[str, int], pair: tuple[str, str], parents: tuple[int, ...]) -> list[int]:
-    """List the common ancestors of a pair of joints, nearest first; empty if a joint or an ancestor is missing."""
-    if not all(joint in found for joint in pair):
-        return []
-    first, second = (ancestors(parents, found[joint]) for joint in pair)
-    return [j for j in first if j in second]
-
-
 def _below(chain: list[int], top: int) -> list[int]:
     """Select the part of a chain below one of its joints, from the top down; of a chain without it all but the root."""
     stop = chain.index(top) if top in chain else len(chain) - 1
     return chain[:stop][::-1]
 
 
-def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> dict[str, int]:
-    """Find head and neck: the head by name, or else the last descendant of the chest named spine or neck."""
+def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> int | None:
+    """Find the head by name, or else the last descendant of the chest named spine or neck."""
     descendants = [j for j in range(len(plain)) if chest in ancestors(parents, j)[1:]]
     heads = [j for j in descendants if plain[j] in ("head", "chead")]
     heads = heads or [j for j in descendants if plain[j].startswith(("spine", "neck"))][-1:]
-    if not heads:
-        return {}
-    neck = _below(ancestors(parents, heads[0]), chest)[:-1]
-    ends = [neck[0], neck[-1]] if len(neck) > 1 else neck
-    return {"Head": heads[0], **dict(zip(("Neck", "Neck1"), ends, strict=False))}
+    return heads[0] if heads else None

@@ -70,7 +70,7 @@ class SkinnedMethod(Method, Protocol):
 
 @runtime_checkable
 class QuickPredictor(Protocol):
-    """A method with a cheap prediction, which corrects wrongly detected axes (see `pipeline.run.reorient`)."""
+    """A method with a cheap prediction, which corrects wrongly detected axes (see `pipeline.orientation.reorient`)."""
 
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict mean entropy (nats) of a normalised mesh's skinning weights, and world rotation of its root joint."""
@@ -162,6 +162,10 @@ class RigMethod(SkinnedMethod, Protocol):
 
     def with_rigs(self, identity: KnownIdentity | None, driving: KnownDriving | None) -> Method:
         """Return this method with the known joints of the identity, of the driving, or of both."""
+        ...
+
+    def predict_rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
+        """Predict the joints of the shipped body in a normalised mesh, and their weights of its vertices."""
         ...
 
 

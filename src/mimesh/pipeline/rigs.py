@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
-from ..bodies.character_limbs import SIDES
+from ..bodies.character_limbs import SIDES, FindJoints, UnnamedJoints
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
@@ -35,8 +35,7 @@ Axes = tuple[str | None, str | None, str | None, str | None]
 T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
-
-
+UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
 
@@ -51,36 +50,49 @@ class Rigs:
     """The driving's animation, where both files have the same skeleton; then nothing else is needed."""
     notes: tuple[str, ...] = ()
     """Rigs that are not used, and why."""
-    others: AnimatedValues = field(default_factory=dict)
+    beside: AnimatedValues = field(default_factory=dict)
     """Values of nodes beside those of a person, such as tails and skirts, that both files have by name."""
+    unnamed: tuple[bool, bool] = (False, False)
+    """Whether identity and driving have joints whose names say nothing, and that `matched` may find."""
 
     @classmethod
-    def read(cls, identity: Mesh, clip: Clip, choice: str = "own") -> Rigs:
+    def read(
+        cls,
+        identity: Mesh,
+        clip: Clip,
+        choice: str = "own",
+        copy: bool = True,
+        find: tuple[FindJoints | None, FindJoints | None] = (None, None),
+    ) -> Rigs:
         """Read the rigs of both files, where these have any; the identity's only if the choice is "own".
+
+        Args:
+            copy: of files with the same skeleton, read only what is copied.
+            find: find joints of identity and driving whose names say nothing.
 
         Raises:
             InputError: a choice that is none of RIGS.
         """
         if choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
-        own, driving, notes = None, None, ()
-        others: AnimatedValues = {}
-        skeleton = clip.skeleton
+        own = shared = None
+        notes: tuple[str, ...] = ()
+        unnamed = unnamed_driving = False
         if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
-            own, notes = _if_usable(lambda: read_own_rig(identity), without)
-            if isinstance(skeleton, GltfJoints) and isinstance(identity.source, GltfSource):
-                copied, morphs = copy_motion(identity.source, skeleton), copy_morphs(identity.source, skeleton)
-                if copied is not None and (copied.same_rest or (copied.alike and own is None)):
-                    return cls(own, copied=copied)
-                if morphs is not None:
-                    return cls(own, copied=morphs)
-                others = {} if copied is None or own is None else _beside_person(own, copied.tracks)
+            own, notes, unnamed = _if_usable(lambda: read_own_rig(identity, find[0]), without)
+            shared = _shared_motion(identity, clip)
+            if copy and (copied := _copied(identity, clip, shared, own)) is not None:
+                return cls(own, copied=copied)
+        driving, skeleton = None, clip.skeleton
+        if isinstance(skeleton, GltfJoints):
+            skeleton = dataclasses.replace(skeleton, find=find[1])
         if skeleton is not None and skeleton.has_joints:
             without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
-            driving, more = _if_usable(skeleton.person, without)
+            driving, more, unnamed_driving = _if_usable(skeleton.person, without)
             notes += more
-        return cls(own, driving, None, notes, others)
+        beside = {} if shared is None or own is None else _beside_person(own, shared.tracks)
+        return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving))
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
@@ -91,6 +103,16 @@ class Rigs:
             driving_up = "+y"
             driving_front = self.driving.front or heading_axis(self.driving.rotation[0, 0])
         return up, front, driving_up, driving_front
+
+    def with_notes(self, names: tuple[str, str], before: Rigs) -> Rigs:
+        """Add a note for each rig whose joints were found, but not by their names; `names` are those of the meshes."""
+        found = self.identity is not None, self.driving is not None
+        notes = tuple(
+            f"the joints of {name} have names that say nothing: they were found by the surface that they move"
+            for name, unnamed, rig in zip(names, before.unnamed, found, strict=True)
+            if unnamed and rig
+        )
+        return dataclasses.replace(self, notes=self.notes + notes)
 
     def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
         """Return the method with the rigs; methods without joints are left as they are."""
@@ -105,12 +127,31 @@ NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
 
 
-def _if_usable(read: Callable[[], T], without: str) -> tuple[T | None, tuple[str, ...]]:
-    """Read a rig; None, and a note that tells why and what is done `without` it, where it cannot be used."""
+def _if_usable(read: Callable[[], T], without: str) -> tuple[T | None, tuple[str, ...], bool]:
+    """Read a rig; None where it cannot be used, with a note that tells why and what is done `without` it.
+
+    Returns also whether all that is missing is what the names of the joints mean.
+    """
     try:
-        return read(), ()
+        return read(), (), False
     except InputError as error:
-        return None, (f"{without}: {error}",)
+        return None, (f"{without}: {error}",), isinstance(error, UnnamedJoints)
+
+
+def _shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:
+    """Find the animated values of nodes that both files have; None if their skeletons are not alike."""
+    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
+        return None
+    return copy_motion(identity.source, clip.skeleton)
+
+
+def _copied(identity: Mesh, clip: Clip, shared: SharedMotion | None, own: OwnRig | None) -> SharedMotion | None:
+    """Select the values that are copied as they are: joints of the same skeleton, or morph targets of the same file."""
+    if shared is not None and (shared.same_rest or (shared.alike and own is None)):
+        return shared
+    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
+        return None
+    return copy_morphs(identity.source, clip.skeleton)
 
 
 def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
@@ -119,6 +160,8 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
         return None
     try:
         humanoid = read_own_rig(dataclasses.replace(mesh, vertices=mesh.source.vertices)).humanoid
+    except UnnamedJoints:
+        return True, UNNAMED
     except InputError as error:
         return False, str(error)
     fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies.character_limbs import SIDES
+from ..bodies.character_limbs import SIDES, FindJoints
 from ..bodies.joint_names import finger_joints, without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.errors import InputError
@@ -21,13 +21,23 @@ from ..core.foot_planting import PosedJoints, foot_skate
 from ..core.frame_buffer import PAGED, Progress, allocate_frames, counted, each_frame, release_pages
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_axis
+from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.own_animation import OwnAnimation
-from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
-from ..methods.confidence import Confidence
+from ..methods.base import (
+    Drive,
+    Method,
+    MotionMethod,
+    QuickPredictor,
+    RigMethod,
+    SkinnedDrive,
+    SkinnedMethod,
+    SurfaceMotion,
+)
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
+from .matched_rigs import joint_finder
+from .orientation import normalised, reorient
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
@@ -40,8 +50,6 @@ KEYFRAMES = 16
 MOTION_FRAMES = 120
 """Largest number of frames, evenly spread, in which a method that asks for it gets points of the surface."""
 ROOTS = ("scale", "keep", "drop")
-MIN_GAIN = 0.15
-"""Decrease of the skinning weights' mean entropy (nats) from which on other axes are taken (docs/LOG.md)."""
 
 
 @dataclass(frozen=True)
@@ -63,12 +71,15 @@ class MotionOptions:
         """Whether the result differs from the driving's motion on the same skeleton."""
         return self.root != "scale" or self.smooth > 0
 
-    def check(self, method: Method) -> None:
-        """Raise InputError if a value is not allowed, or needs joints and the method has none."""
+    def __post_init__(self) -> None:
+        """Raise InputError if a value is not allowed."""
         if self.root not in ROOTS:
             raise InputError(f"--root: expected one of {', '.join(ROOTS)}, found {self.root!r}; choose one of them")
         if not 0 <= self.smooth < np.inf:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
+
+    def check(self, method: Method) -> None:
+        """Raise InputError if a value needs joints and the method has none."""
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
                 if field.name not in ("ground", "rig") and getattr(self, field.name) not in (field.default, None):
@@ -149,11 +160,16 @@ def prepare(
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
     first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-    rigs = read_rigs(identity, clip, options, corrections) if rigs is None else rigs
-    axes = rigs.axes(axes)
-    norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
+    rigs = read_rigs(identity, clip, options, corrections, copy=False) if rigs is None else rigs
+    norms = _fitted(identity, first, rigs.axes(axes))
     method = choice(norms[1])
     options.check(method)
+    if isinstance(method, RigMethod) and any(rigs.unnamed):
+        find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
+        matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)
+        rigs = matched.with_notes((identity.name, clip.mesh.name), rigs)
+        norms = _fitted(identity, first, rigs.axes(axes))
+    axes = rigs.axes(axes)
     drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
     if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None:
@@ -164,14 +180,27 @@ def prepare(
         if corrected != norms:  # `reorient` returns the same object where it changes nothing
             norms = corrected
             drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
-    rest = _normalised(identity, norms[0])
+    rest = normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
 
 
-def read_rigs(identity: Mesh, clip: Clip, options: MotionOptions, corrections: Corrections) -> Rigs:
-    """Read the rigs of both files; that of a mesh whose joints the user has corrected is not used."""
-    rigs = Rigs.read(identity, clip, options.rig if corrections.identity is None else "mimesh")
-    return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None, copied=None)
+def read_rigs(
+    identity: Mesh,
+    clip: Clip,
+    options: MotionOptions,
+    corrections: Corrections,
+    copy: bool,
+    find: tuple[FindJoints | None, FindJoints | None] = (None, None),
+) -> Rigs:
+    """Read the rigs of both files (see `Rigs.read`); that of a mesh whose joints the user has corrected is not used."""
+    choice = options.rig if corrections.identity is None else "mimesh"
+    rigs = Rigs.read(identity, clip, choice, copy and corrections.driving is None, find)
+    return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None)
+
+
+def _fitted(identity: Mesh, first: Mesh, axes: Axes) -> tuple[Normalization, Normalization]:
+    """Fit the normalisations of the identity and of the driving's first frame."""
+    return Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
 
 
 def _prepared_drive(
@@ -188,42 +217,7 @@ def _prepared_drive(
     corrected, keyframes = corrections.apply(method, identity, _keyframes(clip, first, norms[1]), norms)
     if isinstance(corrected, MotionMethod):
         corrected = corrected.with_motion(_surface_motion(clip, norms[1]))
-    return corrected.prepare(_normalised(identity, norms[0]), keyframes)
-
-
-def reorient(
-    method: QuickPredictor,
-    mesh: Mesh,
-    norm: Normalization,
-    axes: tuple[str | None, str | None],
-    confidence: Confidence | None,
-) -> Normalization:
-    """Return a normalisation with corrected axes, or the same one if no other orientation is clearly better.
-
-    Needed only where axes were detected and the method does not recognise the mesh. It predicts once for each of the 24
-    orientations that the axes of the user and the file allow, 4 where up is known. The one with the lowest entropy of
-    skinning weights wins, and the axes of the hips predicted in it, rounded to the mesh's, are the new up and front.
-    """
-    if not norm.detected or confidence is None or confidence.recognised:
-        return norm
-    up, front = parse_axis(axes[0], "--up"), parse_axis(axes[1], "--front")
-    up = norm.up if norm.up_from == "file" else up
-    allowed = [names for names in ORIENTATIONS if up in (None, names[0]) and front in (None, names[1])]
-    predictions = []
-    for names in allowed:
-        candidate = Normalization.fit(mesh, *names)
-        entropy, hips = method.quick_predict(_normalised(mesh, candidate))
-        predictions.append((entropy, candidate, hips))
-    lowest, best, hips = min(predictions, key=lambda prediction: prediction[0])
-    # Columns 1 and 2 of the hips' rotation are their up and front; `best.rotation.T` brings them into the mesh's axes.
-    names = tuple(axis_name(best.rotation.T @ hips[:, k]) for k in (1, 2))
-    chosen = Normalization.fit(mesh, *names) if names in allowed else best
-    detected = next(entropy for entropy, n, _ in predictions if (n.up, n.front) == (norm.up, norm.front))
-    # A small gain may be noise of the prediction: the detector's axes are then kept.
-    if lowest > detected - MIN_GAIN or (chosen.up, chosen.front) == (norm.up, norm.front):
-        return norm
-    # A margin of 0 makes the report say that the facing is uncertain.
-    return dataclasses.replace(chosen, detected=True, margin=0.0, up_from=norm.up_from, shape_up=norm.shape_up)
+    return corrected.prepare(normalised(identity, norms[0]), keyframes)
 
 
 def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
@@ -260,11 +254,11 @@ def move(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     with timer.step("prepare"):
-        rigs = read_rigs(identity, clip, options, corrections)
-        copied = rigs.copied is not None and not options.changes_motion
+        rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
+        copied = rigs.copied is not None
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
     if prepared is None:
-        return copy_animation(identity, clip, rigs, timer, progress, dtype)
+        return copy_animation(identity, clip, rigs, axes, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
 
 
@@ -272,6 +266,7 @@ def copy_animation(
     identity: Mesh,
     clip: Clip,
     rigs: Rigs,
+    axes: Axes,
     timer: Timer,
     progress: Progress | None,
     dtype: type[np.floating],
@@ -287,7 +282,9 @@ def copy_animation(
             moved[t] = vertices
             if progress is not None:
                 progress(t + 1, len(clip))
-    report = {**quality(identity, moved), **accelerations(clip, moved), "rig": "own", "copied": True}
+    first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+    report = _report(identity, clip, moved, _fitted(identity, first, rigs.axes(axes)))
+    report |= {"rig": "own", "copied": True, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     return MovedIdentity(moved, None, own, report, ())
 
 
@@ -321,7 +318,7 @@ def play(
         own = None if skeleton is None else _own_animation(prepared, skeleton)
         placed = (identity_norm.undo(vertices + shift) for vertices in frames)
         # The joints of a person alone move neither morph targets nor what else has been copied.
-        frames = own.vertices() if own is not None and (own.morphs or prepared.rigs.others) else placed
+        frames = own.vertices() if own is not None and (own.morphs or prepared.rigs.beside) else placed
         moved = allocate_frames(len(clip), len(identity.vertices), dtype)
         before = (passes - 1) * len(clip)  # frames counted in the first pass
         for t, vertices in enumerate(frames):
@@ -331,7 +328,7 @@ def play(
                 release_pages(moved)
             if progress is not None:
                 progress((before + t + 1) // passes, len(clip))
-    report = _report(prepared, moved)
+    report = _report(identity, clip, moved, (identity_norm, driving_norm))
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
     driving_joints = None
@@ -349,13 +346,15 @@ def play(
     return MovedIdentity(moved, skeleton, own, report, notes, driving_joints)
 
 
-def _report(prepared: Prepared, moved: Float[np.ndarray, "T V 3"]) -> dict:
+def _report(
+    identity: Mesh, clip: Clip, moved: Float[np.ndarray, "T V 3"], norms: tuple[Normalization, Normalization]
+) -> dict:
     """Return the part of the report that all methods have."""
     return {
-        **quality(prepared.identity, moved),
-        **accelerations(prepared.clip, moved),
-        "identity": facing(prepared.identity_norm),
-        "driving": facing(prepared.driving_norm),
+        **quality(identity, moved),
+        **accelerations(clip, moved),
+        "identity": facing(norms[0]),
+        "driving": facing(norms[1]),
     }
 
 
@@ -401,10 +400,6 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
     for key, speed in zip(("foot_skate", "foot_skate_driving"), speeds or (None, None), strict=True):
         report[key] = None if speed is None else speed / height
     return notes
-
-
-def _normalised(mesh: Mesh, norm: Normalization) -> Mesh:
-    return dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices), up="+y")
 
 
 def _surface_motion(clip: Clip, norm: Normalization) -> SurfaceMotion:
@@ -466,5 +461,5 @@ def _own_animation(prepared: Prepared, skeleton: AnimatedRig) -> OwnAnimation | 
     own, clip = prepared.rigs.identity, prepared.clip
     if own is None:
         return None
-    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | prepared.rigs.others | face_tracks(own, clip)
+    tracks = own.tracks(own.humanoid.tree()[0], skeleton.transforms()) | prepared.rigs.beside | face_tracks(own, clip)
     return OwnAnimation(own.source, clip.mesh.name, tracks, clip.fps, len(clip), own.person)

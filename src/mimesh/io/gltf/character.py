@@ -19,6 +19,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...bodies.character_limbs import (
+    FindJoints,
+    UnnamedJoints,
     attach_feet,
     carried_vertices,
     find_limbs,
@@ -157,32 +159,42 @@ class StandingCharacter:
     facing: str
     """Where it faces, such as +z."""
     known: dict[str, int]
-    """Joints that the file itself names: joint of the shipped body -> index."""
+    """Joints that the file itself names, or that were found without names: joint of the shipped body -> index."""
     scene: RestScene
     """The scene with its nodes in that pose."""
 
 
-def read_standing(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
+def read_standing(
+    mesh: Mesh, document: Document, scene: RestScene, find: FindJoints | None = None
+) -> StandingCharacter:
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
+    Args:
+        find: finds joints whose names say nothing.
+
     Raises:
-        InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
+        InputError: limbs that are not found, several characters, or a trunk that is not upright.
     """
     bones = vrm_bones(document)
     joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(without_fingers(bones).values())
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
         try:
-            return _standing(mesh, document, bound, joint_nodes, bones)
+            return _standing(mesh, document, bound, joint_nodes, bones, find)
         except NotUpright:
             continue  # the bind pose may have another orientation
         except InputError:
             break
-    return _standing(mesh, document, scene, joint_nodes, bones)
+    return _standing(mesh, document, scene, joint_nodes, bones, find)
 
 
 def _standing(
-    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set[int], bones: dict[str, int]
+    mesh: Mesh,
+    document: Document,
+    scene: RestScene,
+    joint_nodes: set[int],
+    bones: dict[str, int],
+    find: FindJoints | None,
 ) -> StandingCharacter:
     """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
     path = document.path
@@ -195,7 +207,14 @@ def _standing(
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     rig = dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames)
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
-    part, joints = carried_part(rig), name_sided_joints(rig, path, known)
+    part = carried_part(rig)
+    try:
+        joints = name_sided_joints(rig, path, known)
+    except UnnamedJoints:
+        if find is None:
+            raise
+        known = find(part)
+        joints = name_sided_joints(rig, path, known)
     _check_one_skeleton(part, joints, path)
     height = np.ptp(part.mesh.vertices[:, 1])
     hips, shoulders = (_middle(rig, joints, part) for part in ("UpLeg", "Arm"))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ...bodies.character_limbs import FindJoints
 from ...bodies.character_pool import facing_rotation, sampled_poses
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
@@ -77,10 +78,14 @@ class OwnRig:
         return tracks
 
 
-def read_own_rig(mesh: Mesh) -> OwnRig:
+def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
     """Read the rig of a mesh that comes from a glTF file.
 
+    Args:
+        find: finds joints whose names say nothing.
+
     Raises:
+        UnnamedJoints: limbs are not found by name, and nothing else finds them.
         InputError: no skin, a damaged one, or joints that are not those of a person; the message says why.
     """
     source = mesh.source
@@ -90,7 +95,7 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
     path = document.path
     if document.damage is not None:
         raise InputError(f"{path}: {document.damage}; export it again")
-    standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
+    standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
     _check_sound(rig, standing.scene.T_world_node[nodes], path)
     _check_bound(document, path)
@@ -128,6 +133,8 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+    find: FindJoints | None = None
+    """Finds joints of the mesh whose names say nothing."""
 
     @property
     def has_joints(self) -> bool:
@@ -152,7 +159,7 @@ class GltfJoints:
         if self.mesh is None:
             assert self.played is not None
             return self.played
-        rig = read_own_rig(self.mesh)
+        rig = read_own_rig(self.mesh, self.find)
         humanoid, document = rig.humanoid, self.document
         names = ("Hips", *(name for name in humanoid.joints if name != "Hips"))
         of_name = [humanoid.joints[name] for name in names]

@@ -254,6 +254,13 @@ class MimeMethod:
 
         return self.hands.find_moving(identity, reference, self.motion or keyframes_of)
 
+    def predict_rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
+        """Predict the joints of a normalised mesh, whatever its file has, and their weights of its vertices."""
+        mesh = face_outward(mesh)
+        rig, confidence = self._rig(mesh)
+        group = canonical_order(mesh.vertices).group
+        return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
+
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)

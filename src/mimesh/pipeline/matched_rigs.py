@@ -1,0 +1,38 @@
+"""Find the joints of rigs whose names say nothing: by the joints that a method predicts for the same surface."""
+
+from __future__ import annotations
+
+import dataclasses
+
+from ..bodies.character_limbs import FindJoints
+from ..bodies.joint_matching import match_joints
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.errors import InputError
+from ..core.normalization import Normalization
+from ..methods.base import QuickPredictor, RigMethod
+from .orientation import normalised, reorient
+
+
+def joint_finder(method: RigMethod, axes: tuple[str | None, str | None]) -> FindJoints:
+    """Make the function that finds a character's joints.
+
+    Args:
+        axes: up and front of the character; None is detected.
+    """
+
+    def find(rig: SkinnedCharacter) -> dict[str, int]:
+        mesh = dataclasses.replace(rig.mesh, up="+y")
+        norm = Normalization.fit(mesh, *axes)
+        body, confidence = method.predict_rig(normalised(mesh, norm))
+        other = reorient(method, mesh, norm, axes, confidence) if isinstance(method, QuickPredictor) else norm
+        if other is not norm:
+            norm = other
+            body, confidence = method.predict_rig(normalised(mesh, norm))
+        if not confidence.recognised:
+            raise InputError(
+                f"{mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
+                "rename the joints, for example LeftUpLeg, LeftArm"
+            )
+        return match_joints(rig, dataclasses.replace(body, joints=norm.undo(body.joints)), mesh.name)
+
+    return find
