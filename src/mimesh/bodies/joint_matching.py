@@ -25,6 +25,8 @@ LIMBS = tuple(
     for parts in (("Shoulder", "Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot", "ToeBase"))
 )
 """Limbs of the shipped body that are chains of joints."""
+FEET = (("UpLeg", "Leg"), ("Foot", "ToeBase"))
+"""Parts of a leg that may be chains of their own."""
 UPPER = {"ForeArm": "Arm", "Leg": "UpLeg"}
 """A lower limb without an upper one is the whole arm or leg: figures of blocks."""
 PELVIS = ("Hips", "LHipJoint", "RHipJoint")
@@ -113,22 +115,28 @@ def _match_limbs(overlap: Float[np.ndarray, "B J"], rig: SkinnedCharacter, body:
     while True:
         for score in scores:
             score[:, shared] = 0
-        chains = [match_chain(score, rig.parents) for score in scores]
+        chains = [_match_limb(limb, score, rig.parents) for limb, score in zip(LIMBS, scores, strict=True)]
         shared = [joint for joint, count in Counter(j for chain in chains for j in chain.values()).items() if count > 1]
         if not shared:
             break
-    found = {limb[k]: j for limb, chain in zip(LIMBS, chains, strict=True) for k, j in chain.items()}
-    for limb, score in zip(LIMBS, scores, strict=True):
-        # Feet may be on roots of their own (inverse kinematics).
-        for k in [k for k, name in enumerate(limb) if name.endswith("Foot") and name not in found]:
-            score[k, list(found.values())] = 0
-            if score[k].max() > 0:
-                found[limb[k]] = int(score[k].argmax())
+    found = {name: joint for chain in chains for name, joint in chain.items()}
     for side in SIDES:
         for lower, upper in UPPER.items():
             if side + upper not in found and side + lower in found:
                 found[side + upper] = found.pop(side + lower)
     return found
+
+
+def _match_limb(limb: tuple[str, ...], score: Float[np.ndarray, "N J"], parents: tuple[int, ...]) -> dict[str, int]:
+    """Match the joints of a limb; its feet may be on a root of their own (inverse kinematics)."""
+    found = match_chain(score, parents)
+    for part in FEET:
+        rest = [k for k, name in enumerate(limb) if name.endswith(part) and k not in found]
+        if rest and not any(limb[k].endswith(part) for k in found):
+            free = score[rest]
+            free[:, list(found.values())] = 0
+            found |= {rest[k]: joint for k, joint in match_chain(free, parents).items()}
+    return {limb[k]: joint for k, joint in found.items()}
 
 
 def _hips(rig: SkinnedCharacter, body: Rig, above: set[int]) -> int:

@@ -160,12 +160,17 @@ class KnownDriving:
 class RigMethod(SkinnedMethod, Protocol):
     """A method with joints that takes those of the files, where these have them. Only these support `--rig own`."""
 
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that it predicts."""
+        ...
+
     def with_rigs(self, identity: KnownIdentity | None, driving: KnownDriving | None) -> Method:
         """Return this method with the known joints of the identity, of the driving, or of both."""
         ...
 
     def predict_rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
-        """Predict the joints of the shipped body in a normalised mesh, and their weights of its vertices."""
+        """Predict the joints of a normalised mesh, whatever its file has, and their weights of its vertices."""
         ...
 
 

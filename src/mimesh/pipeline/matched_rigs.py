@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeGuard
 
+from ..bodies import load_body
 from ..bodies.character_limbs import FindJoints
 from ..bodies.joint_matching import match_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.normalization import Normalization
-from ..methods.base import QuickPredictor, RigMethod
+from ..methods.base import Method, QuickPredictor, RigMethod
 from .orientation import normalised, reorient
+
+
+def finds_joints(method: Method) -> TypeGuard[RigMethod]:
+    """Return whether a method predicts the joints of the shipped body, which those of other rigs are compared with."""
+    return isinstance(method, RigMethod) and method.joints == load_body().joint_names
 
 
 def joint_finder(method: RigMethod, axes: tuple[str | None, str | None]) -> FindJoints:

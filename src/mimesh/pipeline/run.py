@@ -30,13 +30,12 @@ from ..methods.base import (
     Method,
     MotionMethod,
     QuickPredictor,
-    RigMethod,
     SkinnedDrive,
     SkinnedMethod,
     SurfaceMotion,
 )
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
-from .matched_rigs import joint_finder
+from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
@@ -164,7 +163,7 @@ def prepare(
     norms = _fitted(identity, first, rigs.axes(axes))
     method = choice(norms[1])
     options.check(method)
-    if isinstance(method, RigMethod) and any(rigs.unnamed):
+    if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)
         rigs = matched.with_notes((identity.name, clip.mesh.name), rigs)

@@ -1,0 +1,82 @@
+"""Joints found without names: rigs of other kinds of the same body, whose own joints are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import rigs
+
+from mimesh.bodies import load_body
+from mimesh.bodies.joint_matching import match_chain, match_joints
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh
+from mimesh.core.rig import Rig
+
+LIMB_JOINTS = [f"{side}{part}" for side in ("Left", "Right") for part in rigs.LIMBS]
+BODY = rigs.figure()
+
+
+def matched(person: rigs.Figure, seed: int = 0) -> dict[str, str]:
+    """Match a person's joints, in another order and without names; returns the names that were not shown."""
+    rng = np.random.default_rng(seed)
+    depth = [0] * len(person.parents)
+    for j, parent in enumerate(person.parents):
+        depth[j] = depth[parent] + 1 if parent >= 0 else 0
+    order = np.lexsort((rng.random(len(depth)), depth))  # parents first, else any
+    rank = np.argsort(order)
+    parents = tuple(int(rank[person.parents[j]]) if person.parents[j] >= 0 else -1 for j in order)
+    frames = np.tile(np.eye(4), (len(order), 1, 1))
+    frames[:, :3, 3] = person.joints[order]
+    weights = person.weights[:, order]
+    character = SkinnedCharacter(
+        Mesh(person.vertices, load_body().faces),
+        tuple(f"joint_{k}" for k in range(len(order))),
+        parents,
+        frames,
+        np.tile(np.arange(len(order)), (len(weights), 1)),
+        weights,
+        np.broadcast_to(person.vertices[:, None], (*weights.shape, 3)),
+    )
+    found = match_joints(character, Rig(np.tile(np.eye(3), (31, 1, 1)), BODY.joints, BODY.weights), "a.glb")
+    return {name: person.names[order[joint]] for name, joint in found.items()}
+
+
+@pytest.mark.parametrize("changes", [(), ("twists",), ("spines",), ("no toes",), ("twists", "no toes")], ids=str)
+def test_limbs_hips_and_head_are_found_whatever_else_there_is(changes):
+    found = matched(rigs.changed(rigs.figure(), *changes))
+    assert {name: found.get(name) for name in (*LIMB_JOINTS, "Hips", "Head")} == {
+        name: name for name in (*LIMB_JOINTS, "Hips", "Head")
+    }
+
+
+def test_the_trunk_is_the_chain_from_hips_to_chest():
+    found = matched(rigs.changed(rigs.figure(), "spines"))  # two more joints, between these
+    assert [found[name] for name in ("LowerBack", "Spine", "Spine1")] == ["LowerBack", "Spine", "Spine1"]
+
+
+def test_a_limb_of_one_joint_is_the_upper_one():
+    found = matched(rigs.changed(rigs.figure(), "one joint a limb"))
+    assert all(found[f"{side}{part}"] == f"{side}{part}" for side in ("Left", "Right") for part in ("Arm", "UpLeg"))
+    assert not any(name.endswith(("ForeArm", "Leg", "Foot")) for name in found if not name.endswith("UpLeg"))
+
+
+def test_a_foot_on_a_root_of_its_own_is_found():
+    parents = tuple(-1 if name == "LeftFoot" else p for name, p in zip(BODY.names, BODY.parents, strict=True))
+    found = matched(rigs.Figure(BODY.names, parents, BODY.joints, BODY.weights, BODY.vertices))
+    assert (found["LeftFoot"], found["LeftLeg"]) == ("LeftFoot", "LeftLeg")
+
+
+def test_a_rig_without_arms_is_refused():
+    person = rigs.figure()
+    arms = [name for name in person.names if any(part in name for part in ("Arm", "Hand", "Finger", "Thumb", "Should"))]
+    with pytest.raises(InputError, match="LeftArm, RightArm"):
+        matched(person.without(*arms[::-1]))
+
+
+def test_a_chain_takes_the_best_descendants_in_order():
+    parents = (-1, 0, 1, 2, 0)
+    score = np.array([[0.1, 0.5, 0.4, 0.0, 0.9], [0.0, 0.6, 0.3, 0.8, 0.0]])
+    assert match_chain(score, parents) == {0: 1, 1: 3}  # 0.9 at joint 4 has nothing below it
+    assert match_chain(np.array([[0.0, 0, 0, 0, 0.2], [0.1, 0, 0, 0, 0]]), parents) == {0: 4}
+    assert match_chain(-score, parents) == {}
