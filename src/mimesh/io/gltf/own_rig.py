@@ -213,10 +213,14 @@ def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4
     from scipy.spatial.transform import Rotation
 
     own = node_properties(entry)
-    scale = np.where(own["scale"] == 0, 1.0, own["scale"])
-    linear = local[:, :3, :3] / scale  # columns without the file's scale
-    factor = np.cbrt(np.abs(np.linalg.det(linear)))
-    rotation = Rotation.from_matrix(nearest_rotation(linear)).as_quat()
+    linear = local[:, :3, :3]
+    # Scales are those of the bind pose, which the file's nodes may not be in, nor have been mirrored since.
+    signs = np.where(own["scale"] < 0, -1.0, 1.0)
+    mirrored = np.linalg.det(linear[0]) * signs.prod() < 0
+    scale = np.linalg.norm(linear, axis=1) * (-signs if mirrored else signs)
+    if (np.ptp(scale, axis=0) <= UNCHANGED * np.abs(scale[0])).all():
+        scale[:] = scale[0]  # without rounding errors it has one key
+    rotation = Rotation.from_matrix(nearest_rotation(linear / np.where(scale == 0, 1.0, scale)[:, None])).as_quat()
     # Signs as in the frame before, for programs that interpolate without taking the shorter arc.
     signs = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
     rotation[1:] *= signs[:, None]
@@ -227,6 +231,6 @@ def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4
         found[node, "translation"] = local[:, :3, 3]
     if np.abs(rotation - own["rotation"]).max() > UNCHANGED:
         found[node, "rotation"] = rotation
-    if np.abs(factor - 1).max() > SHEAR:
-        found[node, "scale"] = factor[:, None] * scale
+    if (np.abs(scale - own["scale"]) > UNCHANGED * np.abs(scale)).any():
+        found[node, "scale"] = scale
     return found
