@@ -191,7 +191,11 @@ def _insert_root(draft: Draft, animation: OwnAnimation) -> None:
     hips, gltf = animation.joints["Hips"], draft.gltf
     above, root = node_parents(animation.source.document)[hips], len(gltf["nodes"])
     gltf["nodes"].append({"name": animation.root_bone, "children": [hips]})
-    owners = [gltf["nodes"][above]["children"]] if above >= 0 else [scene.get("nodes", []) for scene in gltf["scenes"]]
+    owners = (
+        [gltf["nodes"][above]["children"]]
+        if above >= 0
+        else [scene.get("nodes", []) for scene in gltf.get("scenes", [])]
+    )
     for children in owners:
         children[:] = [root if node == hips else node for node in children]
 
