@@ -1,4 +1,4 @@
-"""New animations of a file's own nodes: matrices, frames above the joints, channels without use, files without scenes."""
+"""New animations of a file's own nodes: matrices, frames above joints, channels without use, files without scenes."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import pytest
 import rigs
 from foreign_names import renamed
 from networks import write_mime_network
+from scipy.spatial.transform import Rotation
 
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
@@ -118,6 +119,27 @@ def test_frames_above_the_joints_that_node_transforms_cannot_undo_give_a_note(fr
     assert message in notes[0]
     result.save_skinned(tmp_path / "out.glb")
     assert distance(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices) < 1e-3
+
+
+@pytest.mark.parametrize("unit", [1.0, 100.0, 0.01])
+def test_small_differences_from_the_bind_pose_are_undone_in_any_unit(unit, model, driving, tmp_path):
+    """Nodes of a limb are 4e-5 of the size beside their places in the bind pose, and turned by 4e-5 radians."""
+
+    def change(draft: Draft) -> None:
+        for joint in ("LeftArm", "LeftForeArm", "LeftHand"):
+            entry = draft.gltf["nodes"][FIRST + PERSON.names.index(joint)]
+            matrix = np.array(entry["matrix"]).reshape(4, 4).T
+            offset = np.eye(4)
+            offset[:3, :3] = Rotation.from_rotvec([4e-5, 0, 0]).as_matrix()
+            offset[:3, 3] = 4e-5 * 1.7 / unit
+            entry["matrix"] = (matrix @ offset).T.ravel().tolist()
+
+    armature = np.diag([unit, unit, unit, 1.0])
+    path = rigs.character(tmp_path / "a.glb", name=renamed("mixamo"), change=change, armature=armature)
+    result = animate(str(path), str(driving), model)
+    assert distance(np.stack(list(result.own.vertices())), result.clip.vertices) < 1e-6
+    result.save_skinned(tmp_path / "out.glb")
+    assert distance(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices) < 1e-6
 
 
 def add_pointer(draft: Draft) -> None:

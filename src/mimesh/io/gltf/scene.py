@@ -23,7 +23,7 @@ DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 
 
 def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     """Return each node's local transform (parent from node), from its matrix or its translation, rotation, scale."""
-    return np.array([_local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
+    return np.array([local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
 def animated_matrices(
@@ -40,11 +40,11 @@ def animated_matrices(
         if path in DEFAULT_TRS:
             properties.setdefault(node, {})[path] = values
     for node, values in properties.items():
-        T_parent_node[:, node] = _local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
+        T_parent_node[:, node] = local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
     return T_parent_node
 
 
-def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
+def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _"]]:
     """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
     from scipy.spatial.transform import Rotation
 
@@ -266,7 +266,7 @@ def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.nda
     return quat_xyzw / np.where(length > 0, length, 1.0)
 
 
-def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     """Return the local transform of a node, T * R * S; its translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
