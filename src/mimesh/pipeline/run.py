@@ -280,7 +280,8 @@ def copy_animation(
     assert isinstance(identity.source, GltfSource)
     assert rigs.copied is not None
     person = {} if rigs.identity is None else rigs.identity.person
-    own = OwnAnimation(identity.source, clip.mesh.name, rigs.copied.tracks, clip.fps, len(clip), person)
+    copied = rigs.copied
+    own = OwnAnimation(identity.source, clip.mesh.name, copied.tracks, clip.fps, len(clip), person, keys=copied.keys)
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):

@@ -40,6 +40,13 @@ class AnimationChannel:
     interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
 
+    @property
+    def constant(self) -> bool:
+        """Whether the value is the same at all times."""
+        parts = self.values.reshape(len(self.times), 3 if self.interpolation == "CUBICSPLINE" else 1, -1)
+        still = np.ptp(parts, axis=0).max(initial=0) == 0
+        return bool(still and (parts.shape[1] == 1 or not parts[:, ::2].any()))
+
     def sample(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
         """Return the values at times in seconds; quaternions (x, y, z, w) have length 1."""
         width = self.values.shape[1] // (3 if self.interpolation == "CUBICSPLINE" else 1)

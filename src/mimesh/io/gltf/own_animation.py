@@ -18,7 +18,8 @@ from jaxtyping import Bool, Float
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
-from .animation import PATH_WIDTHS, AnimationChannel, add_animation, slerp
+from ..timing import DEFAULT_FPS, frame_count
+from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
 from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
 from .draft import AccessorCopier, Draft
@@ -58,6 +59,8 @@ class OwnAnimation:
     """New names of nodes."""
     root_bone: str | None = None
     """Name of a new node above the hips that carries the displacement over the ground."""
+    keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
+    """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
     def with_layout(self, bones: Mapping[str, str], root_bone: str | None) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
@@ -84,7 +87,7 @@ class OwnAnimation:
             (node, path): _between(values[before], values[after], fraction[:, None], path == "rotation")
             for (node, path), values in self.tracks.items()
         }
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
+        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
 
     @property
     def morphs(self) -> bool:
@@ -113,14 +116,17 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     draft = _copied_file(animations)
     moved = [_with_root_bone(animation, draft) for animation in animations]
     document = animations[0].source.document
-    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(document))
+    exact = [_exact_keys(animation, tracks) for animation, tracks in zip(animations, moved, strict=True)]
+    used = dict.fromkeys(key for tracks in (*moved, *exact) for key in tracks)
+    used |= dict.fromkeys(_animated_values(document))
     tolerance = _tolerances(document, animations[0].source.vertices)
     entries = []
-    for animation, tracks in zip(animations, moved, strict=True):
+    for animation, tracks, keys in zip(animations, moved, exact, strict=True):
         still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: tracks.get(key, still[key]) for key in used}
         if complete:
-            entries.append(_add_animation(draft, animation, complete, tolerance))
+            channels = _channels(animation, complete, keys, tolerance)
+            entries.append(add_animation(draft, animation.name, channels))
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
@@ -213,20 +219,40 @@ def _with_root_bone(animation: OwnAnimation, draft: Draft) -> AnimatedValues:
     return {**animation.tracks, (hips, "translation"): path - local, (root, "translation"): local}
 
 
-def _add_animation(
-    draft: Draft, animation: OwnAnimation, tracks: AnimatedValues, tolerance: dict[tuple[int, str], float]
-) -> dict[str, Any]:
-    """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate."""
-    keys = {key: _chosen_keys(values, key[1], tolerance.get(key, 0.0)) for key, values in tracks.items()}
-    if not any(len(is_key) == animation.frames and is_key.all() for is_key in keys.values()):
-        first = next(iter(tracks))
+def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[int, str], AnimationChannel]:
+    """Return the keys that are written as they are: not where tracks have changed since, nor at another speed."""
+    last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
+    if frame_count(last, animation.fps) != animation.frames:
+        return {}
+    return {key: keys for key, keys in animation.keys.items() if tracks.get(key) is animation.tracks.get(key)}
+
+
+def _channels(
+    animation: OwnAnimation,
+    tracks: AnimatedValues,
+    exact: Mapping[tuple[int, str], AnimationChannel],
+    tolerance: dict[tuple[int, str], float],
+) -> list[AnimationChannel]:
+    """Choose the keys of an animation, from which readers know its rate.
+
+    Unless copied keys show the rate, one track at least has a key in every frame.
+    """
+    frames = {key: _chosen_keys(track, key[1], tolerance.get(key, 0.0)) for key, track in tracks.items()}
+    start = min((keys.times[0] for keys in exact.values()), default=0.0)
+    shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
+    copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
+    if not (shown or copied):
+        first = next((key for key in tracks if key not in exact), next(iter(tracks)))
+        exact = {key: keys for key, keys in exact.items() if key != first}
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
-        keys[first] = np.ones(animation.frames, bool)
-    channels = [
-        AnimationChannel(*key, np.flatnonzero(keys[key]) / animation.fps, values[keys[key]])
-        for key, values in tracks.items()
-    ]
-    return add_animation(draft, animation.name, channels)
+        frames[first] = np.ones(animation.frames, bool)
+    channels = []
+    for key, track in tracks.items():
+        times = np.flatnonzero(frames[key]) / animation.fps
+        # A single key is where copied ones begin, so that it changes neither their length nor their rate.
+        times = times if len(times) > 1 else times + start
+        channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
+    return channels
 
 
 def _animated_values(document: Document) -> list[tuple[int, str]]:

@@ -134,6 +134,8 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+    whole: bool = False
+    """Whether the frames are those of the whole animation, at the rate of its keys."""
 
     @property
     def has_joints(self) -> bool:
@@ -143,7 +145,8 @@ class GltfJoints:
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
         played = None if self.played is None else self.played.cut(frames)
-        return dataclasses.replace(self, times=self.times[frames], played=played)
+        times = self.times[frames]
+        return dataclasses.replace(self, times=times, played=played, whole=self.whole and len(times) == len(self.times))
 
     def values(self) -> AnimatedValues:
         """Sample the animated values of all nodes."""
