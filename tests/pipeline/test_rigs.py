@@ -20,6 +20,7 @@ from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.draft import Draft
 from mimesh.io.gltf.own_animation import OwnAnimation
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
@@ -111,6 +112,26 @@ def test_size_and_place_of_the_identity_are_kept(scale, shift, model, driving, t
         for figure in (person, moved)
     )
     np.testing.assert_allclose(second, scale * first + shift, atol=2 * EXACT * scale)
+
+
+@pytest.mark.parametrize("scale", [2.0, 1.0005, -1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)])
+def test_node_scales_that_the_bind_pose_does_not_have_are_taken_back(scale, model, driving, tmp_path):
+    """Exporters leave nodes in some frame of an animation, which may scale or mirror joints."""
+    person = rigs.figure()
+
+    def change(draft: Draft) -> None:
+        for joint in ("LeftForeArm", "LeftHand"):
+            entry = draft.gltf["nodes"][2 + person.names.index(joint)]
+            matrix = np.array(entry["matrix"]).reshape(4, 4)
+            matrix[:3] *= np.broadcast_to(scale, 3)[:, None]
+            entry["matrix"] = matrix.ravel().tolist()
+
+    path = rigs.character(tmp_path / "a.glb", change=change, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    assert deviation(result.clip.vertices, truth(person)) < EXACT
+    result.save_skinned(tmp_path / "out.glb")
+    assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person)) < EXACT
 
 
 def limb_direction(vertices_or_joints: dict[str, np.ndarray], start: str, end: str) -> np.ndarray:

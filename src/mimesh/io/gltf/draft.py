@@ -95,6 +95,13 @@ class Draft:
         }
         return self.add_accessor({**accessor, **(accessor_bounds(values) if bounds else {})})
 
+    def add_matrices(self, matrices: Float[np.ndarray, "J 4 4"]) -> int:
+        """Append an accessor of affine transforms, as the inverse bind matrices of a skin; returns its index."""
+        matrices = matrices.copy()
+        matrices[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
+        view = self.add_view(matrices.swapaxes(-1, -2).astype("<f4"))  # column-major (3.6.2.4)
+        return self.add_accessor({"bufferView": view, "componentType": 5126, "count": len(matrices), "type": "MAT4"})
+
     def add_indices(self, indices: np.ndarray) -> int:
         """Append an index accessor, 16 bits wide where that is enough; returns its index.
 

@@ -18,8 +18,7 @@ from jaxtyping import Bool, Float
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
-from ...core.geometry import nearest_rotation
-from .animation import PATH_WIDTHS, slerp
+from .animation import PATH_WIDTHS, AnimationChannel, add_animation, slerp
 from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
 from .draft import AccessorCopier, Draft
@@ -27,11 +26,13 @@ from .edit import GltfSource
 from .keys import choose_keys
 from .root_bone import RootBone, place_root_bone
 from .scene import (
-    DEFAULT_TRS,
     node_parents,
+    node_properties,
     normalized_quaternions,
+    read_morph_weights,
     scene_nodes,
     sort_parents_first,
+    target_count,
 )
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
@@ -97,7 +98,7 @@ class OwnAnimation:
         values, entry = self.tracks[key], self.source.document.gltf["nodes"][key[0]]
         if key[1] == "weights":
             return False
-        still = node_value(entry, key[1], self.source.document)
+        still = node_value(entry, key, self.source.document)
         if key[1] == "rotation":
             values = values * np.where((values * still).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
         return bool(np.abs(values - still).max() > _rounding(self.source, key, values))
@@ -129,11 +130,12 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     root = _root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(draft))
-    tolerance = _tolerances(animations[0].source.document, animations[0].source.vertices)
+    document = animations[0].source.document
+    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(document))
+    tolerance = _tolerances(document, animations[0].source.vertices)
     entries = []
     for animation, tracks in zip(animations, moved, strict=True):
-        still = {key: node_value(draft.gltf["nodes"][key[0]], key[1], animation.source.document) for key in used}
+        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: tracks.get(key, still[key]) for key in used}
         if complete:
             entries.append(_add_animation(draft, animation, complete, tolerance))
@@ -151,25 +153,17 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     draft.save(path)
 
 
-def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
-    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
-    from scipy.spatial.transform import Rotation
+def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
+    """Return what a node has for a target path, as a track of one frame.
 
-    if "matrix" not in entry:
-        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
-    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
-    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
-    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
-    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
-
-
-def node_value(entry: dict[str, Any], path: str, document: Document) -> Float[np.ndarray, "1 C"]:
-    """Return what a node has for a target path, as a track of one frame."""
-    if path != "weights":
-        return node_properties(entry)[path][None]
-    mesh = document.gltf["meshes"][entry["mesh"]]
-    count = max(len(primitive.get("targets", [])) for primitive in mesh["primitives"])
-    return np.array(entry.get("weights") or mesh.get("weights") or [0.0] * count, float)[None]
+    Args:
+        entry: the node, which may be new in a file that is written.
+        key: its index and the target path.
+        document: the file that has the morph targets.
+    """
+    node, path = key
+    value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
+    return np.array(value, float)[None]
 
 
 def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence[str]) -> dict[int, str]:
@@ -238,34 +232,26 @@ def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> An
 def _add_animation(
     draft: Draft, animation: OwnAnimation, tracks: AnimatedValues, tolerance: dict[tuple[int, str], float]
 ) -> dict[str, Any]:
-    """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate.
-
-    Channels with keys in the same frames share their times.
-    """
+    """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate."""
     keys = {key: _chosen_keys(values, key[1], tolerance.get(key, 0.0)) for key, values in tracks.items()}
     if not any(len(is_key) == animation.frames and is_key.all() for is_key in keys.values()):
         first = next(iter(tracks))
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
         keys[first] = np.ones(animation.frames, bool)
-    times: dict[bytes, int] = {}
-    samplers, channels = [], []
-    for key, values in tracks.items():
-        is_key = keys[key]
-        if is_key.tobytes() not in times:
-            times[is_key.tobytes()] = draft.add_floats(np.flatnonzero(is_key)[:, None] / animation.fps, bounds=True)
-        chosen = values[is_key]
-        output = draft.add_floats(chosen.reshape(-1, 1) if key[1] == "weights" else chosen)
-        channels.append({"sampler": len(samplers), "target": {"node": key[0], "path": key[1]}})
-        samplers.append({"input": times[is_key.tobytes()], "interpolation": "LINEAR", "output": output})
-    return {"name": animation.name, "samplers": samplers, "channels": channels}
+    channels = [
+        AnimationChannel(*key, np.flatnonzero(keys[key]) / animation.fps, values[keys[key]])
+        for key, values in tracks.items()
+    ]
+    return add_animation(draft, animation.name, channels)
 
 
-def _animated_values(draft: Draft) -> list[tuple[int, str]]:
+def _animated_values(document: Document) -> list[tuple[int, str]]:
     """List the properties of nodes that the file's own animations move."""
-    channels = [channel for animation in draft.gltf.get("animations", []) for channel in animation["channels"]]
+    channels = [channel for animation in document.gltf.get("animations", []) for channel in animation["channels"]]
     targets = [channel["target"] for channel in channels]
     found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
-    return [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(draft.gltf["nodes"])]
+    existing = [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(document.gltf["nodes"])]
+    return [(node, path) for node, path in existing if path != "weights" or target_count(document, node)]
 
 
 def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:

@@ -12,7 +12,7 @@ from jaxtyping import Float
 
 from ...bodies.character_pool import facing_rotation, sampled_poses
 from ...core.errors import InputError
-from ...core.geometry import nearest_rotation
+from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
@@ -23,9 +23,8 @@ from .character import read_clips, read_standing
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS
-from .own_animation import node_properties
 from .read import RestScene
-from .scene import local_matrices, node_parents, sort_parents_first
+from .scene import local_matrices, node_parents, node_properties, sort_parents_first
 from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
@@ -213,20 +212,21 @@ def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4
     from scipy.spatial.transform import Rotation
 
     own = node_properties(entry)
-    scale = np.where(own["scale"] == 0, 1.0, own["scale"])
-    linear = local[:, :3, :3] / scale  # columns without the file's scale
-    factor = np.cbrt(np.abs(np.linalg.det(linear)))
-    rotation = Rotation.from_matrix(nearest_rotation(linear)).as_quat()
-    # Signs as in the frame before, for programs that interpolate without taking the shorter arc.
-    signs = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-    rotation[1:] *= signs[:, None]
-    rotation *= -1.0 if rotation[0] @ own["rotation"] < 0 else 1.0
+    linear = local[:, :3, :3]
+    # Scales are those of the bind pose, which the file's nodes may not be in, nor have been mirrored since.
+    signs = np.where(own["scale"] < 0, -1.0, 1.0)
+    mirrored = np.linalg.det(linear[0]) * signs.prod() < 0
+    scale = np.linalg.norm(linear, axis=1) * (-signs if mirrored else signs)
+    if (np.ptp(scale, axis=0) <= UNCHANGED * np.abs(scale[0])).all():
+        scale[:] = scale[0]  # without rounding errors it has one key
+    rotation = Rotation.from_matrix(nearest_rotation(linear / np.where(scale == 0, 1.0, scale)[:, None])).as_quat()
+    rotation = continuous_quaternions(rotation, own["rotation"])
     found: AnimatedValues = {}
     unit = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size
     if np.abs(local[:, :3, 3] - own["translation"]).max() > UNCHANGED * unit:
         found[node, "translation"] = local[:, :3, 3]
     if np.abs(rotation - own["rotation"]).max() > UNCHANGED:
         found[node, "rotation"] = rotation
-    if np.abs(factor - 1).max() > SHEAR:
-        found[node, "scale"] = factor[:, None] * scale
+    if (np.abs(scale - own["scale"]) > UNCHANGED * np.abs(scale)).any():
+        found[node, "scale"] = scale
     return found

@@ -55,7 +55,7 @@ class RootBone:
     children: tuple[int, ...] = ()
     """Nodes whose parent a new node becomes."""
     staying: Mapping[int, Float[np.ndarray, "3 3"]] = field(default_factory=dict)
-    """Nodes below the bone that stay where they are when it moves -> matrix of directions from the world to the parent."""
+    """Nodes below the bone that stay when it moves -> matrix that takes directions of the world into the parent."""
 
     @property
     def is_new(self) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.errors import InputError
+from ...core.geometry import nearest_rotation
 from .document import Document, read_accessor, read_floats
 
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
@@ -31,14 +32,28 @@ def animated_matrices(
     """Return each node's local transform in T frames.
 
     `animated` has the values of animated properties by (node, target path); other properties keep those of the file.
+    A node with a matrix is decomposed first: written files must not animate it otherwise (glTF 2.0, 3.5.3).
     """
     T_parent_node = np.tile(local_matrices(document), (frames, 1, 1, 1))
     properties: dict[int, dict[str, Any]] = {}
     for (node, path), values in animated.items():
-        properties.setdefault(node, {})[path] = values
+        if path in DEFAULT_TRS:
+            properties.setdefault(node, {})[path] = values
     for node, values in properties.items():
-        T_parent_node[:, node] = _local_matrix({**document.gltf["nodes"][node], **values})
+        T_parent_node[:, node] = _local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
     return T_parent_node
+
+
+def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
+    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
+    from scipy.spatial.transform import Rotation
+
+    if "matrix" not in entry:
+        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
+    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
+    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
+    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
+    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
 
 
 def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:
@@ -117,11 +132,21 @@ def read_morphed_attribute(
     return values
 
 
+def target_count(document: Document, node: int) -> int:
+    """Return the number of morph targets of a node's mesh."""
+    mesh = document.gltf["nodes"][node].get("mesh")
+    primitives = [] if mesh is None else document.gltf["meshes"][mesh]["primitives"]
+    return max((len(primitive.get("targets", [])) for primitive in primitives), default=0)
+
+
 def read_morph_weights(document: Document, node: int) -> list[float]:
-    """Read the morph weights of a node at rest: its own, else those of its mesh (glTF 2.0, 3.7.4 Instantiation)."""
+    """Read the weight of each morph target of a node at rest: its own, else its mesh's (glTF 2.0, 3.7.4), else 0."""
+    count = target_count(document, node)
+    if not count:
+        return []
     entry = document.gltf["nodes"][node]
     weights = entry.get("weights") or document.gltf["meshes"][entry["mesh"]].get("weights") or []
-    return [float(weight) for weight in weights]
+    return [*(float(weight) for weight in weights), *[0.0] * count][:count]
 
 
 @dataclass(frozen=True, eq=False)
