@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
@@ -23,25 +23,18 @@ from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
-from .keys import choose_keys
+from .keys import KEY_LIMIT
+from .own_keys import node_keys, rounding
 from .root_bone import RootBone, place_root_bone
 from .scene import (
-    node_parents,
     node_properties,
     normalized_quaternions,
     read_morph_weights,
-    scene_nodes,
-    sort_parents_first,
     target_count,
 )
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
-ROUNDING = 1e-7
-"""Change of a value, over itself or over the mesh's size, that counts as none: float32 stores values no better."""
-KEY_LIMIT = 3e-6
-"""Largest distance, over the size of the file's mesh, by which thinned keys move a vertex: the precision that copied
-animations keep is 1e-5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +51,8 @@ class OwnAnimation:
     """Node of each joint that is known to be a person's, by our name."""
     renamed: dict[int, str] = field(default_factory=dict)
     """New names of nodes."""
+    key_limit: float = KEY_LIMIT
+    """Distance, over the mesh's size, by which thinned keys may move a vertex."""
     root_bone: str | None = None
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
@@ -101,7 +96,7 @@ class OwnAnimation:
         still = node_value(entry, key, self.source.document)
         if key[1] == "rotation":
             values = values * np.where((values * still).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
-        return bool(np.abs(values - still).max() > _rounding(self.source, key, values))
+        return bool(np.abs(values - still).max() > rounding(self.source, key, values))
 
     @property
     def morphs(self) -> bool:
@@ -132,13 +127,12 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
     document = animations[0].source.document
     used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(document))
-    tolerance = _tolerances(document, animations[0].source.vertices)
     entries = []
     for animation, tracks in zip(animations, moved, strict=True):
         still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: tracks.get(key, still[key]) for key in used}
         if complete:
-            entries.append(_add_animation(draft, animation, complete, tolerance))
+            entries.append(_add_animation(draft, animation, complete))
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
@@ -229,11 +223,9 @@ def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> An
     return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
 
 
-def _add_animation(
-    draft: Draft, animation: OwnAnimation, tracks: AnimatedValues, tolerance: dict[tuple[int, str], float]
-) -> dict[str, Any]:
+def _add_animation(draft: Draft, animation: OwnAnimation, tracks: AnimatedValues) -> dict[str, Any]:
     """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate."""
-    keys = {key: _chosen_keys(values, key[1], tolerance.get(key, 0.0)) for key, values in tracks.items()}
+    keys = node_keys(animation.source, tracks, animation.key_limit)
     if not any(len(is_key) == animation.frames and is_key.all() for is_key in keys.values()):
         first = next(iter(tracks))
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
@@ -252,39 +244,6 @@ def _animated_values(document: Document) -> list[tuple[int, str]]:
     found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
     existing = [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(document.gltf["nodes"])]
     return [(node, path) for node, path in existing if path != "weights" or target_count(document, node)]
-
-
-def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:
-    """Choose the frames that become keys: of rotations as few as the tolerance allows, of others all or one."""
-    if path != "rotation":
-        return np.ones(len(values), bool) if np.ptp(values, axis=0).max() > 0 else np.arange(len(values)) == 0
-    quaternions = normalized_quaternions(values)
-    return choose_keys(quaternions[None], np.array([tolerance]), rotations=True)[0]
-
-
-def _rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> float:
-    """Return the change of animated values that is no more than rounding, in their unit."""
-    node, path = key
-    unit = {"translation": 0.0, "rotation": 1.0, "scale": 0.0, "weights": 1.0}[path]
-    if path == "translation":
-        parent = node_parents(source.document)[node]
-        linear = np.eye(3) if parent < 0 else source.rest.T_world_node[parent, :3, :3]
-        unit = float(np.ptp(source.vertices, axis=0).max() / max(np.linalg.norm(linear, axis=0).max(), 1e-12))
-    return ROUNDING * max(float(np.abs(values).max()), unit)
-
-
-def _tolerances(document: Document, vertices: Float[np.ndarray, "V 3"]) -> dict[tuple[int, str], float]:
-    """Compute the error of each node's rotation (radians) with which no vertex moves farther than KEY_LIMIT.
-
-    Errors along a chain of nodes add up: each gets an equal share, over the size of the whole mesh, because any kind of
-    node may move all of it.
-    """
-    parent, depth = node_parents(document), {-1: 0}
-    for node in sort_parents_first(document, parent):
-        depth[node] = depth[parent[node]] + 1
-    longest = max((depth[node] for node in scene_nodes(document)), default=1)
-    reach = np.linalg.norm(np.ptp(vertices, axis=0)) / np.ptp(vertices, axis=0).max()
-    return {(node, "rotation"): KEY_LIMIT / (longest * reach) for node in depth if node >= 0}
 
 
 def _between(
