@@ -138,9 +138,10 @@ APPEARANCE_PREFIXES = (
 )
 """First characters of the names of extensions that describe appearance only and refer to no accessors."""
 
-SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer", *COMPRESSION_EXTENSIONS)
-"""Quantized and compressed attributes are read. Animation pointers are dropped on opening, so they cannot dangle in a
-written file."""
+ANIMATION_POINTER = "KHR_animation_pointer"
+SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", ANIMATION_POINTER, *COMPRESSION_EXTENSIONS)
+"""Quantized and compressed attributes are read. Animation pointers are not: they stay in a file with its animations, or
+are dropped with all of them, so they cannot dangle in a written file."""
 
 ATTRIBUTE_TYPES = {
     "POSITION": "VEC3",

@@ -24,7 +24,7 @@ from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS
 from .read import RestScene
-from .scene import local_matrices, node_parents, node_properties, sort_parents_first
+from .scene import local_matrices, node_parents, node_properties, sort_parents_first, world_matrices
 from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
@@ -105,7 +105,9 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
         return sampled_poses(read_clips(document, rest, nodes, rig.parents, lambda name: False), rig, np.eye(3))
 
     humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
-    return OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
+    own = OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
+    _check_above(own)
+    return own
 
 
 def has_rig(mesh: Mesh) -> bool:
@@ -191,6 +193,23 @@ def _check_bound(document: Document, path: Path) -> None:
         raise InputError(f"{path}: expected inverse bind matrices in every skin, found none; export it again")
     joints = sorted({joint for skin in skins for joint in skin["joints"]})
     _check_scales(local_matrices(document)[joints], path)
+
+
+def _check_above(own: OwnRig) -> None:
+    """Check that the frames in which joints move have one scale, and are not mirrored since the mesh was bound."""
+    document = own.source.document
+    parent, static = node_parents(document), local_matrices(document)
+    moved = {own.nodes[joint] for joint in own.humanoid.tree()[0]}
+    frames, above = {-1: np.eye(4)}, []
+    for node in sort_parents_first(document, parent):
+        if node in moved:
+            above.append(frames[parent[node]])
+        frames[node] = np.eye(4) if node in moved else frames[parent[node]] @ static[node]
+    _check_scales(np.stack(above), document.path)
+    hips = own.person["Hips"]
+    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document, static)[hips]])
+    if np.prod(np.linalg.det(worlds[:, :3, :3])) < 0:
+        raise InputError(f"{document.path}: expected a rig as it was bound, found a mirrored one; apply its scale")
 
 
 def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:

@@ -86,6 +86,9 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
         draft, groups = edit_document(mesh.source, mesh, keep_targets=False)
     else:
         draft, groups = build_document(mesh, mesh)
+    if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
+        children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
+        draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
     rest = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
@@ -117,7 +120,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
     axes = stage_transform(skeleton.mesh)
     if axes:  # a skin follows its joints and ignores the mesh's own node, so a change of axes goes above the joints
         nodes.append({"name": "axes", **axes, "children": [start]})
-    _default_scene(draft)["nodes"].append(len(nodes) - 1 if axes else start)
+    _default_scene(draft).setdefault("nodes", []).append(len(nodes) - 1 if axes else start)
     return list(range(start, start + len(skeleton.names)))
 
 
@@ -165,7 +168,7 @@ def _attach_skinned_mesh(draft: Draft, node: int, skin: int, groups: list[Primit
     else:
         del old["mesh"]
     draft.gltf["nodes"].append(new)
-    _default_scene(draft)["nodes"].append(len(draft.gltf["nodes"]) - 1)
+    _default_scene(draft).setdefault("nodes", []).append(len(draft.gltf["nodes"]) - 1)
 
 
 def _default_scene(draft: Draft) -> dict[str, Any]:
