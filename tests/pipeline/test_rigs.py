@@ -21,6 +21,7 @@ from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.own_animation import OwnAnimation
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.skinned import save_skinned
@@ -255,6 +256,38 @@ def test_bones_get_the_names_of_engines_and_a_root_bone(names, model, driving, t
     assert written.fps == 40
     size = np.ptp(result.clip.vertices[0], axis=0).max()
     np.testing.assert_allclose(written.vertices[::2], result.clip.vertices, atol=EXACT * size)
+    root, scheme = bones.index(ENGINE_NAMES[names].root), ENGINE_NAMES[names]
+    assert root in gltf["skins"][0]["joints"]
+    way = root_way(tmp_path / "out.glb", root)
+    floor = load_mesh(identity).vertices[:, 1].min()
+    np.testing.assert_allclose(way[:, 1], floor, atol=EXACT * size)
+    hips = load_mesh(identity).source.rest.T_world_node[bones.index(scheme.bones["Hips"]), :3, 3]
+    np.testing.assert_allclose(way[0, [0, 2]], hips[[0, 2]], atol=EXACT * size)
+    path = result.skeleton.joint_positions()[:, result.skeleton.names.index(renamed("biped")("Hips"))]
+    np.testing.assert_allclose(way[::2, [0, 2]] - way[0, [0, 2]], (path - path[0])[:, [0, 2]], atol=EXACT * size)
+    assert np.ptp(way[:, 2]) > 0.1 * size
+
+
+def root_way(path: Path, root: int) -> np.ndarray:
+    """Read where a node is in the frames of a file's first animation."""
+    mesh, clip = load_mesh(path), load_clip(path, animation="0")
+    values = clip.skeleton.values()
+    frames = len(clip)
+    return OwnAnimation(mesh.source, "", values, clip.fps, frames, {}).node_matrices([root])[:, 0, :3, 3]
+
+
+@pytest.mark.parametrize("names", ["unreal", "own"])
+def test_the_root_bone_stands_still_unless_asked(names, model, driving, tmp_path):
+    """Unreal's skeleton has one always; files of others have none."""
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("biped"), frames=3)
+    result = animate(str(identity), str(driving), model)
+    result.save_skinned(tmp_path / "out.glb", names=names)
+    gltf = open_document(tmp_path / "out.glb").gltf
+    bones = [node["name"] for node in gltf["nodes"]]
+    assert ("root" in bones) == (names == "unreal")
+    if names == "unreal":
+        assert bones.index("root") in gltf["skins"][0]["joints"]
+        assert np.ptp(root_way(tmp_path / "out.glb", bones.index("root")), axis=0).max() == 0
 
 
 def test_several_clips_go_into_the_identitys_file(model, driving, tmp_path):

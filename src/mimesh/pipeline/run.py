@@ -24,6 +24,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, Normalization, axis_name, parse_axis
 from ..core.rig import Rig
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import Drive, Method, MotionMethod, QuickPredictor, SkinnedDrive, SkinnedMethod, SurfaceMotion
 from ..methods.confidence import Confidence
@@ -280,8 +281,10 @@ def copy_animation(
     assert isinstance(identity.source, GltfSource)
     assert rigs.copied is not None
     person = {} if rigs.identity is None else rigs.identity.person
-    copied = rigs.copied
-    own = OwnAnimation(identity.source, clip.mesh.name, copied.tracks, clip.fps, len(clip), person, keys=copied.keys)
+    tracks, keys = rigs.copied.tracks, rigs.copied.keys
+    own = OwnAnimation(
+        identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
+    )
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):

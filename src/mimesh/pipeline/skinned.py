@@ -96,7 +96,9 @@ def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[
     animations = []
     for name, result in zip(names, results, strict=True):
         assert result.own is not None
-        own = dataclasses.replace(result.own, name=name).with_layout(SCHEMES[layout.names].bones, layout.root)
+        own = dataclasses.replace(result.own, name=name).with_layout(
+            SCHEMES[layout.names].bones, layout.root, layout.root_bone
+        )
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):
         save_own_animations(animations, path)

@@ -1,4 +1,4 @@
-"""New animations of a file's own nodes: matrices, frames above joints, channels without use, files without scenes."""
+"""New animations of own nodes: matrices, frames above the joints, channels without use, copied keys."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
@@ -24,23 +24,18 @@ from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
-from .keys import choose_keys
+from .keys import KEY_LIMIT
+from .own_keys import node_keys, rounding
+from .root_bone import RootBone, place_root_bone
 from .scene import (
-    local_matrices,
-    node_parents,
     node_properties,
     normalized_quaternions,
     read_morph_weights,
-    scene_nodes,
-    sort_parents_first,
     target_count,
-    world_matrices,
 )
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
-KEY_LIMIT = 5e-7
-"""Largest distance, over the size of the file's mesh, by which thinned keys move a vertex. float32 keeps about 1e-7."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,17 +52,22 @@ class OwnAnimation:
     """Node of each joint that is known to be a person's, by our name."""
     renamed: dict[int, str] = field(default_factory=dict)
     """New names of nodes."""
+    key_limit: float = KEY_LIMIT
+    """Distance, over the mesh's size, by which thinned keys may move a vertex."""
     root_bone: str | None = None
-    """Name of a new node above the hips that carries the displacement over the ground."""
+    """Name of a bone on the floor above all joints; None: the file has those that it has."""
+    root_moves: bool = False
+    """Whether that bone carries the way over the ground."""
     keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
     """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
-    def with_layout(self, bones: Mapping[str, str], root_bone: str | None) -> OwnAnimation:
+    def with_layout(self, bones: Mapping[str, str], root_bone: str | None, root_moves: bool) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
 
         Args:
             bones: our name of a joint -> new name of its bone; empty leaves all names.
             root_bone: name of the new bone; None adds none.
+            root_moves: let it carry the way over the ground.
 
         Raises:
             InputError: the rig is not known to be a person's.
@@ -78,7 +78,9 @@ class OwnAnimation:
                 "leave the options out"
             )
         old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
-        return dataclasses.replace(self, renamed=new_names(self.joints, bones, old), root_bone=root_bone)
+        return dataclasses.replace(
+            self, renamed=new_names(self.joints, bones, old), root_bone=root_bone, root_moves=root_moves
+        )
 
     def resampled(self, fps: float) -> OwnAnimation:
         """Sample the animation at another frame rate, between frames as players of glTF do."""
@@ -88,6 +90,16 @@ class OwnAnimation:
             for (node, path), values in self.tracks.items()
         }
         return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
+
+    def moves(self, key: tuple[int, str]) -> bool:
+        """Tell whether a node is anywhere else than in the file, beyond rounding."""
+        values, entry = self.tracks[key], self.source.document.gltf["nodes"][key[0]]
+        if key[1] == "weights":
+            return False
+        still = node_value(entry, key, self.source.document)
+        if key[1] == "rotation":
+            values = values * np.where((values * still).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+        return bool(np.abs(values - still).max() > rounding(self.source, key, values))
 
     @property
     def morphs(self) -> bool:
@@ -113,19 +125,19 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     Args:
         animations: of one file, with the same layout.
     """
-    draft = _copied_file(animations)
-    moved = [_with_root_bone(animation, draft) for animation in animations]
+    root = _root_bone(animations)
+    draft = _copied_file(animations, root)
+    moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
     document = animations[0].source.document
     exact = [_exact_keys(animation, tracks) for animation, tracks in zip(animations, moved, strict=True)]
     used = dict.fromkeys(key for tracks in (*moved, *exact) for key in tracks)
     used |= dict.fromkeys(_animated_values(document))
-    tolerance = _tolerances(document, animations[0].source.vertices)
     entries = []
     for animation, tracks, keys in zip(animations, moved, exact, strict=True):
         still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: tracks.get(key, still[key]) for key in used}
         if complete:
-            channels = _channels(animation, complete, keys, tolerance)
+            channels = _channels(animation, complete, keys)
             entries.append(add_animation(draft, animation.name, channels))
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
@@ -168,7 +180,16 @@ def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence
     return {node: bones[name] for name, node in known.items() if name in bones}
 
 
-def _copied_file(animations: Sequence[OwnAnimation]) -> Draft:
+def _root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
+    """Find the place of the root bone of a file, if there is to be one."""
+    first = animations[0]
+    if first.root_bone is None:
+        return None
+    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
+    return place_root_bone(first.source, first.joints, moving)
+
+
+def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = None) -> Draft:
     """Copy the document, with new names, and with properties in place of the matrix of each node that moves.
 
     Animated nodes must not have a matrix (glTF 2.0, 3.5.3 Transformations).
@@ -176,47 +197,36 @@ def _copied_file(animations: Sequence[OwnAnimation]) -> Draft:
     first = animations[0]
     draft = AccessorCopier(first.source.document, whole=True).draft
     nodes = draft.gltf["nodes"]
-    for node in {node for animation in animations for node, _ in animation.tracks}:
+    moving = {node for animation in animations for node, _ in animation.tracks}
+    renamed = dict(first.renamed)
+    if root is not None:
+        moving |= set(root.staying) | set(() if root.is_new else (root.node,))
+        # A bone that is there keeps its name where the others do.
+        if renamed and not root.is_new and first.root_bone is not None:
+            renamed[root.node] = first.root_bone
+    for node in moving:
         if "matrix" in nodes[node]:
             properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
             nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
-    taken = {*first.renamed.values(), first.root_bone}
+    taken = set(renamed.values())
+    if root is not None and root.is_new:
+        taken.add(str(first.root_bone))
     for number, node in enumerate(nodes):
-        if number in first.renamed:
-            node["name"] = first.renamed[number]
+        if number in renamed:
+            node["name"] = renamed[number]
         elif node.get("name") is not None and node["name"] in taken:
             node["name"] = f"{node['name']} (of the file)"
-    if first.root_bone is not None:
-        _insert_root(draft, first)
+    if root is not None and root.is_new and first.root_bone is not None:
+        root.insert(draft, first.root_bone)
     return draft
 
 
-def _insert_root(draft: Draft, animation: OwnAnimation) -> None:
-    """Add a node, the last one, between the hips and what is above them."""
-    hips, gltf = animation.joints["Hips"], draft.gltf
-    above, root = node_parents(animation.source.document)[hips], len(gltf["nodes"])
-    gltf["nodes"].append({"name": animation.root_bone, "children": [hips]})
-    owners = (
-        [gltf["nodes"][above]["children"]]
-        if above >= 0
-        else [scene.get("nodes", []) for scene in gltf.get("scenes", [])]
-    )
-    for children in owners:
-        children[:] = [root if node == hips else node for node in children]
-
-
-def _with_root_bone(animation: OwnAnimation, draft: Draft) -> AnimatedValues:
-    """Return the tracks with the hips' displacement over the ground on the root bone, if there is one."""
-    path = None if animation.root_bone is None else animation.tracks.get((animation.joints["Hips"], "translation"))
-    if path is None:
-        return animation.tracks
-    document, hips = animation.source.document, animation.joints["Hips"]
-    above = node_parents(document)[hips]
-    linear = np.eye(3) if above < 0 else world_matrices(document, local_matrices(document))[above, :3, :3]
-    moved = (path - path[0]) @ linear.T * [1.0, 0.0, 1.0]
-    local = moved @ np.linalg.inv(linear).T
-    root = len(draft.gltf["nodes"]) - 1
-    return {**animation.tracks, (hips, "translation"): path - local, (root, "translation"): local}
+def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> AnimatedValues:
+    """Return the values of an animation in the file with a root bone, which carries the way over the ground or not."""
+    tracks = root.tracks(animation.tracks)
+    if not animation.root_moves:
+        return tracks
+    return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
 
 
 def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[int, str], AnimationChannel]:
@@ -231,13 +241,12 @@ def _channels(
     animation: OwnAnimation,
     tracks: AnimatedValues,
     exact: Mapping[tuple[int, str], AnimationChannel],
-    tolerance: dict[tuple[int, str], float],
 ) -> list[AnimationChannel]:
     """Choose the keys of an animation, from which readers know its rate.
 
     Unless copied keys show the rate, one track at least has a key in every frame.
     """
-    frames = {key: _chosen_keys(track, key[1], tolerance.get(key, 0.0)) for key, track in tracks.items()}
+    frames = node_keys(animation.source, tracks, animation.key_limit)
     start = min((keys.times[0] for keys in exact.values()), default=0.0)
     shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
     copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
@@ -262,28 +271,6 @@ def _animated_values(document: Document) -> list[tuple[int, str]]:
     found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
     existing = [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(document.gltf["nodes"])]
     return [(node, path) for node, path in existing if path != "weights" or target_count(document, node)]
-
-
-def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:
-    """Choose the frames that become keys: of rotations as few as the tolerance allows, of others all or one."""
-    if path != "rotation":
-        return np.ones(len(values), bool) if np.ptp(values, axis=0).max() > 0 else np.arange(len(values)) == 0
-    quaternions = normalized_quaternions(values)
-    return choose_keys(quaternions[None], np.array([tolerance]), rotations=True)[0]
-
-
-def _tolerances(document: Document, vertices: Float[np.ndarray, "V 3"]) -> dict[tuple[int, str], float]:
-    """Compute the error of each node's rotation (radians) with which no vertex moves farther than KEY_LIMIT.
-
-    Errors along a chain of nodes add up: each gets an equal share, over the size of the whole mesh, because any kind of
-    node may move all of it.
-    """
-    parent, depth = node_parents(document), {-1: 0}
-    for node in sort_parents_first(document, parent):
-        depth[node] = depth[parent[node]] + 1
-    longest = max((depth[node] for node in scene_nodes(document)), default=1)
-    reach = np.linalg.norm(np.ptp(vertices, axis=0)) / np.ptp(vertices, axis=0).max()
-    return {(node, "rotation"): KEY_LIMIT / (longest * reach) for node in depth if node >= 0}
 
 
 def _between(

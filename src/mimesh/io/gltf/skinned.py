@@ -27,7 +27,7 @@ from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
-from .keys import choose_keys, played_values, rotation_tolerances
+from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
 from .primitives import PrimitiveGroup
 
 UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
@@ -35,10 +35,6 @@ UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
-KEY_LIMIT = 1e-4
-"""Largest distance, over the mesh's size, by which thinned keys move a vertex from where all keys take it."""
-ACCESSOR_BYTES = 190
-"""Characters of JSON that an accessor of key times takes, with its buffer view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,10 +52,7 @@ class _ThinnedRotations:
         rig = skeleton.rig.limited(INFLUENCES)
         tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
         is_key = choose_keys(quat_xyzw, tolerance, rotations=True)
-        count = is_key.sum(axis=1)
-        own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
-        is_key[(count > 1) & (own_times > is_key.shape[1] * 16)] = True
-        return cls(quat_xyzw, is_key)
+        return cls(quat_xyzw, without_costly_times(is_key))
 
     def played(self, skeleton: AnimatedRig) -> AnimatedRig:
         """Return the motion that clients interpolate from the keys."""

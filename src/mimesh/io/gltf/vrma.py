@@ -27,12 +27,10 @@ from .animation import AnimationChannel, add_animation
 from .bake import sample_nodes
 from .document import Document
 from .draft import Draft
-from .keys import choose_keys, rotation_tolerances
+from .keys import KEY_LIMIT, choose_keys, rotation_tolerances
 from .scene import local_matrices, world_matrices
 from .vrm import vrm_bones
 
-KEY_LIMIT = 1e-4
-"""Largest distance, over the height of the skeleton, by which thinned keys move a joint."""
 EXTENSION = "VRMC_vrm_animation"
 
 
@@ -134,7 +132,7 @@ def _animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
 
 
 def _tolerances(motion: BoneMotion) -> Float[np.ndarray, " J"]:
-    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT."""
+    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT heights."""
     count = len(motion.joints)
     rig = Rig(np.tile(np.eye(3), (count, 1, 1)), motion.rest, np.eye(count))
     return rotation_tolerances(motion.rest, rig, motion.parents, KEY_LIMIT * float(np.ptp(motion.rest[:, 1])))
