@@ -267,3 +267,30 @@ def test_copied_quaternions_do_not_change_their_sign(model, tmp_path):
     for (_, target), values in result.own.tracks.items():
         if target == "rotation":
             assert ((values[1:] * values[:-1]).sum(axis=1) > 0).all()
+
+
+@pytest.mark.parametrize("options", [{}, {"root_bone": True}, {"names": "mixamo"}, {"fps": 60.0}])
+@pytest.mark.parametrize("copied", [True, False])
+def test_the_deviation_of_a_written_file_is_in_the_report(copied, options, model, driving, tmp_path):
+    name = str if copied else renamed("mixamo")
+    result = animate(str(rigs.of_kind(tmp_path / "a.glb", "T-pose", name=name)[0]), str(driving), model)
+    assert result.report.get("copied", False) == copied
+    result.save_skinned(tmp_path / "out.glb", **options)
+    assert 0 <= result.report["keys_deviation"] < 2e-4
+    assert 0 < result.report["skinned_deviation"] < 2e-4
+    if "fps" not in options:
+        vertices = load_clip(tmp_path / "out.glb").vertices
+        size = np.ptp(result.own.source.vertices, axis=0).max()
+        expected = np.linalg.norm(vertices - result.clip.vertices, axis=-1).max() / size
+        assert abs(result.report["skinned_deviation"] - expected) < 2e-7
+
+
+def test_the_deviation_shows_what_is_wrong_in_the_file(model, driving, tmp_path):
+    result = animate(str(rigs.character(tmp_path / "a.glb", name=renamed("mixamo"))), str(driving), model)
+    moved = dataclasses.replace(
+        result, clip=dataclasses.replace(result.clip, vertices=result.clip.vertices + [0.1, 0, 0])
+    )
+    moved.save_skinned(tmp_path / "out.glb")
+    size = np.ptp(result.own.source.vertices, axis=0).max()
+    assert moved.report["skinned_deviation"] == pytest.approx(0.1 / size, rel=1e-3)
+    assert moved.report["keys_deviation"] < 2e-4

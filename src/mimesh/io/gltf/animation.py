@@ -7,7 +7,7 @@ channel keeps the value of that key. KHR_animation_pointer is not read.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,11 @@ class AnimationChannel:
     """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
     interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
+
+    def stored(self) -> AnimationChannel:
+        """Return the channel with the values that a file has of it, which are float32."""
+        times, values = (array.astype(np.float32).astype(np.float64) for array in (self.times, self.values))
+        return replace(self, times=times, values=values)
 
     @property
     def constant(self) -> bool:

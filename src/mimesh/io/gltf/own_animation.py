@@ -14,18 +14,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
-from .bake import AnimatedValues, pose_frames, pose_nodes
+from .bake import AnimatedValues, pose_frames, pose_nodes, sample_frames
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .keys import KEY_LIMIT
 from .own_keys import node_keys, rounding
+from .read import RestScene
 from .root_bone import RootBone, place_root_bone
 from .scene import (
     node_properties,
@@ -111,12 +112,28 @@ class OwnAnimation:
         blocks = pose_nodes(self.source.document, self.tracks, self.frames)
         return np.concatenate([matrices[:, list(nodes)] for _, matrices in blocks])
 
-    def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh in every frame."""
-        return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
+    def vertices(self, frames: Int[np.ndarray, " F"] | None = None) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh in some frames, or in every one."""
+        tracks = self.tracks if frames is None else {key: values[frames] for key, values in self.tracks.items()}
+        count = self.frames if frames is None else len(frames)
+        return pose_frames(self.source.document, self.source.rest, tracks, count)
 
 
-def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
+@dataclass(frozen=True, eq=False)
+class PlayedAnimation:
+    """An animation of a written file as programs play it."""
+
+    document: Document
+    """The nodes of the written file, with the meshes of the one that it was made of."""
+    rest: RestScene
+    channels: list[AnimationChannel]
+
+    def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh at times in seconds."""
+        return sample_frames(self.document, self.rest, self.channels, times)
+
+
+def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
@@ -124,6 +141,9 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
 
     Args:
         animations: of one file, with the same layout.
+
+    Returns:
+        The animations as clients of the file play them.
     """
     root = _root_bone(animations)
     draft = _copied_file(animations, root)
@@ -132,17 +152,21 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     exact = [_exact_keys(animation, tracks) for animation, tracks in zip(animations, moved, strict=True)]
     used = dict.fromkeys(key for tracks in (*moved, *exact) for key in tracks)
     used |= dict.fromkeys(_animated_values(document))
-    entries = []
+    entries, played = [], []
     for animation, tracks, keys in zip(animations, moved, exact, strict=True):
         still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: tracks.get(key, still[key]) for key in used}
-        if complete:
-            channels = _channels(animation, complete, keys)
+        channels = [channel.stored() for channel in _channels(animation, complete, keys)] if complete else []
+        if channels:
             entries.append(add_animation(draft, animation.name, channels))
+        played.append(channels)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
+    # Meshes and skins move as before; what is new in them is in the written file alone.
+    written = dataclasses.replace(document, gltf={**document.gltf, "nodes": draft.gltf["nodes"]})
+    return [PlayedAnimation(written, animations[0].source.rest, channels) for channels in played]
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
