@@ -113,6 +113,7 @@ DAMAGES = {
     "no weights": (no_weights, "skin with weights, found 100%|weights"),
     "half without weights": (some_weights(0.0), "skin with weights, found 50%"),
     "half with NaN weights": (some_weights(float("nan")), "skin with weights, found 50%"),
+    "half with infinite weights": (some_weights(float("inf")), "skin with weights, found 50%"),
     "half with negative weights": (some_weights(-1.0), "skin with weights, found 50%"),
     "a joint scaled to nothing": (scaled("LeftForeArm", [0.0, 0.0, 0.0]), "scaled to nothing|finite|length"),
     "a sheared joint": (scaled("LeftForeArm", [1.0, 3.0, 0.5]), "scaled equally"),
