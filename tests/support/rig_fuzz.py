@@ -36,7 +36,17 @@ LONGEST_RUN = 20
 """Seconds that a command may take."""
 MANY = 6
 """Animations of a file that are kept, so that commands are quick."""
-NAMES = ("", " ", "a" * 5000, "Left\x00Arm\n\t\x1b[2J", "Größe 大小 \U0001f9b4", "\ud800", "mixamorig:LeftArm", "../../x", "1")
+NAMES = (
+    "",
+    " ",
+    "a" * 5000,
+    "Left\x00Arm\n\t\x1b[2J",
+    "Größe 大小 \U0001f9b4",
+    "\ud800",
+    "mixamorig:LeftArm",
+    "../../x",
+    "1",
+)
 
 
 class NotPossible(Exception):
@@ -93,9 +103,7 @@ class RigFile:
         self.gltf["bufferViews"].append({"buffer": 0, "byteOffset": len(self.binary), "byteLength": values.nbytes})
         self.binary += values.tobytes()
         kept = {name: old[name] for name in ("componentType", "type", "normalized") if name in old}
-        self.gltf["accessors"].append(
-            {**kept, "bufferView": len(self.gltf["bufferViews"]) - 1, "count": len(values)}
-        )
+        self.gltf["accessors"].append({**kept, "bufferView": len(self.gltf["bufferViews"]) - 1, "count": len(values)})
         owner[key] = len(self.gltf["accessors"]) - 1
 
     def attributes(self, rng: np.random.Generator, name: str) -> dict[str, Any]:
@@ -241,7 +249,12 @@ def node_transform(file: RigFile, rng: np.random.Generator) -> None:
     node = file.gltf["nodes"][file.joint(rng)] if rng.random() < 0.7 else file.some(rng, "nodes")
     key = ["scale", "rotation", "translation", "matrix"][rng.integers(4)]
     bad = [0.0, -1.0, 1e6, 1e-6, 1e30, 1e300, float("nan"), float("inf")][rng.integers(8)]
-    value = {"scale": [1.0] * 3, "rotation": [0.0, 0, 0, 1], "translation": [0.0] * 3, "matrix": np.eye(4).ravel().tolist()}[key]
+    value = {
+        "scale": [1.0] * 3,
+        "rotation": [0.0, 0, 0, 1],
+        "translation": [0.0] * 3,
+        "matrix": np.eye(4).ravel().tolist(),
+    }[key]
     places = rng.random(len(value)) < [0.2, 1.0][rng.integers(2)]
     value = [bad if place else number for number, place in zip(value, places, strict=True)]
     if key == "matrix" and rng.random() < 0.5:
@@ -306,7 +319,9 @@ def vrm_bones(file: RigFile, rng: np.random.Generator) -> None:
     bones |= {bone: {"node": file.joint(rng)} for bone in ("leftUpperLeg", "rightUpperLeg", "leftFoot", "rightFoot")}
     bad = [10**6, -1, None, "Hips", bones["hips"]["node"]][rng.integers(5)]
     bones["leftUpperArm"] = [{"node": bad}, {}, None, bad][rng.integers(4)]
-    humanoid: Any = [{"humanBones": bones}, {"humanBones": list(bones)}, {}, None][rng.choice(4, p=[0.7, 0.1, 0.1, 0.1])]
+    humanoid: Any = [{"humanBones": bones}, {"humanBones": list(bones)}, {}, None][
+        rng.choice(4, p=[0.7, 0.1, 0.1, 0.1])
+    ]
     file.gltf.setdefault("extensions", {})["VRMC_vrm"] = {"specVersion": "1.0", "humanoid": humanoid, "meta": {}}
     file.gltf.setdefault("extensionsUsed", []).append("VRMC_vrm")
 

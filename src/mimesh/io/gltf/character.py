@@ -213,8 +213,8 @@ def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
     """Tell whether a character stands upright on its legs, y up, and not on all fours as animals do.
 
     Animals may have the names of a person's joints, and a wrong orientation sets them on their hind legs: these are
-    then horizontal, as a trunk is that front legs carry. Of 205 files of people, monsters and figures of blocks, trunks lean by
-    up to 8 degrees, legs point down within 39 degrees, and arms end above 0.22 of the height.
+    then horizontal, as a trunk is that front legs carry. Of 205 files of people, monsters and figures of blocks, trunks
+    lean by up to 8 degrees, legs point down within 39 degrees, and arms end above 0.22 of the height.
     """
     heights = rig.mesh.vertices[:, 1]
     ground, height = heights.min(), np.ptp(heights)

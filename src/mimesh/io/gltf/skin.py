@@ -75,7 +75,7 @@ def rig_on_nodes(
 
 
 def unweighted_vertices(document: Document, rest: RestScene) -> int:
-    """Count the skinned vertices without weights, with NaN or infinity, which follow the first joint (see `read_influences`)."""
+    """Count the skinned vertices without finite weights, which follow the first joint (see `read_influences`)."""
     count = 0
     for span in rest.vertex_ranges:
         if _find_skin(document, span) is None:
