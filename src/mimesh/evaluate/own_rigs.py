@@ -10,6 +10,7 @@ import base64
 import json
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -41,7 +42,7 @@ class RawFile:
 
 
 def playback_error(path: Path, animation: str | None, output: Path) -> float:
-    """Compute the largest distance of a vertex in a written file from the file's own animation, over the size.
+    """Compute the largest distance of a vertex in a written file from the file's own animation, over its size.
 
     Infinite if the written animation is shorter. `animation` None is a file without animations.
     """
@@ -52,7 +53,7 @@ def playback_error(path: Path, animation: str | None, output: Path) -> float:
         written = load_clip(output, fps=own.fps)
     if len(written) < len(own):
         return float("inf")
-    size = float(np.ptp(load_mesh(path).vertices, axis=0).max())
+    size = float(np.ptp(own.vertices[0], axis=0).max())
     return max(float(np.abs(written.vertices[t] - own.vertices[t]).max()) for t in range(len(own))) / size
 
 
@@ -67,10 +68,7 @@ def lost_content(path: Path, output: Path) -> list[str]:
     The bytes of buffers are compared as a whole and by buffer view, images by their bytes. All else is the same if its
     JSON is.
     """
-    source, written = _read_raw(path), _read_raw(output)
-    if is_compressed(path):
-        document = open_document(path)
-        source = RawFile(document.gltf, (bytes(document.binary),))
+    source, written = _read_source(path), _read_raw(output)
     old, new = source.gltf, written.gltf
     lost = [] if _same_buffers(source, written) else ["buffers"]
     for key, value in old.items():
@@ -91,6 +89,15 @@ def lost_content(path: Path, output: Path) -> list[str]:
             same = key == "buffers" or (new.get(key) or None) == (value or None)  # empty lists are not written
         lost += [] if same else [key]
     return lost
+
+
+@lru_cache(maxsize=1)
+def _read_source(path: Path) -> RawFile:
+    """Read a file without compression; the last one stays in memory, because decompression takes seconds."""
+    if not is_compressed(path):
+        return _read_raw(path)
+    document = open_document(path)
+    return RawFile(document.gltf, (bytes(document.binary),))
 
 
 def _read_raw(path: Path) -> RawFile:

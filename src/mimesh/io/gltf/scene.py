@@ -226,8 +226,11 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     Computed as cofactor matrices, which exist for singular (flattening) matrices too.
     """
     a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
+    # Matrices with NaN come from damaged skins, whose vertices are refused with a message.
+    with np.errstate(invalid="ignore", over="ignore"):
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+        mirrored = np.linalg.det(linear) < 0
+    return cofactors * np.where(mirrored, -1.0, 1.0)[:, None, None]
 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
