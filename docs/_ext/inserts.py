@@ -170,7 +170,7 @@ def own_clips() -> str:
 
 def _own_row(row: dict) -> list[str]:
     """Return the cells of a file: FBX has no bytes to compare, compressed files are written without compression."""
-    error = "-" if row["error"] is None else f"{row['error']:.0e}"
+    error = "-" if row["error"] is None else f"{row['error']:.0e}" if row["error"] else "0"
     changed = "no: " + ", ".join(row["lost"]) if row.get("lost") else "yes"
     changed = "-" if "lost" not in row else f"{changed}, uncompressed" if row["compressed"] else changed
     person = "yes" if row["person"] else "no: " + row["reason"].partition(" by name,")[0].partition(";")[0]
