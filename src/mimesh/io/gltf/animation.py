@@ -220,7 +220,12 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     selected: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
         targets = {(channel.node, channel.path) for channel in selected}
-        channels = read_channels(document, number)
+        try:
+            channels = read_channels(document, number)
+        except InputError:
+            if not selected:
+                raise
+            continue  # an animation that is not asked for may be damaged
         if not any((channel.node, channel.path) in targets for channel in channels):
             selected += channels
     return selected

@@ -251,8 +251,11 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     Computed as cofactor matrices, which exist for singular (flattening) matrices too.
     """
     a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
+    # Matrices with NaN come from damaged skins, whose vertices are refused with a message.
+    with np.errstate(invalid="ignore", over="ignore"):
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+        mirrored = np.linalg.det(linear) < 0
+    return cofactors * np.where(mirrored, -1.0, 1.0)[:, None, None]
 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
@@ -329,8 +332,8 @@ def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
 def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
     """Read the joint indices and weights of each vertex from all sets JOINTS_n and WEIGHTS_n, as (V, K) arrays.
 
-    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js. Joints of
-    weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
+    Weights are divided by their sum; a vertex without any finite weight follows its first joint, as in three.js.
+    Joints of weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
 
     Raises:
         InputError: a set of joints comes without weights.
@@ -344,5 +347,6 @@ def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.n
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
     joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
     total = weight.sum(axis=1, keepdims=True)
-    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), np.eye(1, weight.shape[1]))
+    usable = (total > 0) & np.isfinite(total)
+    weight = np.where(usable, weight / np.where(usable, total, 1.0), np.eye(1, weight.shape[1]))
     return np.where(weight == 0, 0, joint).astype(np.int64), weight
