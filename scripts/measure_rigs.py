@@ -130,7 +130,18 @@ def _update(output: Path, report: dict[str, Any]) -> None:
     """Write a report in place of an older one; parts that only that has are kept."""
     old = json.loads(output.read_text()) if output.is_file() else {}
     with whole_file(output) as temporary:
-        temporary.write_text(json.dumps(old | report, indent=1) + "\n")
+        temporary.write_text(_layout(old | report) + "\n")
+
+
+def _layout(value: Any, indent: str = "") -> str:
+    """Write JSON with a line for each entry of a list, such as a pair of files, and for each group of figures."""
+    inner = indent + " "
+    if isinstance(value, dict) and any(isinstance(entry, (dict, list)) for entry in value.values()):
+        lines = [f"{inner}{json.dumps(key)}: {_layout(entry, inner)}" for key, entry in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
+        return "[\n" + ",\n".join(inner + json.dumps(entry) for entry in value) + f"\n{indent}]"
+    return json.dumps(value)
 
 
 def _measure_pair(mesh, limbed: LimbedCharacter, actor: Actor) -> dict[str, Any]:
@@ -139,12 +150,12 @@ def _measure_pair(mesh, limbed: LimbedCharacter, actor: Actor) -> dict[str, Any]
     begin = time.perf_counter()
     try:
         result = retarget(mesh, actor)
+        row |= {"own": result.own is not None, "notes": list(result.notes), "seconds": time.perf_counter() - begin}
+        row |= measure(result, limbed, actor)
+        by_hand = copy_rotations(mesh, actor)
+        return row | ({} if by_hand is None else {"copied rotations": measure(by_hand, limbed, actor)})
     except Exception as error:  # that there is none is what is measured
         return row | {"error": repr(error)}
-    row |= {"own": result.own is not None, "notes": list(result.notes), "seconds": time.perf_counter() - begin}
-    row |= measure(result, limbed, actor)
-    by_hand = copy_rotations(mesh, actor)
-    return row | ({} if by_hand is None else {"copied rotations": measure(by_hand, limbed, actor)})
 
 
 def _motions(path: Path) -> list[Actor]:
