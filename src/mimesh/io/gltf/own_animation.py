@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.animated_rig import frames_around
-from ...core.errors import InputError
 from .animation import PATH_WIDTHS, AnimationChannel, add_animation, slerp
 from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
@@ -32,6 +31,7 @@ from .scene import (
     read_morph_weights,
     target_count,
 )
+from .vrm import vrm_version
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
@@ -64,16 +64,8 @@ class OwnAnimation:
         Args:
             bones: our name of a joint -> new name of its bone; empty leaves all names.
             root_bone: name of the new bone; None adds none.
-            root_moves: let it carry the way over the ground.
-
-        Raises:
-            InputError: the rig is not known to be a person's.
+            root_moves: let it carry the way over the ground; the hips have to be known for it.
         """
-        if (bones or root_bone) and "Hips" not in self.joints:
-            raise InputError(
-                f"--names, --root-bone: expected the bones of a person in {self.source.document.path}, found others; "
-                "leave the options out"
-            )
         old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
         return dataclasses.replace(
             self, renamed=new_names(self.joints, bones, old), root_bone=root_bone, root_moves=root_moves
@@ -125,14 +117,7 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
     root = _root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    document = animations[0].source.document
-    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(document))
-    entries = []
-    for animation, tracks in zip(animations, moved, strict=True):
-        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-        complete = {key: tracks.get(key, still[key]) for key in used}
-        if complete:
-            entries.append(_add_animation(draft, animation, complete))
+    entries = _new_entries(animations, moved, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
@@ -140,11 +125,34 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
-    """Write the file of an identity with its nodes as they are in the first frame, and nothing else changed."""
+    """Write the file of an identity with its nodes as they are in the first frame of an animation.
+
+    A file with animations gets one more, of one key: programs play the first one of a file on opening it, which would
+    hide the pose. A VRM has none by its specification.
+    """
     draft = _copied_file([animation])
     for (node, target), values in animation.tracks.items():
         draft.gltf["nodes"][node][target] = values[0].tolist()
+    old = draft.gltf.get("animations", [])
+    if old and vrm_version(animation.source.document) is None:
+        pose = {key: values[:1] for key, values in animation.tracks.items()}
+        draft.gltf["animations"] = [*_new_entries([dataclasses.replace(animation, frames=1)], [pose], draft), *old]
     draft.save(path)
+
+
+def _new_entries(
+    animations: Sequence[OwnAnimation], tracks: Sequence[AnimatedValues], draft: Draft
+) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file: the values of each for all that any of them moves, old and new."""
+    document = animations[0].source.document
+    used = dict.fromkeys(key for values in tracks for key in values) | dict.fromkeys(_animated_values(document))
+    entries = []
+    for animation, values in zip(animations, tracks, strict=True):
+        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
+        complete = {key: values.get(key, still[key]) for key in used}
+        if complete:
+            entries.append(_add_animation(draft, animation, complete))
+    return entries
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
