@@ -221,6 +221,39 @@ def test_a_pose_is_put_on_the_nodes_and_the_rig_is_kept(model, tmp_path):
     assert [node["name"] for node in new["nodes"]] == [node["name"] for node in old["nodes"]]
 
 
+def test_a_pose_comes_before_the_animations_of_the_file(model, tmp_path):
+    """Programs play the first animation of a file on opening it; that of the pose holds all that others move."""
+    person = rigs.figure()
+    frame = rigs.exercise(person)[-1]
+    driving = rigs.character(tmp_path / "pose.glb", moved=frame)
+    identity, *_ = rigs.of_kind(tmp_path / "a.glb", "T-pose", name=renamed("godot"), change=tail)
+    transfer(str(identity), str(driving), model).save(tmp_path / "out.glb")
+    expected = rigs.posed(person, frame)[None]
+    played = load_clip(tmp_path / "out.glb", animation="0")
+    assert deviation(load_mesh(tmp_path / "out.glb").vertices[None], expected) < EXACT
+    assert deviation(load_clip(tmp_path / "out.glb").vertices, expected) < EXACT
+    assert deviation(played.vertices, expected) < EXACT
+    old, new = (open_document(path).gltf["animations"] for path in (identity, tmp_path / "out.glb"))
+    assert [animation["name"] for animation in new] == ["pose", *(animation["name"] for animation in old)]
+    targets = [{(c["target"]["node"], c["target"]["path"]) for c in animation["channels"]} for animation in new]
+    assert targets[0] >= set.union(*targets)
+    np.testing.assert_allclose(
+        load_clip(tmp_path / "out.glb", animation="move").vertices, load_clip(identity).vertices, atol=1e-6
+    )
+
+
+def tail(draft: Draft) -> None:
+    """Let the file's animation move a node that no person has."""
+    gltf = draft.gltf
+    gltf["nodes"].append({"name": "tail"})
+    gltf["nodes"][0]["children"].append(len(gltf["nodes"]) - 1)
+    animation = gltf["animations"][0]
+    target = {"node": len(gltf["nodes"]) - 1, "path": "scale"}
+    animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
+    values = draft.add_floats(np.linspace(1, 2, 6)[:, None] * np.ones(3))
+    animation["samplers"].append({"input": animation["samplers"][0]["input"], "output": values})
+
+
 def test_other_files_get_the_pose_without_the_rig(model, driving, tmp_path):
     identity = rigs.character(tmp_path / "a.glb")
     result = transfer(str(identity), str(driving), model)

@@ -10,7 +10,9 @@ from .terminal import output_beside, print_next
 
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
+    from ..core.mesh import Clip, Mesh
     from ..pipeline.result import ClipResult
+    from ..pipeline.run import MotionOptions
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
@@ -78,6 +80,26 @@ def check_clip_output(
     if skinned or len(driving) > 1 or layout != Layout():
         return True
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
+
+
+def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOptions, layout: Layout) -> None:
+    """Check that the identity's own rig can get a layout if it is used, before anything is moved.
+
+    Raises:
+        InputError: it cannot.
+    """
+    from ..methods.find import takes_rigs
+    from ..pipeline.rigs import Rigs
+    from ..pipeline.skinned import check_own_layout
+
+    bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
+    if not bones or options.rig != "own" or not takes_rigs(model):
+        return
+    rigs = Rigs.read(identity, clip, options.rig)
+    if rigs.identity is not None:
+        check_own_layout(rigs.identity.person, layout, identity.name)
+    elif rigs.copied is not None and not options.changes_motion:
+        check_own_layout({}, layout, identity.name)
 
 
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:

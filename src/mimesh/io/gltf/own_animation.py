@@ -17,7 +17,6 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.animated_rig import frames_around
-from ...core.errors import InputError
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
 from .bake import AnimatedValues, pose_frames, pose_nodes, sample_frames
@@ -34,6 +33,7 @@ from .scene import (
     read_morph_weights,
     target_count,
 )
+from .vrm import vrm_version
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
@@ -68,16 +68,8 @@ class OwnAnimation:
         Args:
             bones: our name of a joint -> new name of its bone; empty leaves all names.
             root_bone: name of the new bone; None adds none.
-            root_moves: let it carry the way over the ground.
-
-        Raises:
-            InputError: the rig is not known to be a person's.
+            root_moves: let it carry the way over the ground; the hips have to be known for it.
         """
-        if (bones or root_bone) and "Hips" not in self.joints:
-            raise InputError(
-                f"--names, --root-bone: expected the bones of a person in {self.source.document.path}, found others; "
-                "leave the options out"
-            )
         old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
         return dataclasses.replace(
             self, renamed=new_names(self.joints, bones, old), root_bone=root_bone, root_moves=root_moves
@@ -148,33 +140,57 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list
     root = _root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    document = animations[0].source.document
-    exact = [_exact_keys(animation, tracks) for animation, tracks in zip(animations, moved, strict=True)]
-    used = dict.fromkeys(key for tracks in (*moved, *exact) for key in tracks)
-    used |= dict.fromkeys(_animated_values(document))
-    entries, played = [], []
-    for animation, tracks, keys in zip(animations, moved, exact, strict=True):
-        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-        complete = {key: tracks.get(key, still[key]) for key in used}
-        channels = [channel.stored() for channel in _channels(animation, complete, keys)] if complete else []
-        if channels:
-            entries.append(add_animation(draft, animation.name, channels))
-        played.append(channels)
+    played = _new_channels(animations, moved, draft)
+    entries = _entries(animations, played, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
     # Meshes and skins move as before; what is new in them is in the written file alone.
-    written = dataclasses.replace(document, gltf={**document.gltf, "nodes": draft.gltf["nodes"]})
-    return [PlayedAnimation(written, animations[0].source.rest, channels) for channels in played]
+    source = animations[0].source
+    written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
+    return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
-    """Write the file of an identity with its nodes as they are in the first frame, and nothing else changed."""
+    """Write the file of an identity with its nodes as they are in the first frame of an animation.
+
+    A file with animations gets one more, of one key: programs play the first one of a file on opening it, which would
+    hide the pose. A VRM has none by its specification.
+    """
     draft = _copied_file([animation])
     for (node, target), values in animation.tracks.items():
         draft.gltf["nodes"][node][target] = values[0].tolist()
+    old = draft.gltf.get("animations", [])
+    if old and vrm_version(animation.source.document) is None:
+        pose = {key: values[:1] for key, values in animation.tracks.items()}
+        first = [dataclasses.replace(animation, frames=1)]
+        draft.gltf["animations"] = [*_entries(first, _new_channels(first, [pose], draft), draft), *old]
     draft.save(path)
+
+
+def _new_channels(
+    animations: Sequence[OwnAnimation], tracks: Sequence[AnimatedValues], draft: Draft
+) -> list[list[AnimationChannel]]:
+    """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
+    document = animations[0].source.document
+    exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
+    used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
+    used |= dict.fromkeys(_animated_values(document))
+    chosen = []
+    for animation, values, keys in zip(animations, tracks, exact, strict=True):
+        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
+        complete = {key: values.get(key, still[key]) for key in used}
+        chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
+    return chosen
+
+
+def _entries(
+    animations: Sequence[OwnAnimation], chosen: Sequence[list[AnimationChannel]], draft: Draft
+) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file."""
+    pairs = zip(animations, chosen, strict=True)
+    return [add_animation(draft, animation.name, channels) for animation, channels in pairs if channels]
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
