@@ -60,6 +60,15 @@ def test_a_model_without_joints_and_a_pose_have_frames(files):
     assert ["skins" in open_document(files / f"{name}.glb").gltf for name in "efg"] == [False, False, True]
 
 
+def test_a_copied_animation_has_a_preview(files, capsys):
+    path = str(rigs.of_kind(files / "mover.glb", "T-pose")[0])
+    assert run(["animate", path, path, "-o", str(files / "i.glb"), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)["report"]
+    assert report["copied"]
+    assert report["identity"]["up"] == report["driving"]["up"] == "+y"
+    assert (files / "i.preview.html").exists()
+
+
 def test_a_pose_is_put_on_the_bones_of_a_rigged_file(files):
     rigged = rigs.of_kind(files / "rigged.glb", "T-pose", moving=False)[0]
     pose = rigs.of_kind(files / "standing.glb", "A-pose", moving=False)[0]

@@ -402,11 +402,13 @@ class Checker:
             ["transfer", damaged, sound, "-o", out, "-m", self.model],
             ["transfer", sound, damaged, "-o", out.with_suffix(".gltf"), "-m", self.model],
             ["animate", damaged, sound, "-o", out, "-m", self.model, "--names", "unreal", "--root-bone"],
+            ["animate", damaged, damaged, "-o", out.with_name("seen.glb"), "-m", self.model, "--preview"],
         ]
         if original is not None and original.suffix != ".fbx":
             commands.append(["animate", damaged, original, "-o", out, "-m", self.model])
         for words in commands:
-            command = [str(word) for word in words] + (["-q", "--no-preview"] if words[0] == "animate" else [])
+            plain = words[0] == "animate" and "--preview" not in words
+            command = [str(word) for word in words] + (["-q", "--no-preview"] if plain else [])
             result = self._result(command)
             if result is not None:
                 yield f"{command[0]} {' '.join(Path(word).name for word in command[1:3])}: {result}"
