@@ -1,5 +1,5 @@
-// node play_skinned.mjs MODULES FILE SECOND...: vertices of a skinned glTF file in three.js at times of its animation,
-// its bones, and what three-vrm finds in it, as JSON.
+// node play_skinned.mjs MODULES FILE SECOND...: vertices of a skinned glTF file in three.js at times of its first
+// animation, its bones, and what three-vrm finds in it, as JSON.
 import fs from "node:fs";
 import path from "node:path";
 import { pathToFileURL } from "node:url";
@@ -21,7 +21,7 @@ const gltf = await loader.parseAsync(buffer, "");
 const meshes = [];
 gltf.scene.traverse((object) => object.isSkinnedMesh && meshes.push(object));
 const mixer = new THREE.AnimationMixer(gltf.scene);
-gltf.animations.forEach((clip) => mixer.clipAction(clip).play());
+gltf.animations.slice(0, 1).forEach((clip) => mixer.clipAction(clip).play()); // as viewers do
 
 function vertices() {
   gltf.scene.updateMatrixWorld(true);

@@ -20,6 +20,8 @@ from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.own_animation import OwnAnimation
 from mimesh.motions import load_motion, window
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.skinned import save_skinned
@@ -112,6 +114,26 @@ def test_size_and_place_of_the_identity_are_kept(scale, shift, model, driving, t
     np.testing.assert_allclose(second, scale * first + shift, atol=2 * EXACT * scale)
 
 
+@pytest.mark.parametrize("scale", [2.0, 1.0005, -1.0, (-1.0, 1.0, 1.0), (1.0, -1.0, -1.0)])
+def test_node_scales_that_the_bind_pose_does_not_have_are_taken_back(scale, model, driving, tmp_path):
+    """Exporters leave nodes in some frame of an animation, which may scale or mirror joints."""
+    person = rigs.figure()
+
+    def change(draft: Draft) -> None:
+        for joint in ("LeftForeArm", "LeftHand"):
+            entry = draft.gltf["nodes"][2 + person.names.index(joint)]
+            matrix = np.array(entry["matrix"]).reshape(4, 4)
+            matrix[:3] *= np.broadcast_to(scale, 3)[:, None]
+            entry["matrix"] = matrix.ravel().tolist()
+
+    path = rigs.character(tmp_path / "a.glb", change=change, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    assert deviation(result.clip.vertices, truth(person)) < EXACT
+    result.save_skinned(tmp_path / "out.glb")
+    assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person)) < EXACT
+
+
 def limb_direction(vertices_or_joints: dict[str, np.ndarray], start: str, end: str) -> np.ndarray:
     vector = vertices_or_joints[end] - vertices_or_joints[start]
     return vector / np.linalg.norm(vector)
@@ -199,6 +221,39 @@ def test_a_pose_is_put_on_the_nodes_and_the_rig_is_kept(model, tmp_path):
     assert [node["name"] for node in new["nodes"]] == [node["name"] for node in old["nodes"]]
 
 
+def test_a_pose_comes_before_the_animations_of_the_file(model, tmp_path):
+    """Programs play the first animation of a file on opening it; that of the pose holds all that others move."""
+    person = rigs.figure()
+    frame = rigs.exercise(person)[-1]
+    driving = rigs.character(tmp_path / "pose.glb", moved=frame)
+    identity, *_ = rigs.of_kind(tmp_path / "a.glb", "T-pose", name=renamed("godot"), change=tail)
+    transfer(str(identity), str(driving), model).save(tmp_path / "out.glb")
+    expected = rigs.posed(person, frame)[None]
+    played = load_clip(tmp_path / "out.glb", animation="0")
+    assert deviation(load_mesh(tmp_path / "out.glb").vertices[None], expected) < EXACT
+    assert deviation(load_clip(tmp_path / "out.glb").vertices, expected) < EXACT
+    assert deviation(played.vertices, expected) < EXACT
+    old, new = (open_document(path).gltf["animations"] for path in (identity, tmp_path / "out.glb"))
+    assert [animation["name"] for animation in new] == ["pose", *(animation["name"] for animation in old)]
+    targets = [{(c["target"]["node"], c["target"]["path"]) for c in animation["channels"]} for animation in new]
+    assert targets[0] >= set.union(*targets)
+    np.testing.assert_allclose(
+        load_clip(tmp_path / "out.glb", animation="move").vertices, load_clip(identity).vertices, atol=1e-6
+    )
+
+
+def tail(draft: Draft) -> None:
+    """Let the file's animation move a node that no person has."""
+    gltf = draft.gltf
+    gltf["nodes"].append({"name": "tail"})
+    gltf["nodes"][0]["children"].append(len(gltf["nodes"]) - 1)
+    animation = gltf["animations"][0]
+    target = {"node": len(gltf["nodes"]) - 1, "path": "scale"}
+    animation["channels"].append({"sampler": len(animation["samplers"]), "target": target})
+    values = draft.add_floats(np.linspace(1, 2, 6)[:, None] * np.ones(3))
+    animation["samplers"].append({"input": animation["samplers"][0]["input"], "output": values})
+
+
 def test_other_files_get_the_pose_without_the_rig(model, driving, tmp_path):
     identity = rigs.character(tmp_path / "a.glb")
     result = transfer(str(identity), str(driving), model)
@@ -234,6 +289,38 @@ def test_bones_get_the_names_of_engines_and_a_root_bone(names, model, driving, t
     assert written.fps == 40
     size = np.ptp(result.clip.vertices[0], axis=0).max()
     np.testing.assert_allclose(written.vertices[::2], result.clip.vertices, atol=EXACT * size)
+    root, scheme = bones.index(ENGINE_NAMES[names].root), ENGINE_NAMES[names]
+    assert root in gltf["skins"][0]["joints"]
+    way = root_way(tmp_path / "out.glb", root)
+    floor = load_mesh(identity).vertices[:, 1].min()
+    np.testing.assert_allclose(way[:, 1], floor, atol=EXACT * size)
+    hips = load_mesh(identity).source.rest.T_world_node[bones.index(scheme.bones["Hips"]), :3, 3]
+    np.testing.assert_allclose(way[0, [0, 2]], hips[[0, 2]], atol=EXACT * size)
+    path = result.skeleton.joint_positions()[:, result.skeleton.names.index(renamed("biped")("Hips"))]
+    np.testing.assert_allclose(way[::2, [0, 2]] - way[0, [0, 2]], (path - path[0])[:, [0, 2]], atol=EXACT * size)
+    assert np.ptp(way[:, 2]) > 0.1 * size
+
+
+def root_way(path: Path, root: int) -> np.ndarray:
+    """Read where a node is in the frames of a file's first animation."""
+    mesh, clip = load_mesh(path), load_clip(path, animation="0")
+    values = clip.skeleton.values()
+    frames = len(clip)
+    return OwnAnimation(mesh.source, "", values, clip.fps, frames, {}).node_matrices([root])[:, 0, :3, 3]
+
+
+@pytest.mark.parametrize("names", ["unreal", "own"])
+def test_the_root_bone_stands_still_unless_asked(names, model, driving, tmp_path):
+    """Unreal's skeleton has one always; files of others have none."""
+    identity = rigs.character(tmp_path / "a.glb", name=renamed("biped"), frames=3)
+    result = animate(str(identity), str(driving), model)
+    result.save_skinned(tmp_path / "out.glb", names=names)
+    gltf = open_document(tmp_path / "out.glb").gltf
+    bones = [node["name"] for node in gltf["nodes"]]
+    assert ("root" in bones) == (names == "unreal")
+    if names == "unreal":
+        assert bones.index("root") in gltf["skins"][0]["joints"]
+        assert np.ptp(root_way(tmp_path / "out.glb", bones.index("root")), axis=0).max() == 0
 
 
 def test_several_clips_go_into_the_identitys_file(model, driving, tmp_path):

@@ -10,7 +10,9 @@ from .terminal import output_beside, print_next
 
 if TYPE_CHECKING:
     from ..bodies.engine_rig import Layout
+    from ..core.mesh import Clip, Mesh
     from ..pipeline.result import ClipResult
+    from ..pipeline.run import MotionOptions
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
@@ -80,6 +82,26 @@ def check_clip_output(
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
 
 
+def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOptions, layout: Layout) -> None:
+    """Check that the identity's own rig can get a layout if it is used, before anything is moved.
+
+    Raises:
+        InputError: it cannot.
+    """
+    from ..methods.find import takes_rigs
+    from ..pipeline.rigs import Rigs
+    from ..pipeline.skinned import check_own_layout
+
+    bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
+    if not bones or options.rig != "own" or not takes_rigs(model):
+        return
+    rigs = Rigs.read(identity, clip, options.rig)
+    if rigs.identity is not None:
+        check_own_layout(rigs.identity.person, layout, identity.name)
+    elif rigs.copied is not None and not options.changes_motion:
+        check_own_layout({}, layout, identity.name)
+
+
 def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     """Check that a format can be written, before the work is done."""
     from ..core.errors import InputError
@@ -113,12 +135,13 @@ def save_clips(
     layout: Layout,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write results as joints, with `skinned` None where these are more than a pose; else write the one as frames."""
+    """Write results as joints, with `skinned` None where they move or are the file's own; else the one as frames."""
     from ..pipeline.skinned import save_skinned
 
     first = results[0]
     jointed = first.skeleton is not None or first.own is not None
-    if skinned or (skinned is None and jointed and len(first.clip) > 1):
+    moving = len(first.clip) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
+    if skinned or (skinned is None and jointed and moving):
         save_skinned(results, output, names, layout)
     else:
         first.save(output, blendshapes, progress)

@@ -9,6 +9,7 @@ import typer
 
 from .clips import (
     check_clip_output,
+    check_rig_layout,
     check_single,
     check_suffix,
     clip_names,
@@ -214,6 +215,7 @@ def animate(
     from ..bodies.engine_rig import Layout
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
+    from ..pipeline.run import MotionOptions
     from ..tools.convert import animations_note, taken_rate_note
 
     output = output or clip_output(identity, driving)
@@ -228,6 +230,8 @@ def animate(
     for path, name in zip(driving, clips, strict=True):
         corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
         (mesh, clip), seconds = _timed(lambda path=path: (load_mesh(identity), load_clip(path, fps, animation)))
+        used = rig if corrected.identity is None else "mimesh"
+        check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used), layout)
         with progress(f"frames of {name}" if name else "frames", quiet or json) as advance:
             result = run_animate(
                 mesh,

@@ -51,6 +51,19 @@ def unit_vectors(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"
     return vectors / np.where(length > 0, length, 1.0)
 
 
+def continuous_quaternions(
+    quaternions: Float[np.ndarray, "T *J 4"], first: Float[np.ndarray, "*J 4"] | None = None
+) -> Float[np.ndarray, "T *J 4"]:
+    """Choose the signs of unit quaternions so that each is near the one before, and those of frame 0 near `first`.
+
+    q and -q are one rotation, but interpolation between both passes through zero in programs that do not take the
+    shorter arc.
+    """
+    before = np.concatenate([quaternions[:1] if first is None else first[None], quaternions[:-1]])
+    flipped = (quaternions * before).sum(axis=-1) < 0
+    return quaternions * np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)[..., None]
+
+
 def smooth_step(values: Float[np.ndarray, "*S"], limits: tuple[float, float]) -> Float[np.ndarray, "*S"]:
     """Map values to 0 below the first limit and 1 above the second, smoothly in between (Hermite's cubic)."""
     x = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0, 1)

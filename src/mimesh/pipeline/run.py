@@ -24,6 +24,7 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..io.gltf.edit import GltfSource
+from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import (
     Drive,
@@ -158,7 +159,7 @@ def prepare(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
-    first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+    first = _first_frame(clip)
     rigs = read_rigs(identity, clip, options, corrections, copy=False) if rigs is None else rigs
     norms = _fitted(identity, first, rigs.axes(axes))
     method = choice(norms[1])
@@ -181,6 +182,10 @@ def prepare(
             drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     rest = normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
+
+
+def _first_frame(clip: Clip) -> Mesh:
+    return dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
 
 
 def read_rigs(
@@ -270,19 +275,24 @@ def copy_animation(
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted."""
+    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted.
+
+    Axes are found only for the report, from which pictures are drawn.
+    """
     assert isinstance(identity.source, GltfSource)
     assert rigs.copied is not None
     person = {} if rigs.identity is None else rigs.identity.person
-    own = OwnAnimation(identity.source, clip.mesh.name, rigs.copied.tracks, clip.fps, len(clip), person)
+    tracks, keys = rigs.copied.tracks, rigs.copied.keys
+    own = OwnAnimation(
+        identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
+    )
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):
             moved[t] = vertices
             if progress is not None:
                 progress(t + 1, len(clip))
-    first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
-    report = _report(identity, clip, moved, _fitted(identity, first, rigs.axes(axes)))
+    report = _report(identity, clip, moved, _fitted(identity, _first_frame(clip), rigs.axes(axes)))
     report |= {"rig": "own", "copied": True, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     return MovedIdentity(moved, None, own, report, ())
 

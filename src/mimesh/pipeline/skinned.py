@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,13 +13,15 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import Layout, engine_rig
 from ..bodies.joint_names import finger_joints
-from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
 from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
+    from ..io.gltf.document import Document
+    from ..io.gltf.own_animation import OwnAnimation, PlayedAnimation
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -50,7 +52,8 @@ def save_skinned(
         layout: names and arrangement of the bones.
 
     Raises:
-        InputError: a model without joints, another identity, another format, or a path that cannot be written to.
+        InputError: a model without joints, several identities, results of which only some are on the identity's own
+            rig, another format, or a path that cannot be written to.
     """
     if not results:
         raise InputError(f"{path}: expected results of animate to save, found none")
@@ -58,9 +61,12 @@ def save_skinned(
         raise InputError(f"{path}: expected a name for each of {len(results)} results, found {len(names)}")
     layout.check()
     found = names or [(result.clip if result.driving is None else result.driving).mesh.name for result in results]
+    own = any(result.own is not None for result in results)
+    if own:
+        _check_same_rig(results, found)
     if Path(path).suffix.lower() == ".vrma":
         return save_bone_motions(results, Path(path), distinct_names(found), layout)
-    if all(result.own is not None for result in results):
+    if own:
         return _save_on_own_rig(results, Path(path), distinct_names(found), layout)
     skeletons = []
     for result in results:
@@ -86,21 +92,88 @@ def save_skinned(
     return Path(path)
 
 
-def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> Path:
-    """Write the identity's own file with new animations of its bones."""
+def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> None:
+    """Check that the own rig of an identity can get a layout, before anything moves it.
+
+    Args:
+        person: node of each joint that is known to be a person's, by our name.
+        name: that of the identity.
+
+    Raises:
+        InputError: another rest pose than the file's, or names and a root bone for what is no person.
+    """
     if layout.rest != "file":
         raise InputError(
             f"--rest {layout.rest}: expected file, because the identity's own rig stays as it is bound; "
             "leave it out, or choose --rig mimesh"
         )
+    if (SCHEMES[layout.names].bones or layout.root is not None) and "Hips" not in person:
+        raise InputError(
+            f"--names, --root-bone: expected the bones of a person in {name}, found others; leave the options out"
+        )
+
+
+def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:
+    """Raise InputError if results are not all on the own rig of one identity."""
+    moved = {result.own is not None: name for result, name in zip(results, names, strict=True)}
+    if False in moved:
+        raise InputError(
+            f"{moved[False]}: expected a motion of the identity's own bones, as that of {moved[True]}, found one of "
+            "joints on its surface; write a file for each of the two, or choose --rig mimesh for all"
+        )
+    first, *others = [result.own.source.document for result in results if result.own is not None]
+    for name, document in zip(names[1:], others, strict=True):
+        if not _same_file(first, document):
+            raise InputError(
+                f"{name}: expected results of one identity, found {first.path} and {document.path}; "
+                "write a file for each identity"
+            )
+
+
+def _same_file(first: Document, other: Document) -> bool:
+    """Tell whether two documents were read from one file, or from files with the same content."""
+    return first is other or (first.gltf == other.gltf and bytes(first.binary) == bytes(other.binary))
+
+
+def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[str], layout: Layout) -> Path:
+    """Write the identity's own file with new animations of its bones."""
     animations = []
     for name, result in zip(names, results, strict=True):
         assert result.own is not None
-        own = dataclasses.replace(result.own, name=name).with_layout(SCHEMES[layout.names].bones, layout.root)
+        check_own_layout(result.own.joints, layout, result.own.source.document.path.name)
+        own = dataclasses.replace(result.own, name=name).with_layout(
+            SCHEMES[layout.names].bones, layout.root, layout.root_bone
+        )
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):
-        save_own_animations(animations, path)
+        written = save_own_animations(animations, path)
+    for result, animation, played in zip(results, animations, written, strict=True):
+        result.report.update(_own_deviations(result, animation, played))
     return path
+
+
+def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> dict[str, float]:
+    """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
+
+    Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
+    left out of the deviation from it.
+    """
+    assert result.own is not None
+    size = np.ptp(animation.source.vertices, axis=0).max()
+    same_rate = animation.frames == len(result.clip) and animation.fps == result.fps
+    chosen = np.unique(np.linspace(0, animation.frames - 1, CHECKED_FRAMES).round().astype(int))
+    skinned = keys = 0.0
+    for t, file, sampled in zip(
+        chosen, played.vertices(chosen / animation.fps), animation.vertices(chosen), strict=True
+    ):
+        keys = max(keys, np.linalg.norm(file - sampled, axis=1).max())
+        if same_rate:
+            skinned = max(skinned, np.linalg.norm(file - result.clip.vertices[t], axis=1).max())
+    if not same_rate:
+        chosen = np.unique(np.linspace(0, len(result.clip) - 1, CHECKED_FRAMES).round().astype(int))
+        for t, sampled in zip(chosen, result.own.vertices(chosen), strict=True):
+            skinned = max(skinned, np.linalg.norm(sampled - result.clip.vertices[t], axis=1).max())
+    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

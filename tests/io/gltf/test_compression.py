@@ -12,6 +12,7 @@ import pytest
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import element_bytes, open_document, read_accessor
+from mimesh.io.gltf.draft import AccessorCopier
 from mimesh.io.gltf.skin_file import read_skin
 
 DRACO, MESHOPT = "KHR_draco_mesh_compression", "EXT_meshopt_compression"
@@ -213,6 +214,47 @@ def test_compressed_file_is_written_plain(compress, plain, tmp_path):
     again = open_document(tmp_path / "again.glb").gltf
     assert not {DRACO, MESHOPT} & {*again.get("extensionsUsed", []), *again.get("extensionsRequired", [])}
     np.testing.assert_allclose(load_mesh(tmp_path / "again.glb").vertices, mesh.vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize("compress", [meshopt_glb, draco_glb])
+def test_compressed_bytes_are_dropped_and_views_keep_their_numbers(compress, plain, tmp_path):
+    path = compress(plain, tmp_path / "small.glb")
+    gltf = json.loads(path.read_bytes()[20 : 20 + struct.unpack_from("<I", path.read_bytes(), 12)[0]])
+    document = open_document(path)
+    views = document.gltf["bufferViews"]
+    assert len(views) >= len(gltf["bufferViews"])
+    compressed = {
+        p["extensions"][DRACO]["bufferView"] for m in gltf["meshes"] for p in m["primitives"] if "extensions" in p
+    }
+    assert all(views[k]["byteLength"] == 1 for k in compressed)
+    used = sum(view["byteLength"] + 4 for k, view in enumerate(views) if k not in compressed)
+    assert len(document.binary) <= used
+    AccessorCopier(document, whole=True).draft.save(tmp_path / "again.glb")
+    again = open_document(tmp_path / "again.glb")
+    for index in range(len(again.gltf["accessors"])):
+        np.testing.assert_array_equal(read_accessor(again, index), read_accessor(document, index))
+
+
+def test_compressed_copies_of_plain_data_are_dropped(plain, tmp_path):
+    path = meshopt_glb(plain, tmp_path / "small.glb")
+    expected = open_document(path)
+
+    def optional(gltf):
+        """Give the views their data in the first buffer too."""
+        gltf["extensionsRequired"] = []
+        gltf["buffers"] = gltf["buffers"][:1]
+        for view, whole in zip(gltf["bufferViews"], expected.gltf["bufferViews"], strict=True):
+            view |= {"buffer": 0, "byteOffset": gltf["buffers"][0]["byteLength"] + whole["byteOffset"]}
+        gltf["buffers"][0]["byteLength"] += len(expected.binary)
+
+    content = path.read_bytes()
+    start = 28 + struct.unpack_from("<I", content, 12)[0]
+    path.write_bytes(content + bytes(expected.binary))
+    document = open_document(altered(path, optional))
+    assert len(document.binary) == len(expected.binary)
+    assert len(document.binary) < len(content) - start + len(expected.binary)
+    for index in range(len(document.gltf["accessors"])):
+        np.testing.assert_array_equal(read_accessor(document, index), read_accessor(expected, index))
 
 
 @pytest.mark.parametrize(("compress", "package"), [(meshopt_glb, "meshopt"), (draco_glb, "DracoPy")])

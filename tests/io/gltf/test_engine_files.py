@@ -16,8 +16,8 @@ from mimesh.core.errors import InputError
 from mimesh.io import load_mesh, save_skinned
 from mimesh.io.gltf.animation import read_channels
 from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.keys import KEY_LIMIT
 from mimesh.io.gltf.read import read_rest
-from mimesh.io.gltf.skinned import KEY_LIMIT
 
 FPS = 30.0
 LAYOUTS = [(names, root, rest) for names in SCHEMES for root in (False, True) for rest in ("file", "T", "A")]

@@ -11,8 +11,10 @@ import numpy as np
 import pytest
 from gltf_reference import ReferenceReader, json_of
 
+from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
 from mimesh.io.gltf import read_gltf, write_gltf
+from mimesh.io.gltf.draft import Draft
 
 MOVED = ("POSITION", "NORMAL", "TANGENT")
 
@@ -325,3 +327,22 @@ def test_mesh_of_another_topology_is_refused(tmp_path):
     fewer = dataclasses.replace(mesh, faces=mesh.faces[:-1], corner_normals=None, corner_uv=None)
     with pytest.raises(ValueError, match="must have the 36 vertices and 16 faces of its source, got 36 and 15"):
         write_gltf(fewer, tmp_path / "b.glb")
+
+
+def test_a_glb_of_four_gigabytes_is_refused(tmp_path):
+    draft = Draft({"asset": {"version": "2.0"}})
+    draft.size = 2**32
+    with pytest.raises(InputError, match=r"less than 4 GiB in a .glb, found 4,294,967,\d+ bytes; write a .gltf"):
+        draft.save(tmp_path / "a.glb")
+    assert not (tmp_path / "a.glb").exists()
+
+
+def test_animation_pointers_are_dropped_with_the_animations(tmp_path):
+    sample = samples.hero()
+    pointer = {"KHR_animation_pointer": {"pointer": "/materials/0/emissiveFactor"}}
+    channel = {"sampler": 0, "target": {"path": "pointer", "extensions": pointer}}
+    sample.gltf["animations"][0]["channels"].append(channel)
+    sample.gltf["extensionsUsed"] += ["KHR_animation_pointer"]
+    gltf = json_of(written(read_gltf(sample.glb(tmp_path / "a.glb")), tmp_path / "b.glb", wave))
+    assert "animations" not in gltf
+    assert gltf["extensionsUsed"] == ["KHR_lights_punctual", "KHR_materials_unlit"]

@@ -14,6 +14,8 @@ import ufbx
 from jaxtyping import Float
 
 from ...core.errors import InputError
+from ...core.geometry import continuous_quaternions
+from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.draft import Draft
 from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count
 from .elements import items, own
@@ -47,15 +49,14 @@ def add_animations(
         baked = own(ufbx.bake_anim(scene, curves, resample_rate=fps))
         begin, end = _time_range(stack, baked, path)
         seconds = np.arange(frame_count(end - begin, fps)) / fps
-        writer = _AnimationWriter(draft, seconds)
+        reader = _ChannelReader(seconds)
         for moved in items(baked.nodes):
             if moved.typed_id > 0:
-                writer.add_node(nodes[moved.typed_id], curves, begin)
+                reader.add_node(nodes[moved.typed_id], curves, begin)
         for shown_by, mesh_morphs in morphs.values():
-            writer.add_weights(shown_by, mesh_morphs, curves, begin)
-        if writer.channels:
-            name = stack.name or f"animation {number}"
-            animations.append({"name": name, "samplers": writer.samplers, "channels": writer.channels})
+            reader.add_weights(shown_by, mesh_morphs, curves, begin)
+        if reader.channels:
+            animations.append(add_animation(draft, stack.name or f"animation {number}", reader.channels))
     if animations:
         draft.gltf["animations"] = animations
 
@@ -71,16 +72,12 @@ def _time_range(stack: Any, baked: Any, path: Path) -> tuple[float, float]:
     return begin, end
 
 
-class _AnimationWriter:
-    """The channels and samplers of one animation."""
+class _ChannelReader:
+    """The channels of one animation."""
 
-    def __init__(self, draft: Draft, seconds: Float[np.ndarray, " T"]) -> None:
-        self.draft = draft
+    def __init__(self, seconds: Float[np.ndarray, " T"]) -> None:
         self.seconds = seconds
-        self.channels: list[dict[str, Any]] = []
-        self.samplers: list[dict[str, Any]] = []
-        self._times: dict[int, int] = {}
-        """Accessor of the times of a number of keys."""
+        self.channels: list[AnimationChannel] = []
 
     def add_node(self, node: Any, curves: Any, begin: float) -> None:
         """Add the channels of a node that moves."""
@@ -89,7 +86,7 @@ class _AnimationWriter:
             values = np.array([tuple(getattr(frame, path)) for frame in frames])
             rest = np.array(getattr(node.local_transform, path))
             if path == "rotation":
-                values, rest = _continuous(values, rest), rest
+                values = continuous_quaternions(values, rest)
             self._add(node.typed_id - 1, path, values, rest)
 
     def add_weights(self, nodes: list[int], morphs: MorphChannels, curves: Any, begin: float) -> None:
@@ -113,20 +110,4 @@ class _AnimationWriter:
             return
         if (np.abs(values - values[0]) <= same).all():
             values = values[:1]
-        if len(values) not in self._times:
-            self._times[len(values)] = self.draft.add_floats(self.seconds[: len(values), None], bounds=True)
-        # The weights of all targets at one key lie next to each other (glTF 2.0, 3.11 Animations).
-        output = self.draft.add_floats(values if path in PATHS else values.reshape(-1, 1))
-        sampler = {"input": self._times[len(values)], "interpolation": "LINEAR", "output": output}
-        self.channels.append({"sampler": len(self.samplers), "target": {"node": node, "path": path}})
-        self.samplers.append(sampler)
-
-
-def _continuous(rotations: Float[np.ndarray, "T 4"], rest: Float[np.ndarray, " 4"]) -> Float[np.ndarray, "T 4"]:
-    """Choose the signs of unit quaternions so that each is near the one before, and the first near `rest`.
-
-    q and -q are one rotation, but interpolation between both passes through zero.
-    """
-    before = np.concatenate([rest[None], rotations[:-1]])
-    turned = np.where((rotations * before).sum(axis=1) < 0, -1.0, 1.0)
-    return rotations * np.cumprod(turned)[:, None]
+        self.channels.append(AnimationChannel(node, path, self.seconds[: len(values)], values))

@@ -181,11 +181,8 @@ def add_skin(
         view = draft.add_view(index, target=ARRAY_BUFFER)
         attributes[f"JOINTS_{number}"] = draft.add_accessor({"bufferView": view, **accessor})
         attributes[f"WEIGHTS_{number}"] = draft.add_floats(weights[split.position_of, columns], ARRAY_BUFFER)
-    # Matrices are stored by columns (3.6.2.2).
-    view = draft.add_view(matrices.swapaxes(1, 2).astype("<f4"))
-    accessor = draft.add_accessor({"bufferView": view, "componentType": 5126, "count": len(joints), "type": "MAT4"})
     skins = draft.gltf.setdefault("skins", [])
-    skins.append({"inverseBindMatrices": accessor, "joints": joints})
+    skins.append({"inverseBindMatrices": draft.add_matrices(matrices), "joints": joints})
     return attributes, len(skins) - 1
 
 

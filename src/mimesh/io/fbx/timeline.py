@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...bodies.joint_names import ancestors
-from ..gltf.animation import animation_names, frame_rate, read_channels
+from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, read_channels
 from ..gltf.bake import frame_times
 from ..gltf.document import Document, read_floats
 from ..gltf.draft import AccessorCopier, Draft
@@ -53,15 +53,12 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
     draft.gltf["animations"] = []
     if clips:
         moved = dict.fromkeys(key for _, values in samples for key in values)
-        still = {key: node_value(document.gltf["nodes"][key[0]], key[1], document) for key in moved}
-        shared = draft.add_floats(np.concatenate(times)[:, None], bounds=True)
-        samplers, targets = [], []
+        still = {key: node_value(document.gltf["nodes"][key[0]], key, document) for key in moved}
+        joined = []
         for key in moved:
             values = np.concatenate([of_one.get(key, np.repeat(still[key], count, 0)) for count, of_one in samples])
-            output = draft.add_floats(values.reshape(-1, 1) if key[1] == "weights" else values)
-            targets.append({"sampler": len(samplers), "target": {"node": key[0], "path": key[1]}})
-            samplers.append({"input": shared, "interpolation": "LINEAR", "output": output})
-        draft.gltf["animations"] = [{"name": "all", "samplers": samplers, "channels": targets}]
+            joined.append(AnimationChannel(*key, np.concatenate(times), values))
+        draft.gltf["animations"] = [add_animation(draft, "all", joined)]
         _make_joints(draft, document, {node for node, path in moved if path != "weights"})
     return draft, {"fps": fps, "clips": clips}
 
@@ -88,10 +85,8 @@ def _make_joints(draft: Draft, document: Document, moved: set[int]) -> None:
         placed = np.eye(4) if joint is None else world[joint] @ inverse_bind[joint]
         inverse_bind[node] = np.linalg.pinv(world[node]) @ placed
     joints = sorted(inverse_bind)
-    matrices = np.stack([inverse_bind[joint].T for joint in joints]).astype("<f4")
-    view = draft.add_view(matrices)
-    accessor = {"bufferView": view, "componentType": 5126, "count": len(joints), "type": "MAT4"}
-    skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": draft.add_accessor(accessor)}
+    inverse = draft.add_matrices(np.stack([inverse_bind[joint] for joint in joints]))
+    skin = {"name": "Armature", "joints": joints, "inverseBindMatrices": inverse}
     draft.gltf["skins"] = [*skins, skin]
 
 

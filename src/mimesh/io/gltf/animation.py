@@ -1,4 +1,4 @@
-"""Reads animations of a glTF file and samples their channels at any time (glTF 2.0, 3.11 Animations and Appendix C).
+"""Reads and writes animations of a glTF file, and samples their channels (glTF 2.0, 3.11 Animations and Appendix C).
 
 Interpolation is STEP, LINEAR (slerp for rotations) or CUBICSPLINE. Before its first key and after its last one, a
 channel keeps the value of that key. KHR_animation_pointer is not read.
@@ -6,8 +6,8 @@ channel keeps the value of that key. KHR_animation_pointer is not read.
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from jaxtyping import Float, Int
 from ...core.errors import InputError
 from ..timing import RATES, lie_on, sample_rate, usual_rate
 from .document import Document, read_floats
-from .scene import inner_products, normalized_quaternions
+from .draft import Draft
+from .scene import inner_products, normalized_quaternions, target_count
 
 LINEAR_COSINE = 0.9995
 """Cosine of the angle between two quaternions (1.8 degrees) from which on they are interpolated linearly."""
@@ -36,8 +37,20 @@ class AnimationChannel:
     """Times of the keys in seconds, strictly increasing."""
     values: Float[np.ndarray, "K C"]
     """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
-    interpolation: str
+    interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
+
+    def stored(self) -> AnimationChannel:
+        """Return the channel with the values that a file has of it, which are float32."""
+        times, values = (array.astype(np.float32).astype(np.float64) for array in (self.times, self.values))
+        return replace(self, times=times, values=values)
+
+    @property
+    def constant(self) -> bool:
+        """Whether the value is the same at all times."""
+        parts = self.values.reshape(len(self.times), 3 if self.interpolation == "CUBICSPLINE" else 1, -1)
+        still = np.ptp(parts, axis=0).max(initial=0) == 0
+        return bool(still and (parts.shape[1] == 1 or not parts[:, ::2].any()))
 
     def sample(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
         """Return the values at times in seconds; quaternions (x, y, z, w) have length 1."""
@@ -66,6 +79,27 @@ class AnimationChannel:
             h = (2 * s**3 - 3 * s**2 + 1, s**3 - 2 * s**2 + s, 3 * s**2 - 2 * s**3, s**3 - s**2)
             return h[0] * a[:, value_columns] + h[1] * out_tangent + h[2] * b[:, value_columns] + h[3] * in_tangent
         return slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
+
+
+def add_animation(draft: Draft, name: str, channels: Iterable[AnimationChannel]) -> dict[str, Any]:
+    """Add the keys of an animation to a document, as float32; channels with the same times share them.
+
+    Returns:
+        The entry for `animations`.
+    """
+    times: dict[bytes, int] = {}
+    samplers: list[dict[str, Any]] = []
+    targets: list[dict[str, Any]] = []
+    for channel in channels:
+        seconds = channel.times.astype("<f4")
+        if seconds.tobytes() not in times:
+            times[seconds.tobytes()] = draft.add_floats(seconds[:, None], bounds=True)
+        # Tangents and values of a key are elements of their own; so are the weights of all targets.
+        output = draft.add_floats(channel.values.reshape(-1, PATH_WIDTHS[channel.path] or 1))
+        targets.append({"sampler": len(samplers), "target": {"node": channel.node, "path": channel.path}})
+        input_times = times[seconds.tobytes()]
+        samplers.append({"input": input_times, "interpolation": channel.interpolation, "output": output})
+    return {"name": name, "samplers": samplers, "channels": targets}
 
 
 def animation_names(document: Document) -> tuple[str, ...]:
@@ -127,7 +161,8 @@ def find_animation(document: Document, selector: str) -> int:
 def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
     """Read the channels of an animation.
 
-    Channels without a target node and those of extensions are left out, as 3.11 Animations recommends.
+    Channels without a target node and those of extensions are left out, as 3.11 Animations recommends, and so are
+    weights of nodes without morph targets.
 
     Raises:
         InputError: keys without values, times that do not increase, or an unknown interpolation.
@@ -138,7 +173,9 @@ def read_channels(document: Document, animation: int) -> list[AnimationChannel]:
         for channel in entry["channels"]:
             target = channel["target"]
             if target["path"] in PATH_WIDTHS and target.get("node") is not None:
-                channels.append(_read_channel(document, target, entry["samplers"][channel["sampler"]]))
+                read = _read_channel(document, target, entry["samplers"][channel["sampler"]])
+                if read.path != "weights" or target_count(document, read.node):
+                    channels.append(read)
     except (KeyError, IndexError, TypeError) as error:
         raise InputError(
             f"{document.path}: expected channels with samplers in animation {animation}, found a gap ({error!r}); "
@@ -183,7 +220,12 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     selected: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
         targets = {(channel.node, channel.path) for channel in selected}
-        channels = read_channels(document, number)
+        try:
+            channels = read_channels(document, number)
+        except InputError:
+            if not selected:
+                raise
+            continue  # an animation that is not asked for may be damaged
         if not any((channel.node, channel.path) in targets for channel in channels):
             selected += channels
     return selected

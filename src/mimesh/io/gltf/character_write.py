@@ -10,10 +10,11 @@ from jaxtyping import Float
 
 from ...bodies.character_pool import CharacterClip, PoolCharacter
 from ...core.geometry import vertex_normals
+from .animation import AnimationChannel, add_animation
 from .draft import ARRAY_BUFFER, Draft
 
-FLOAT, UNSIGNED_SHORT = 5126, 5123
-"""Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
+UNSIGNED_SHORT = 5123
+"""Component type (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
 
 
 def write_character(character: PoolCharacter, path: Path, clips: Mapping[str, CharacterClip], fps: float) -> None:
@@ -29,11 +30,8 @@ def write_character(character: PoolCharacter, path: Path, clips: Mapping[str, Ch
     draft.gltf["nodes"].append({"name": character.meta.file, "mesh": 0, "skin": 0})
     draft.gltf["scenes"][0]["nodes"] = [*(j for j, parent in enumerate(parents) if parent < 0), len(parents)]
     draft.gltf["meshes"] = [{"name": character.meta.file, "primitives": [_primitive(draft, character)]}]
-    inverse = np.linalg.inv(world)
-    inverse[:, 3] = [0, 0, 0, 1]
-    view = draft.add_view(inverse.swapaxes(-1, -2).reshape(-1, 16).astype("<f4"))
-    accessor = {"bufferView": view, "componentType": FLOAT, "count": len(parents), "type": "MAT4"}
-    draft.gltf["skins"] = [{"joints": list(range(len(parents))), "inverseBindMatrices": draft.add_accessor(accessor)}]
+    inverse = draft.add_matrices(np.linalg.inv(world))
+    draft.gltf["skins"] = [{"joints": list(range(len(parents))), "inverseBindMatrices": inverse}]
     draft.gltf["animations"] = [_animation(draft, character, name, clip, fps) for name, clip in clips.items()]
     draft.save(path)
 
@@ -74,17 +72,13 @@ def _animation(draft: Draft, character: PoolCharacter, name: str, clip: Characte
     """Add a clip: the rotation of every joint, and the translation of those that move; roots are turned to face +z."""
     from scipy.spatial.transform import Rotation
 
-    times = draft.add_floats(np.arange(len(clip))[:, None] / fps, bounds=True)
-    samplers, channels = [], []
+    times, channels = np.arange(len(clip)) / fps, []
     for j, parent in enumerate(character.file_parents):
         rotation, translation = clip.rotations[:, j], clip.translations[:, j]
         if parent < 0:
             turn = Rotation.from_matrix(character.turn)
             rotation, translation = (turn * Rotation.from_quat(rotation)).as_quat(), translation @ character.turn.T
-        outputs = {"rotation": rotation}
+        channels.append(AnimationChannel(j, "rotation", times, rotation))
         if np.ptp(translation, axis=0).max() > 0 or parent < 0:
-            outputs["translation"] = translation
-        for target, values in outputs.items():
-            samplers.append({"input": times, "interpolation": "LINEAR", "output": draft.add_floats(values)})
-            channels.append({"sampler": len(samplers) - 1, "target": {"node": j, "path": target}})
-    return {"name": name, "samplers": samplers, "channels": channels}
+            channels.append(AnimationChannel(j, "translation", times, translation))
+    return add_animation(draft, name, channels)

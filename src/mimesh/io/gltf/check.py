@@ -138,9 +138,10 @@ APPEARANCE_PREFIXES = (
 )
 """First characters of the names of extensions that describe appearance only and refer to no accessors."""
 
-SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", "KHR_animation_pointer", *COMPRESSION_EXTENSIONS)
-"""Quantized and compressed attributes are read. Animation pointers are dropped on opening, so they cannot dangle in a
-written file."""
+ANIMATION_POINTER = "KHR_animation_pointer"
+SUPPORTED_EXTENSIONS = ("KHR_mesh_quantization", ANIMATION_POINTER, *COMPRESSION_EXTENSIONS)
+"""Quantized and compressed attributes are read. Animation pointers are not: they stay in a file with its animations, or
+are dropped with all of them, so they cannot dangle in a written file."""
 
 ATTRIBUTE_TYPES = {
     "POSITION": "VEC3",
@@ -155,6 +156,10 @@ MORPH_TARGET_TYPES = {"POSITION": "VEC3", "NORMAL": "VEC3", "TANGENT": "VEC3"}
 """Accessor type of each attribute that a morph target may have (3.7.2.2 Morph Targets)."""
 INDEX_TYPES = (5121, 5123, 5125)
 """Component types of an index accessor: unsigned byte, short, int (5.24 Mesh Primitive)."""
+
+
+LARGEST = 3.4e38
+"""Largest number in the JSON: about that of float32. Python's reader takes NaN and infinity, which JSON has not."""
 
 
 def is_supported(extension: str) -> bool:
@@ -268,7 +273,7 @@ def _is_numbers(value: Any, length: int | None) -> bool:
     return (
         isinstance(value, list)
         and (length is None or len(value) == length)
-        and all(isinstance(number, (int, float)) for number in value)
+        and all(isinstance(number, (int, float)) and abs(number) <= LARGEST for number in value)
     )
 
 

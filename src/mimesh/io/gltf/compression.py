@@ -89,7 +89,7 @@ def decompress(
         views: the buffer views to decode (see `compressed_views`).
 
     Returns:
-        The JSON with views of the decoded data, and the buffer with that data appended.
+        The JSON with views of the decoded data, and the buffer with that data in place of the compressed.
 
     Raises:
         InputError: a decoder is not installed, fails, or gives other data than the JSON says.
@@ -99,14 +99,56 @@ def decompress(
     # Draco data may lie in a view that meshopt compresses too: nobody writes that, and it fails as damaged data.
     _plan_draco(work, gltf, binary, path)
     _plan_meshopt(work, gltf, binary, views, path)
-    if not work.jobs:
+    dead = {primitive["extensions"][DRACO]["bufferView"] for primitive in _draco_primitives(gltf)}
+    dead -= {accessor.get("bufferView") for accessor in gltf["accessors"]}
+    if not (work.jobs or dead or any(_is_meshopt(view) for view in gltf["bufferViews"])):
         return gltf, binary
     if work.size > LARGEST:
         raise InputError(f"{path}: expected up to 4 GiB of data, found {work.size:,} bytes; the file is damaged")
-    start = len(binary) + -len(binary) % 4
+    decoded = _decode(work, path) if work.jobs else b""
+    kept = _keep_used(gltf, dead, work.views, binary)
+    start = sum(len(part) for part in kept)
     for view in work.views:
         view["byteOffset"] += start
-    return gltf, b"".join([binary, bytes(start - len(binary)), _decode(work, path)])
+    return gltf, b"".join([*kept, decoded])
+
+
+def _keep_used(
+    gltf: dict[str, Any], dead: set[int], decoded: list[dict[str, Any]], binary: bytes | memoryview
+) -> list[bytes | memoryview]:
+    """Cut what is compressed out of the buffer, and move the views of the rest; returns the parts that remain.
+
+    Views of compressed data stay, because removing them would renumber the others: they get a byte of any other data.
+    """
+    views = gltf["bufferViews"]
+    is_decoded = {id(view) for view in decoded}
+    used = [k for k, view in enumerate(views) if id(view) not in is_decoded and k not in dead]
+    parts: list[bytes | memoryview] = []
+    size = stop = shift = 0  # of the parts; end of the last range that was kept; its new start less its old one
+    for k in sorted(used, key=lambda k: views[k]["byteOffset"]):
+        offset = views[k]["byteOffset"]
+        start, end = max(offset - offset % 4, stop), offset + views[k]["byteLength"]
+        if end > stop:
+            if start > stop:
+                shift = size - start
+            part = binary[start : end + -end % 4]
+            parts += [part, bytes(-len(part) % 4)]
+            size += len(part) + -len(part) % 4
+            stop = end + -end % 4
+        views[k] = {**views[k], "byteOffset": offset + shift}
+    for k in dead:
+        views[k] = {**views[k], "byteOffset": 0, "byteLength": 1}
+    return parts
+
+
+def _is_meshopt(view: dict[str, Any]) -> bool:
+    return any(name in view.get("extensions", {}) for name in MESHOPT)
+
+
+def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
+    """List the primitives that have compressed data."""
+    primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
+    return [primitive for primitive in primitives if DRACO in primitive.get("extensions", {})]
 
 
 def _plan_meshopt(
@@ -135,10 +177,8 @@ def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, p
     """Add the primitives that Draco compresses to the work, and give their accessors views of the results."""
     required = DRACO in gltf.get("extensionsRequired", [])
     planned: set[int] = set()
-    for primitive in (primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]):
-        extension = primitive.get("extensions", {}).get(DRACO)
-        if extension is None:
-            continue
+    for primitive in _draco_primitives(gltf):
+        extension = primitive["extensions"][DRACO]
         ids = extension["attributes"]
         wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
         accessors = [primitive["indices"]] * ("indices" in primitive) + list(wanted.values())

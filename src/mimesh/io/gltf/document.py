@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -205,19 +206,26 @@ def _parse_json(text: bytes, path: Path) -> Any:
         raise ValueError(f"{constant} is not a JSON number")  # json.loads accepts NaN and Infinity by default
 
     try:
-        return json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
+        gltf = json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
+        if b"\\ud" in text.lower():  # halves of surrogate pairs, which JSON can escape, are no text
+            whole = json.dumps(gltf, ensure_ascii=False).encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+            gltf = json.loads(whole)
+        return gltf
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: expected glTF JSON, found text that does not parse ({error}); export it again"
         ) from error
 
 
+def without_extensions(gltf: dict[str, Any], dropped: Collection[str]) -> dict[str, Any]:
+    """Return the JSON with some extensions no longer listed as used or required."""
+    lists = {key: gltf[key] for key in ("extensionsUsed", "extensionsRequired") if key in gltf}
+    return {**gltf, **{key: [name for name in names if name not in dropped] for key, names in lists.items()}}
+
+
 def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON without references to compressed copies of the data, which would be stale in a file we write."""
-    dropped = (*COMPRESSION_EXTENSIONS, "KHR_animation_pointer")
-    gltf = {**gltf}
-    for key in gltf.keys() & {"extensionsUsed", "extensionsRequired"}:
-        gltf[key] = [name for name in gltf[key] if name not in dropped]
+    gltf = without_extensions(gltf, COMPRESSION_EXTENSIONS)
     primitives = [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
     for owner in [*gltf.get("bufferViews", []), *primitives]:
         if COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():

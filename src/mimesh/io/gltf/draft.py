@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ...core.errors import InputError
 from .check import is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type
 
@@ -23,6 +24,8 @@ ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 """Values of `bufferView.target`: vertex attributes and indices (glTF 2.0, 5.11 Buffer View)."""
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 """Accessor `type` by number of components."""
+LARGEST_GLB = 2**32 - 1
+"""Largest number of bytes that the header of a GLB file can state (4.4.2 Header)."""
 ENCODE_BLOCK = 3 * 2**20
 """Bytes that are base64-encoded at once; a multiple of three, so that only the last block is padded."""
 BUFFER_MARK = "\ue000buffer\ue000"
@@ -95,6 +98,13 @@ class Draft:
         }
         return self.add_accessor({**accessor, **(accessor_bounds(values) if bounds else {})})
 
+    def add_matrices(self, matrices: Float[np.ndarray, "J 4 4"]) -> int:
+        """Append an accessor of affine transforms, as the inverse bind matrices of a skin; returns its index."""
+        matrices = matrices.copy()
+        matrices[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
+        view = self.add_view(matrices.swapaxes(-1, -2).astype("<f4"))  # column-major (3.6.2.4)
+        return self.add_accessor({"bufferView": view, "componentType": 5126, "count": len(matrices), "type": "MAT4"})
+
     def add_indices(self, indices: np.ndarray) -> int:
         """Append an index accessor, 16 bits wide where that is enough; returns its index.
 
@@ -106,7 +116,11 @@ class Draft:
         return self.add_accessor({"bufferView": view, **kind})
 
     def save(self, path: Path) -> None:
-        """Write a .gltf with the buffer as a base64 data: URI; for any other suffix a .glb (4.4 Binary glTF Layout)."""
+        """Write a .gltf with the buffer as a base64 data: URI; for any other suffix a .glb (4.4 Binary glTF Layout).
+
+        Raises:
+            InputError: a .glb of 4 GiB or more.
+        """
         gltf = {**self.gltf, "buffers": [{"byteLength": self.size}] if self.size else []}
         if path.suffix.lower() == ".gltf":
             self._save_text(gltf, path)
@@ -115,6 +129,10 @@ class Draft:
         text += b" " * (-len(text) % 4)  # the JSON chunk is padded with spaces (4.4.3.2)
         # A header of 12 bytes and two chunks with headers of 8 bytes; an empty binary chunk is left out.
         total = 12 + 8 + len(text) + (8 + self.size if self.size else 0)
+        if total > LARGEST_GLB:
+            raise InputError(
+                f"{path}: expected less than 4 GiB in a .glb, found {total:,} bytes; write a .gltf, or fewer frames"
+            )
         with path.open("wb") as file:
             file.write(struct.pack("<4sIIII", b"glTF", 2, total, len(text), JSON_CHUNK) + text)
             if self.size:

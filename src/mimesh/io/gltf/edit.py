@@ -19,8 +19,9 @@ from jaxtyping import Float
 from ...core.geometry import vertex_normals, weld
 from ...core.mesh import Mesh
 from .animation import animation_names, document_details
+from .check import ANIMATION_POINTER
 from .deformed_attributes import needs_rotations, surface_rotations
-from .document import Document
+from .document import Document, without_extensions
 from .draft import AccessorCopier, Draft
 from .primitives import EditContext, PrimitiveGroup, copy_primitive, edit_primitives
 from .read import RestScene, VertexRange
@@ -209,6 +210,7 @@ def _drop_skins_and_animations(copier: AccessorCopier) -> None:
     """Remove all animations, and all skins unless a node outside the scene still uses one."""
     gltf = copier.draft.gltf
     gltf.pop("animations", None)
+    gltf |= without_extensions(gltf, [ANIMATION_POINTER])
     if any("skin" in node for node in gltf["nodes"]):
         for skin in gltf["skins"]:
             if "inverseBindMatrices" in skin:

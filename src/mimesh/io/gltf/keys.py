@@ -14,6 +14,14 @@ from ...core.rig import Rig, descendant_matrix
 from .animation import slerp
 from .scene import normalized_quaternions
 
+KEY_LIMIT = 1e-4
+"""Largest distance, over the mesh's size, by which thinned keys move a vertex, or a joint in a file without vertices.
+It is 0.2 mm for a person: motions that are found or retargeted are not known any better."""
+COPY_LIMIT = 3e-6
+"""The same for an animation that is copied between files with one skeleton: copies are exact to 1e-5 (see
+docs/rigs.md), of which float32 keys take a part."""
+ACCESSOR_BYTES = 190
+"""Characters of JSON that an accessor of key times takes, with its buffer view."""
 SHORTEST_REACH = 0.05
 """Least distance, over the mesh's size, over which a rotation of a joint counts, even if it moves no vertex so far
 away: users attach objects to joints without vertices."""
@@ -75,10 +83,32 @@ def rotation_tolerances(
     """
     reach = _reaches(vertices, rig, parents)
     reach = np.maximum(reach, SHORTEST_REACH * np.ptp(vertices, axis=0).max())
+    return chain_tolerances(reach, parents, limit, np.ones(len(parents), bool))
+
+
+def chain_tolerances(
+    reach: Float[np.ndarray, " J"], parents: tuple[int, ...], limit: float, turns: Bool[np.ndarray, " J"]
+) -> Float[np.ndarray, " J"]:
+    """Divide a limit among the joints that turn in the longest chain through each joint.
+
+    Args:
+        reach: largest distance from each joint to what it moves.
+
+    Returns:
+        Largest error of each joint's rotation, in radians.
+    """
     below = descendant_matrix(parents)
-    depth = below.sum(axis=0)  # joints from the root down to each joint, itself included
-    longest_chain = (below * depth).max(axis=1)
+    depth = (turns[:, None] * below).sum(axis=0)  # joints from the root down to each joint, itself included
+    longest_chain = np.maximum((below * depth).max(axis=1), 1)
     return limit / (longest_chain * reach)
+
+
+def without_costly_times(is_key: Bool[np.ndarray, "J T"]) -> Bool[np.ndarray, "J T"]:
+    """Give all keys to the tracks of rotations whose own key times would take more room than they save."""
+    count = is_key.sum(axis=1)
+    own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
+    costly = (count > 1) & (own_times > is_key.shape[1] * 16)
+    return is_key | costly[:, None]
 
 
 def _reaches(vertices: Float[np.ndarray, "V 3"], rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, " J"]:

@@ -17,6 +17,7 @@ from jaxtyping import Float
 from .animation import AnimationChannel
 from .bake import AnimatedValues
 from .document import Document
+from .scene import read_morph_weights, target_count
 from .vrm import OVERRIDDEN, Expression, animated_expressions, vrm_expressions
 
 BINARY = 0.5
@@ -78,7 +79,7 @@ def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> Animate
             if values is not None:
                 columns[index] = values
         if columns:
-            track = np.tile(_own_weights(document, node, count), (len(next(iter(columns.values()))), 1))
+            track = np.tile(read_morph_weights(document, node), (len(next(iter(columns.values()))), 1))
             for index, values in columns.items():
                 track[:, index] = values
             tracks[node, "weights"] = track
@@ -100,13 +101,6 @@ def target_names(document: Document, node: int) -> list[str]:
     return []
 
 
-def target_count(document: Document, node: int) -> int:
-    """Return the number of morph targets of a node's mesh."""
-    mesh = document.gltf["nodes"][node].get("mesh")
-    primitives = [] if mesh is None else document.gltf["meshes"][mesh]["primitives"]
-    return max((len(primitive.get("targets", [])) for primitive in primitives), default=0)
-
-
 def plain_target(name: str) -> str:
     """Simplify the name of a target: lower case, only letters and digits, sides written out."""
     name = _PREFIX.sub("", name)
@@ -125,13 +119,6 @@ def _finder(weights: Sequence[NamedWeights]) -> Find:
         return None if best is None else best.values
 
     return find
-
-
-def _own_weights(document: Document, node: int, count: int) -> Float[np.ndarray, " C"]:
-    """Return the weights of a node's morph targets at rest."""
-    entry = document.gltf["nodes"][node]
-    own = entry.get("weights") or document.gltf["meshes"][entry["mesh"]].get("weights") or []
-    return np.array([*own, *[0.0] * count][:count], float)
 
 
 def _expression_weights(expressions: dict[str, Expression], find: Find) -> dict[tuple[int, int], np.ndarray]:

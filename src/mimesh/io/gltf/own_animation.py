@@ -14,32 +14,29 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from ...core.animated_rig import frames_around
-from ...core.errors import InputError
-from ...core.geometry import nearest_rotation
-from .animation import PATH_WIDTHS, slerp
-from .bake import AnimatedValues, pose_frames, pose_nodes
+from ..timing import DEFAULT_FPS, frame_count
+from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
+from .bake import AnimatedValues, pose_frames, pose_nodes, sample_frames
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
-from .keys import choose_keys
+from .keys import KEY_LIMIT
+from .own_keys import node_keys, rounding
+from .read import RestScene
+from .root_bone import RootBone, place_root_bone
 from .scene import (
-    DEFAULT_TRS,
-    local_matrices,
-    node_parents,
+    node_properties,
     normalized_quaternions,
-    scene_nodes,
-    sort_parents_first,
-    world_matrices,
+    read_morph_weights,
+    target_count,
 )
+from .vrm import vrm_version
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
-KEY_LIMIT = 3e-6
-"""Largest distance, over the size of the file's mesh, by which thinned keys move a vertex: the precision that copied
-animations keep is 1e-5."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,26 +53,27 @@ class OwnAnimation:
     """Node of each joint that is known to be a person's, by our name."""
     renamed: dict[int, str] = field(default_factory=dict)
     """New names of nodes."""
+    key_limit: float = KEY_LIMIT
+    """Distance, over the mesh's size, by which thinned keys may move a vertex."""
     root_bone: str | None = None
-    """Name of a new node above the hips that carries the displacement over the ground."""
+    """Name of a bone on the floor above all joints; None: the file has those that it has."""
+    root_moves: bool = False
+    """Whether that bone carries the way over the ground."""
+    keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
+    """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
-    def with_layout(self, bones: Mapping[str, str], root_bone: str | None) -> OwnAnimation:
+    def with_layout(self, bones: Mapping[str, str], root_bone: str | None, root_moves: bool) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
 
         Args:
             bones: our name of a joint -> new name of its bone; empty leaves all names.
             root_bone: name of the new bone; None adds none.
-
-        Raises:
-            InputError: the rig is not known to be a person's.
+            root_moves: let it carry the way over the ground; the hips have to be known for it.
         """
-        if (bones or root_bone) and "Hips" not in self.joints:
-            raise InputError(
-                f"--names, --root-bone: expected the bones of a person in {self.source.document.path}, found others; "
-                "leave the options out"
-            )
         old = [str(node.get("name", "")) for node in self.source.document.gltf["nodes"]]
-        return dataclasses.replace(self, renamed=new_names(self.joints, bones, old), root_bone=root_bone)
+        return dataclasses.replace(
+            self, renamed=new_names(self.joints, bones, old), root_bone=root_bone, root_moves=root_moves
+        )
 
     def resampled(self, fps: float) -> OwnAnimation:
         """Sample the animation at another frame rate, between frames as players of glTF do."""
@@ -84,7 +82,17 @@ class OwnAnimation:
             (node, path): _between(values[before], values[after], fraction[:, None], path == "rotation")
             for (node, path), values in self.tracks.items()
         }
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
+        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
+
+    def moves(self, key: tuple[int, str]) -> bool:
+        """Tell whether a node is anywhere else than in the file, beyond rounding."""
+        values, entry = self.tracks[key], self.source.document.gltf["nodes"][key[0]]
+        if key[1] == "weights":
+            return False
+        still = node_value(entry, key, self.source.document)
+        if key[1] == "rotation":
+            values = values * np.where((values * still).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+        return bool(np.abs(values - still).max() > rounding(self.source, key, values))
 
     @property
     def morphs(self) -> bool:
@@ -96,12 +104,28 @@ class OwnAnimation:
         blocks = pose_nodes(self.source.document, self.tracks, self.frames)
         return np.concatenate([matrices[:, list(nodes)] for _, matrices in blocks])
 
-    def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh in every frame."""
-        return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
+    def vertices(self, frames: Int[np.ndarray, " F"] | None = None) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh in some frames, or in every one."""
+        tracks = self.tracks if frames is None else {key: values[frames] for key, values in self.tracks.items()}
+        count = self.frames if frames is None else len(frames)
+        return pose_frames(self.source.document, self.source.rest, tracks, count)
 
 
-def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
+@dataclass(frozen=True, eq=False)
+class PlayedAnimation:
+    """An animation of a written file as programs play it."""
+
+    document: Document
+    """The nodes of the written file, with the meshes of the one that it was made of."""
+    rest: RestScene
+    channels: list[AnimationChannel]
+
+    def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh at times in seconds."""
+        return sample_frames(self.document, self.rest, self.channels, times)
+
+
+def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
@@ -109,50 +133,77 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
 
     Args:
         animations: of one file, with the same layout.
+
+    Returns:
+        The animations as clients of the file play them.
     """
-    draft = _copied_file(animations)
-    moved = [_with_root_bone(animation, draft) for animation in animations]
-    used = dict.fromkeys(key for tracks in moved for key in tracks) | dict.fromkeys(_animated_values(draft))
-    tolerance = _tolerances(animations[0].source.document, animations[0].source.vertices)
-    entries = []
-    for animation, tracks in zip(animations, moved, strict=True):
-        still = {key: node_value(draft.gltf["nodes"][key[0]], key[1], animation.source.document) for key in used}
-        complete = {key: tracks.get(key, still[key]) for key in used}
-        if complete:
-            entries.append(_add_animation(draft, animation, complete, tolerance))
+    root = _root_bone(animations)
+    draft = _copied_file(animations, root)
+    moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
+    played = _new_channels(animations, moved, draft)
+    entries = _entries(animations, played, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
+    # Meshes and skins move as before; what is new in them is in the written file alone.
+    source = animations[0].source
+    written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
+    return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
-    """Write the file of an identity with its nodes as they are in the first frame, and nothing else changed."""
+    """Write the file of an identity with its nodes as they are in the first frame of an animation.
+
+    A file with animations gets one more, of one key: programs play the first one of a file on opening it, which would
+    hide the pose. A VRM has none by its specification.
+    """
     draft = _copied_file([animation])
     for (node, target), values in animation.tracks.items():
         draft.gltf["nodes"][node][target] = values[0].tolist()
+    old = draft.gltf.get("animations", [])
+    if old and vrm_version(animation.source.document) is None:
+        pose = {key: values[:1] for key, values in animation.tracks.items()}
+        first = [dataclasses.replace(animation, frames=1)]
+        draft.gltf["animations"] = [*_entries(first, _new_channels(first, [pose], draft), draft), *old]
     draft.save(path)
 
 
-def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
-    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
-    from scipy.spatial.transform import Rotation
+def _new_channels(
+    animations: Sequence[OwnAnimation], tracks: Sequence[AnimatedValues], draft: Draft
+) -> list[list[AnimationChannel]]:
+    """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
+    document = animations[0].source.document
+    exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
+    used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
+    used |= dict.fromkeys(_animated_values(document))
+    chosen = []
+    for animation, values, keys in zip(animations, tracks, exact, strict=True):
+        still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
+        complete = {key: values.get(key, still[key]) for key in used}
+        chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
+    return chosen
 
-    if "matrix" not in entry:
-        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
-    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
-    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
-    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
-    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
+
+def _entries(
+    animations: Sequence[OwnAnimation], chosen: Sequence[list[AnimationChannel]], draft: Draft
+) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file."""
+    pairs = zip(animations, chosen, strict=True)
+    return [add_animation(draft, animation.name, channels) for animation, channels in pairs if channels]
 
 
-def node_value(entry: dict[str, Any], path: str, document: Document) -> Float[np.ndarray, "1 C"]:
-    """Return what a node has for a target path, as a track of one frame."""
-    if path != "weights":
-        return node_properties(entry)[path][None]
-    mesh = document.gltf["meshes"][entry["mesh"]]
-    count = max(len(primitive.get("targets", [])) for primitive in mesh["primitives"])
-    return np.array(entry.get("weights") or mesh.get("weights") or [0.0] * count, float)[None]
+def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
+    """Return what a node has for a target path, as a track of one frame.
+
+    Args:
+        entry: the node, which may be new in a file that is written.
+        key: its index and the target path.
+        document: the file that has the morph targets.
+    """
+    node, path = key
+    value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
+    return np.array(value, float)[None]
 
 
 def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence[str]) -> dict[int, str]:
@@ -169,7 +220,16 @@ def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence
     return {node: bones[name] for name, node in known.items() if name in bones}
 
 
-def _copied_file(animations: Sequence[OwnAnimation]) -> Draft:
+def _root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
+    """Find the place of the root bone of a file, if there is to be one."""
+    first = animations[0]
+    if first.root_bone is None:
+        return None
+    moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
+    return place_root_bone(first.source, first.joints, moving)
+
+
+def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = None) -> Draft:
     """Copy the document, with new names, and with properties in place of the matrix of each node that moves.
 
     Animated nodes must not have a matrix (glTF 2.0, 3.5.3 Transformations).
@@ -177,98 +237,80 @@ def _copied_file(animations: Sequence[OwnAnimation]) -> Draft:
     first = animations[0]
     draft = AccessorCopier(first.source.document, whole=True).draft
     nodes = draft.gltf["nodes"]
-    for node in {node for animation in animations for node, _ in animation.tracks}:
+    moving = {node for animation in animations for node, _ in animation.tracks}
+    renamed = dict(first.renamed)
+    if root is not None:
+        moving |= set(root.staying) | set(() if root.is_new else (root.node,))
+        # A bone that is there keeps its name where the others do.
+        if renamed and not root.is_new and first.root_bone is not None:
+            renamed[root.node] = first.root_bone
+    for node in moving:
         if "matrix" in nodes[node]:
             properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
             nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
-    taken = {*first.renamed.values(), first.root_bone}
+    taken = set(renamed.values())
+    if root is not None and root.is_new:
+        taken.add(str(first.root_bone))
     for number, node in enumerate(nodes):
-        if number in first.renamed:
-            node["name"] = first.renamed[number]
+        if number in renamed:
+            node["name"] = renamed[number]
         elif node.get("name") is not None and node["name"] in taken:
             node["name"] = f"{node['name']} (of the file)"
-    if first.root_bone is not None:
-        _insert_root(draft, first)
+    if root is not None and root.is_new and first.root_bone is not None:
+        root.insert(draft, first.root_bone)
     return draft
 
 
-def _insert_root(draft: Draft, animation: OwnAnimation) -> None:
-    """Add a node, the last one, between the hips and what is above them."""
-    hips, gltf = animation.joints["Hips"], draft.gltf
-    above, root = node_parents(animation.source.document)[hips], len(gltf["nodes"])
-    gltf["nodes"].append({"name": animation.root_bone, "children": [hips]})
-    owners = [gltf["nodes"][above]["children"]] if above >= 0 else [scene.get("nodes", []) for scene in gltf["scenes"]]
-    for children in owners:
-        children[:] = [root if node == hips else node for node in children]
+def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> AnimatedValues:
+    """Return the values of an animation in the file with a root bone, which carries the way over the ground or not."""
+    tracks = root.tracks(animation.tracks)
+    if not animation.root_moves:
+        return tracks
+    return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
 
 
-def _with_root_bone(animation: OwnAnimation, draft: Draft) -> AnimatedValues:
-    """Return the tracks with the hips' displacement over the ground on the root bone, if there is one."""
-    path = None if animation.root_bone is None else animation.tracks.get((animation.joints["Hips"], "translation"))
-    if path is None:
-        return animation.tracks
-    document, hips = animation.source.document, animation.joints["Hips"]
-    above = node_parents(document)[hips]
-    linear = np.eye(3) if above < 0 else world_matrices(document, local_matrices(document))[above, :3, :3]
-    moved = (path - path[0]) @ linear.T * [1.0, 0.0, 1.0]
-    local = moved @ np.linalg.inv(linear).T
-    root = len(draft.gltf["nodes"]) - 1
-    return {**animation.tracks, (hips, "translation"): path - local, (root, "translation"): local}
+def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[int, str], AnimationChannel]:
+    """Return the keys that are written as they are: not where tracks have changed since, nor at another speed."""
+    last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
+    if frame_count(last, animation.fps) != animation.frames:
+        return {}
+    return {key: keys for key, keys in animation.keys.items() if tracks.get(key) is animation.tracks.get(key)}
 
 
-def _add_animation(
-    draft: Draft, animation: OwnAnimation, tracks: AnimatedValues, tolerance: dict[tuple[int, str], float]
-) -> dict[str, Any]:
-    """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate.
+def _channels(
+    animation: OwnAnimation,
+    tracks: AnimatedValues,
+    exact: Mapping[tuple[int, str], AnimationChannel],
+) -> list[AnimationChannel]:
+    """Choose the keys of an animation, from which readers know its rate.
 
-    Channels with keys in the same frames share their times.
+    Unless copied keys show the rate, one track at least has a key in every frame.
     """
-    keys = {key: _chosen_keys(values, key[1], tolerance.get(key, 0.0)) for key, values in tracks.items()}
-    if not any(len(is_key) == animation.frames and is_key.all() for is_key in keys.values()):
-        first = next(iter(tracks))
+    frames = node_keys(animation.source, tracks, animation.key_limit)
+    start = min((keys.times[0] for keys in exact.values()), default=0.0)
+    shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
+    copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
+    if not (shown or copied):
+        first = next((key for key in tracks if key not in exact), next(iter(tracks)))
+        exact = {key: keys for key, keys in exact.items() if key != first}
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
-        keys[first] = np.ones(animation.frames, bool)
-    times: dict[bytes, int] = {}
-    samplers, channels = [], []
-    for key, values in tracks.items():
-        is_key = keys[key]
-        if is_key.tobytes() not in times:
-            times[is_key.tobytes()] = draft.add_floats(np.flatnonzero(is_key)[:, None] / animation.fps, bounds=True)
-        chosen = values[is_key]
-        output = draft.add_floats(chosen.reshape(-1, 1) if key[1] == "weights" else chosen)
-        channels.append({"sampler": len(samplers), "target": {"node": key[0], "path": key[1]}})
-        samplers.append({"input": times[is_key.tobytes()], "interpolation": "LINEAR", "output": output})
-    return {"name": animation.name, "samplers": samplers, "channels": channels}
+        frames[first] = np.ones(animation.frames, bool)
+    channels = []
+    for key, track in tracks.items():
+        times = np.flatnonzero(frames[key]) / animation.fps
+        # A single key is where copied ones begin, so that it changes neither their length nor their rate.
+        times = times if len(times) > 1 else times + start
+        channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
+    return channels
 
 
-def _animated_values(draft: Draft) -> list[tuple[int, str]]:
+def _animated_values(document: Document) -> list[tuple[int, str]]:
     """List the properties of nodes that the file's own animations move."""
-    channels = [channel for animation in draft.gltf.get("animations", []) for channel in animation["channels"]]
+    channels = [channel for animation in document.gltf.get("animations", []) for channel in animation["channels"]]
     targets = [channel["target"] for channel in channels]
     found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
-    return [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(draft.gltf["nodes"])]
-
-
-def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:
-    """Choose the frames that become keys: of rotations as few as the tolerance allows, of others all or one."""
-    if path != "rotation":
-        return np.ones(len(values), bool) if np.ptp(values, axis=0).max() > 0 else np.arange(len(values)) == 0
-    quaternions = normalized_quaternions(values)
-    return choose_keys(quaternions[None], np.array([tolerance]), rotations=True)[0]
-
-
-def _tolerances(document: Document, vertices: Float[np.ndarray, "V 3"]) -> dict[tuple[int, str], float]:
-    """Compute the error of each node's rotation (radians) with which no vertex moves farther than KEY_LIMIT.
-
-    Errors along a chain of nodes add up: each gets an equal share, over the size of the whole mesh, because any kind of
-    node may move all of it.
-    """
-    parent, depth = node_parents(document), {-1: 0}
-    for node in sort_parents_first(document, parent):
-        depth[node] = depth[parent[node]] + 1
-    longest = max((depth[node] for node in scene_nodes(document)), default=1)
-    reach = np.linalg.norm(np.ptp(vertices, axis=0)) / np.ptp(vertices, axis=0).max()
-    return {(node, "rotation"): KEY_LIMIT / (longest * reach) for node in depth if node >= 0}
+    existing = [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(document.gltf["nodes"])]
+    return [(node, path) for node, path in existing if path != "weights" or target_count(document, node)]
 
 
 def _between(

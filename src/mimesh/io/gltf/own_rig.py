@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from jaxtyping import Float
 from ...bodies.character_limbs import FindJoints
 from ...bodies.character_pool import facing_rotation, sampled_poses
 from ...core.errors import InputError
-from ...core.geometry import nearest_rotation
+from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
 from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
@@ -24,17 +24,16 @@ from .character import read_clips, read_standing
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS
-from .own_animation import node_properties
 from .read import RestScene
-from .scene import local_matrices, node_parents, sort_parents_first
+from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
 from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
 SHEAR = 1e-3
 """Largest deviation of a joint's axes from right angles: node transforms cannot hold shears (glTF 2.0, 3.5.3)."""
-UNCHANGED = 1e-6
-"""Difference, relative to the size of the character, below which a node keeps the value of its file."""
+UNCHANGED = 5e-7
+"""Distance, over the size of the character, by which a vertex may be off because nodes keep values of their file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +65,20 @@ class OwnRig:
         moved = {self.nodes[joint]: transforms[:, k] for k, joint in enumerate(joints)}
         world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
         tracks: AnimatedValues = {}
-        size = float(np.ptp(self.humanoid.character.mesh.vertices, axis=0).max())
+        extent = np.ptp(self.humanoid.character.mesh.vertices, axis=0)
         for node in sort_parents_first(document, parent):
             above = world[parent[node]]
             if node not in moved:
                 world[node] = above @ static[node]
                 continue
-            world[node] = moved[node] @ self.scene.T_world_node[node]
-            local = np.linalg.inv(above) @ world[node]
-            tracks |= _node_tracks(document.gltf["nodes"][node], node, local, size)
+            local = np.linalg.inv(above) @ moved[node] @ self.scene.T_world_node[node]
+            unit = np.cbrt(np.abs(np.linalg.det(above[0, :3, :3])))
+            distance, angle = UNCHANGED * extent.max() / unit, UNCHANGED * extent.max() / np.linalg.norm(extent)
+            entry = node_properties(document.gltf["nodes"][node])
+            found = _node_tracks(entry, local, distance, angle)
+            tracks |= {(node, path): values for path, values in found.items()}
+            # The nodes below undo what this one is off, so that errors along a chain do not add up.
+            world[node] = above @ local_matrix({**entry, **found})
         return tracks
 
 
@@ -111,7 +115,9 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
         return sampled_poses(read_clips(document, rest, nodes, rig.parents, lambda name: False), rig, np.eye(3))
 
     humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
-    return OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
+    own = OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
+    _check_above(own)
+    return own
 
 
 def has_rig(mesh: Mesh) -> bool:
@@ -135,6 +141,8 @@ class GltfJoints:
     """Joints of the body that plays the motion of a file without a mesh."""
     find: FindJoints | None = None
     """Finds joints of the mesh whose names say nothing."""
+    whole: bool = False
+    """Whether the frames are those of the whole animation, at the rate of its keys."""
 
     @property
     def has_joints(self) -> bool:
@@ -144,7 +152,8 @@ class GltfJoints:
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
         played = None if self.played is None else self.played.cut(frames)
-        return dataclasses.replace(self, times=self.times[frames], played=played)
+        times = self.times[frames]
+        return dataclasses.replace(self, times=times, played=played, whole=self.whole and len(times) == len(self.times))
 
     def values(self) -> AnimatedValues:
         """Sample the animated values of all nodes."""
@@ -201,6 +210,23 @@ def _check_bound(document: Document, path: Path) -> None:
     _check_scales(local_matrices(document)[joints], path)
 
 
+def _check_above(own: OwnRig) -> None:
+    """Check that the frames in which joints move have one scale, and are not mirrored since the mesh was bound."""
+    document = own.source.document
+    parent, static = node_parents(document), local_matrices(document)
+    moved = {own.nodes[joint] for joint in own.humanoid.tree()[0]}
+    frames, above = {-1: np.eye(4)}, []
+    for node in sort_parents_first(document, parent):
+        if node in moved:
+            above.append(frames[parent[node]])
+        frames[node] = np.eye(4) if node in moved else frames[parent[node]] @ static[node]
+    _check_scales(np.stack(above), document.path)
+    hips = own.person["Hips"]
+    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document, static)[hips]])
+    if np.prod(np.linalg.det(worlds[:, :3, :3])) < 0:
+        raise InputError(f"{document.path}: expected a rig as it was bound, found a mirrored one; apply its scale")
+
+
 def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
     """Check that joints have a size, which is the same along all axes."""
     linear = transforms[:, :3, :3]
@@ -215,25 +241,38 @@ def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
-def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> AnimatedValues:
-    """Decompose local transforms into those of translation, rotation and scale that differ from the file's."""
+def _node_tracks(
+    own: Mapping[str, Float[np.ndarray, " _"]], local: Float[np.ndarray, "T 4 4"], distance: float, angle: float
+) -> dict[str, Float[np.ndarray, "T _"]]:
+    """Decompose local transforms into those of translation, rotation and scale that differ from the file's.
+
+    Args:
+        own: the properties that the node has in the file.
+        distance: difference of translations that counts as none, in the unit of the node's parent.
+        angle: the same of rotations, in radians, and of scales, relative.
+    """
     from scipy.spatial.transform import Rotation
 
-    own = node_properties(entry)
-    scale = np.where(own["scale"] == 0, 1.0, own["scale"])
-    linear = local[:, :3, :3] / scale  # columns without the file's scale
-    factor = np.cbrt(np.abs(np.linalg.det(linear)))
-    rotation = Rotation.from_matrix(nearest_rotation(linear)).as_quat()
-    # Signs as in the frame before, for programs that interpolate without taking the shorter arc.
-    signs = np.cumprod(np.where((rotation[1:] * rotation[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-    rotation[1:] *= signs[:, None]
-    rotation *= -1.0 if rotation[0] @ own["rotation"] < 0 else 1.0
-    found: AnimatedValues = {}
-    unit = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size
-    if np.abs(local[:, :3, 3] - own["translation"]).max() > UNCHANGED * unit:
-        found[node, "translation"] = local[:, :3, 3]
-    if np.abs(rotation - own["rotation"]).max() > UNCHANGED:
-        found[node, "rotation"] = rotation
-    if np.abs(factor - 1).max() > SHEAR:
-        found[node, "scale"] = factor[:, None] * scale
-    return found
+    linear = local[:, :3, :3]
+    # Scales are those of the bind pose, which the file's nodes may not be in, nor have been mirrored since.
+    signs = np.where(own["scale"] < 0, -1.0, 1.0)
+    mirrored = np.linalg.det(linear[0]) * signs.prod() < 0
+    scale = np.linalg.norm(linear, axis=1) * (-signs if mirrored else signs)
+    rotation = Rotation.from_matrix(nearest_rotation(linear / np.where(scale == 0, 1.0, scale)[:, None])).as_quat()
+    values = {
+        "translation": (local[:, :3, 3], distance),
+        # Two unit quaternions with the angle x between them are rotations 2 x apart.
+        "rotation": (continuous_quaternions(rotation, own["rotation"]), angle / 2),
+        "scale": (scale, angle * np.abs(scale).max()),
+    }
+    return {
+        path: _constant_if_still(track, tolerance)
+        for path, (track, tolerance) in values.items()
+        if np.linalg.norm(track - own[path], axis=1).max() > tolerance
+    }
+
+
+def _constant_if_still(track: Float[np.ndarray, "T C"], tolerance: float) -> Float[np.ndarray, "T C"]:
+    """Take the first value in all frames if the others differ by rounding errors alone: it has one key then."""
+    still = np.linalg.norm(track - track[0], axis=1).max() <= tolerance
+    return np.broadcast_to(track[0], track.shape) if still else track

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.errors import InputError
+from ...core.geometry import nearest_rotation
 from .document import Document, read_accessor, read_floats
 
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
@@ -22,7 +23,7 @@ DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 
 
 def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     """Return each node's local transform (parent from node), from its matrix or its translation, rotation, scale."""
-    return np.array([_local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
+    return np.array([local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
 def animated_matrices(
@@ -31,14 +32,28 @@ def animated_matrices(
     """Return each node's local transform in T frames.
 
     `animated` has the values of animated properties by (node, target path); other properties keep those of the file.
+    A node with a matrix is decomposed first: written files must not animate it otherwise (glTF 2.0, 3.5.3).
     """
     T_parent_node = np.tile(local_matrices(document), (frames, 1, 1, 1))
     properties: dict[int, dict[str, Any]] = {}
     for (node, path), values in animated.items():
-        properties.setdefault(node, {})[path] = values
+        if path in DEFAULT_TRS:
+            properties.setdefault(node, {})[path] = values
     for node, values in properties.items():
-        T_parent_node[:, node] = _local_matrix({**document.gltf["nodes"][node], **values})
+        T_parent_node[:, node] = local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
     return T_parent_node
+
+
+def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _"]]:
+    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
+    from scipy.spatial.transform import Rotation
+
+    if "matrix" not in entry:
+        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
+    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
+    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
+    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
+    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
 
 
 def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:
@@ -117,11 +132,21 @@ def read_morphed_attribute(
     return values
 
 
+def target_count(document: Document, node: int) -> int:
+    """Return the number of morph targets of a node's mesh."""
+    mesh = document.gltf["nodes"][node].get("mesh")
+    primitives = [] if mesh is None else document.gltf["meshes"][mesh]["primitives"]
+    return max((len(primitive.get("targets", [])) for primitive in primitives), default=0)
+
+
 def read_morph_weights(document: Document, node: int) -> list[float]:
-    """Read the morph weights of a node at rest: its own, else those of its mesh (glTF 2.0, 3.7.4 Instantiation)."""
+    """Read the weight of each morph target of a node at rest: its own, else its mesh's (glTF 2.0, 3.7.4), else 0."""
+    count = target_count(document, node)
+    if not count:
+        return []
     entry = document.gltf["nodes"][node]
     weights = entry.get("weights") or document.gltf["meshes"][entry["mesh"]].get("weights") or []
-    return [float(weight) for weight in weights]
+    return [*(float(weight) for weight in weights), *[0.0] * count][:count]
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +251,11 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     Computed as cofactor matrices, which exist for singular (flattening) matrices too.
     """
     a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
+    # Matrices with NaN come from damaged skins, whose vertices are refused with a message.
+    with np.errstate(invalid="ignore", over="ignore"):
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+        mirrored = np.linalg.det(linear) < 0
+    return cofactors * np.where(mirrored, -1.0, 1.0)[:, None, None]
 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
@@ -241,7 +269,7 @@ def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.nda
     return quat_xyzw / np.where(length > 0, length, 1.0)
 
 
-def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     """Return the local transform of a node, T * R * S; its translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -304,8 +332,8 @@ def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
 def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
     """Read the joint indices and weights of each vertex from all sets JOINTS_n and WEIGHTS_n, as (V, K) arrays.
 
-    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js. Joints of
-    weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
+    Weights are divided by their sum; a vertex without any finite weight follows its first joint, as in three.js.
+    Joints of weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
 
     Raises:
         InputError: a set of joints comes without weights.
@@ -319,5 +347,6 @@ def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.n
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
     joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
     total = weight.sum(axis=1, keepdims=True)
-    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), np.eye(1, weight.shape[1]))
+    usable = (total > 0) & np.isfinite(total)
+    weight = np.where(usable, weight / np.where(usable, total, 1.0), np.eye(1, weight.shape[1]))
     return np.where(weight == 0, 0, joint).astype(np.int64), weight

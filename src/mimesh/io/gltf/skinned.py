@@ -22,21 +22,19 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core.animated_rig import INFLUENCES, AnimatedRig, RigAnimation, local_rotations
+from ...core.geometry import continuous_quaternions
+from .animation import AnimationChannel, add_animation
 from .build import build_document, stage_transform
 from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
-from .keys import choose_keys, played_values, rotation_tolerances
+from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
 from .primitives import PrimitiveGroup
 
-UNSIGNED_BYTE, UNSIGNED_SHORT, FLOAT = 5121, 5123, 5126
+UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
 """Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
 STILL = 1e-7
 """Largest change of a joint's position in the frame of its parent that is not written, in sizes of the mesh: float32
 stores positions no better."""
-KEY_LIMIT = 1e-4
-"""Largest distance, over the mesh's size, by which thinned keys move a vertex from where all keys take it."""
-ACCESSOR_BYTES = 190
-"""Characters of JSON that an accessor of key times takes, with its buffer view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +52,7 @@ class _ThinnedRotations:
         rig = skeleton.rig.limited(INFLUENCES)
         tolerance = rotation_tolerances(skeleton.mesh.vertices, rig, skeleton.parents, limit)
         is_key = choose_keys(quat_xyzw, tolerance, rotations=True)
-        count = is_key.sum(axis=1)
-        own_times = count * (4 + 16) + ACCESSOR_BYTES  # bytes of a time and a quaternion in float32
-        is_key[(count > 1) & (own_times > is_key.shape[1] * 16)] = True
-        return cls(quat_xyzw, is_key)
+        return cls(quat_xyzw, without_costly_times(is_key))
 
     def played(self, skeleton: AnimatedRig) -> AnimatedRig:
         """Return the motion that clients interpolate from the keys."""
@@ -91,6 +86,9 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path) -> list[A
         draft, groups = edit_document(mesh.source, mesh, keep_targets=False)
     else:
         draft, groups = build_document(mesh, mesh)
+    if not draft.gltf.get("scenes"):  # readers show all roots then, but no longer once there is a scene
+        children = {child for node in draft.gltf["nodes"] for child in node.get("children", [])}
+        draft.gltf["scenes"] = [{"nodes": [n for n in range(len(draft.gltf["nodes"])) if n not in children]}]
     rest = local_quaternions(skeleton, skeleton.rig.rotation[None])[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
@@ -122,7 +120,7 @@ def _add_joints(draft: Draft, skeleton: AnimatedRig, rest: Float[np.ndarray, "J 
     axes = stage_transform(skeleton.mesh)
     if axes:  # a skin follows its joints and ignores the mesh's own node, so a change of axes goes above the joints
         nodes.append({"name": "axes", **axes, "children": [start]})
-    _default_scene(draft)["nodes"].append(len(nodes) - 1 if axes else start)
+    _default_scene(draft).setdefault("nodes", []).append(len(nodes) - 1 if axes else start)
     return list(range(start, start + len(skeleton.names)))
 
 
@@ -150,11 +148,8 @@ def _add_skin(
     """Add a skin for a mesh whose vertices are in the frame `T_world_local`; returns its index."""
     T_world_joint = np.tile(np.eye(4), (len(joint_nodes), 1, 1))
     T_world_joint[:, :3, :3], T_world_joint[:, :3, 3] = skeleton.rig.rotation, skeleton.rig.joints
-    inverse_bind = np.linalg.inv(T_world_joint) @ T_world_local
-    inverse_bind[:, 3] = [0, 0, 0, 1]  # exactly, as 3.7.3.1 demands, in spite of rounding
-    view = draft.add_view(inverse_bind.swapaxes(-1, -2).reshape(-1, 16).astype("<f4"))  # column-major
-    accessor = {"bufferView": view, "componentType": FLOAT, "count": len(joint_nodes), "type": "MAT4"}
-    skin = {"joints": joint_nodes, "skeleton": joint_nodes[0], "inverseBindMatrices": draft.add_accessor(accessor)}
+    inverse_bind = draft.add_matrices(np.linalg.inv(T_world_joint) @ T_world_local)
+    skin = {"joints": joint_nodes, "skeleton": joint_nodes[0], "inverseBindMatrices": inverse_bind}
     draft.gltf.setdefault("skins", []).append(skin)
     return len(draft.gltf["skins"]) - 1
 
@@ -173,7 +168,7 @@ def _attach_skinned_mesh(draft: Draft, node: int, skin: int, groups: list[Primit
     else:
         del old["mesh"]
     draft.gltf["nodes"].append(new)
-    _default_scene(draft)["nodes"].append(len(draft.gltf["nodes"]) - 1)
+    _default_scene(draft).setdefault("nodes", []).append(len(draft.gltf["nodes"]) - 1)
 
 
 def _default_scene(draft: Draft) -> dict[str, Any]:
@@ -189,21 +184,16 @@ def _joint_animation(
     """Add an animation: the rotations of all joints, and the translations of those that move, in every frame.
 
     Joints that stay at rest have a key too: where an animation leaves a joint out, Blender and blending engines keep
-    the pose of another animation. Channels with keys in the same frames share their times.
+    the pose of another animation.
     """
-    outputs = [(j, "rotation", rotations.is_key[j], rotations.quat_xyzw[j]) for j in range(len(joint_nodes))]
+    seconds = np.arange(rotations.is_key.shape[1]) / animation.fps
+    channels = [
+        AnimationChannel(node, "rotation", seconds[is_key], quat_xyzw[is_key])
+        for node, is_key, quat_xyzw in zip(joint_nodes, rotations.is_key, rotations.quat_xyzw, strict=True)
+    ]
     for j, path in _moved_joints(animation.skeleton).items():
-        outputs.append((j, "translation", np.ones(len(path), bool), path))
-    times: dict[bytes, int] = {}
-    samplers, channels = [], []
-    for joint, path, is_key, values in outputs:
-        if is_key.tobytes() not in times:
-            seconds = np.flatnonzero(is_key)[:, None] / animation.fps
-            times[is_key.tobytes()] = draft.add_floats(seconds, bounds=True)
-        output = draft.add_floats(values[is_key])
-        channels.append({"sampler": len(samplers), "target": {"node": joint_nodes[joint], "path": path}})
-        samplers.append({"input": times[is_key.tobytes()], "interpolation": "LINEAR", "output": output})
-    return {"name": animation.name, "samplers": samplers, "channels": channels}
+        channels.append(AnimationChannel(joint_nodes[j], "translation", seconds, path))
+    return add_animation(draft, animation.name, channels)
 
 
 def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
@@ -220,16 +210,9 @@ def _moved_joints(skeleton: AnimatedRig) -> dict[int, Float[np.ndarray, "T 3"]]:
 
 
 def local_quaternions(skeleton: AnimatedRig, rotation: Float[np.ndarray, "T J 3 3"]) -> Float[np.ndarray, "T J 4"]:
-    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w).
-
-    Signs are chosen so that each quaternion is near that of the frame before: then clients that interpolate without
-    taking the shorter arc are right too.
-    """
+    """Return each joint's rotation in the frame of its parent, from world rotations, as quaternions (x, y, z, w)."""
     from scipy.spatial.transform import Rotation
 
     local = local_rotations(rotation, skeleton.parents)
     quat_xyzw = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
-    flipped = (quat_xyzw[1:] * quat_xyzw[:-1]).sum(axis=-1) < 0
-    sign = np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)
-    quat_xyzw[1:] *= sign[..., None]
-    return quat_xyzw
+    return continuous_quaternions(quat_xyzw)

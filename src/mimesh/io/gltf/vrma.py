@@ -17,22 +17,20 @@ from jaxtyping import Float
 from ...bodies.hands import body_with_fingers, hand_joints
 from ...bodies.joint_names import ancestors, finger_joints
 from ...core.animated_rig import local_rotations
-from ...core.geometry import nearest_rotation
+from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.person_motion import PersonMotion
 from ...core.rig import Rig
 from ...motions.bone_motion import BoneMotion, bone_joints, t_pose_frames
 from ...motions.humanoid_rig import SIDES
 from ...motions.retarget import axes_from_rest
-from .animation import AnimationChannel
+from .animation import AnimationChannel, add_animation
 from .bake import sample_nodes
 from .document import Document
 from .draft import Draft
-from .keys import choose_keys, rotation_tolerances
+from .keys import KEY_LIMIT, choose_keys, rotation_tolerances
 from .scene import local_matrices, world_matrices
 from .vrm import vrm_bones
 
-KEY_LIMIT = 1e-4
-"""Largest distance, over the height of the skeleton, by which thinned keys move a joint."""
 EXTENSION = "VRMC_vrm_animation"
 
 
@@ -124,25 +122,17 @@ def _animation(draft: Draft, motion: BoneMotion) -> dict[str, Any]:
 
     local = local_rotations(motion.rotation, motion.parents)
     quaternions = Rotation.from_matrix(local.reshape(-1, 3, 3)).as_quat().reshape(*local.shape[:2], 4)
-    # Signs as in the frame before, for programs that interpolate without taking the shorter arc.
-    flipped = (quaternions[1:] * quaternions[:-1]).sum(axis=-1) < 0
-    quaternions[1:] *= np.cumprod(np.where(flipped, -1.0, 1.0), axis=0)[..., None]
+    quaternions = continuous_quaternions(quaternions)
     is_key = choose_keys(quaternions.swapaxes(0, 1), _tolerances(motion), rotations=True)
-    every = draft.add_floats(np.arange(len(motion.hips))[:, None] / motion.fps, bounds=True)
-    samplers = [{"input": every, "interpolation": "LINEAR", "output": draft.add_floats(motion.hips)}]
-    channels = [{"sampler": 0, "target": {"node": 0, "path": "translation"}}]
-    times = {np.ones(len(motion.hips), bool).tobytes(): every}
+    times = np.arange(len(motion.hips)) / motion.fps
+    channels = [AnimationChannel(0, "translation", times, motion.hips)]
     for node, keys in enumerate(is_key):
-        if keys.tobytes() not in times:
-            times[keys.tobytes()] = draft.add_floats(np.flatnonzero(keys)[:, None] / motion.fps, bounds=True)
-        output = draft.add_floats(quaternions[keys, node])
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": "rotation"}})
-        samplers.append({"input": times[keys.tobytes()], "interpolation": "LINEAR", "output": output})
-    return {"name": motion.name, "samplers": samplers, "channels": channels}
+        channels.append(AnimationChannel(node, "rotation", times[keys], quaternions[keys, node]))
+    return add_animation(draft, motion.name, channels)
 
 
 def _tolerances(motion: BoneMotion) -> Float[np.ndarray, " J"]:
-    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT."""
+    """Compute the error of each bone's rotation (radians) with which no joint moves farther than KEY_LIMIT heights."""
     count = len(motion.joints)
     rig = Rig(np.tile(np.eye(3), (count, 1, 1)), motion.rest, np.eye(count))
     return rotation_tolerances(motion.rest, rig, motion.parents, KEY_LIMIT * float(np.ptp(motion.rest[:, 1])))
