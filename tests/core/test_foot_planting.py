@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
 from mimesh.core.foot_contacts import find_contacts
-from mimesh.core.foot_planting import PosedJoints, foot_skate, is_cyclic, plant_feet
+from mimesh.core.foot_planting import HEIGHTS, PosedJoints, _solve, foot_skate, is_cyclic, plant_feet
 from mimesh.core.joint_tracks import JointTrack, root_path
 from mimesh.core.leg_ik import LONGEST, move_ankle
 from mimesh.core.rig import Rig, leg_length
@@ -265,3 +265,14 @@ def test_the_ankle_goes_to_its_target_as_far_as_the_leg_reaches():
         assert np.abs((after[:, leg[2]] - wanted)[near]).max(initial=0) < 1e-9
         # The knee bends to the front.
         assert ((after[:, leg[1]] - (after[:, leg[0]] + after[:, leg[2]]) / 2)[:, 2] > -0.03).all()
+
+
+def test_a_trend_of_heights_does_not_go_on_where_no_foot_stands():
+    """One foot stands in the middle third, and errors of its height grow there."""
+    frames, standing = 60, slice(20, 40)
+    weight, error = np.zeros((frames, 1)), np.zeros((frames, 1))
+    weight[standing], error[standing, 0] = 1.0, np.linspace(0, 0.2, 20)
+    root = _solve(weight, error, frames, 30.0, HEIGHTS, (False, False))[0]
+    assert root[39] - root[20] > 0.15
+    assert np.ptp(root[:20]) < 0.01
+    assert np.ptp(root[40:]) < 0.01

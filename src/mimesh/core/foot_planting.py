@@ -53,12 +53,15 @@ class Stiffness:
     """Share of a slide that is rather left than corrected by the root."""
     root_bend: float
     """Seconds over which the root changes its speed."""
+    root_hold: float
+    """Weight against changes of the root's correction where no foot says how it should move: a trend while feet stand
+    would go on before and after that."""
 
 
 HEIGHT_SECONDS = 1 / 30
 """A height counts as much as a slide over the same distance in this time."""
-SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05)
-HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1)
+SLIDES = Stiffness(leg_size=1.0, leg_bend=0.01, root_speed=0.02, root_bend=0.05, root_hold=0.0)
+HEIGHTS = Stiffness(leg_size=0.1, leg_bend=0.02, root_speed=0.02, root_bend=0.1, root_hold=100.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +247,10 @@ def _solve(
     gap = CLOSED * (unit[-1:] - unit[:1]).T @ (unit[-1:] - unit[:1])
     smooth = bend.T @ bend
     leg = unit / (stiffness.leg_size * fps) ** 2 + (stiffness.leg_bend * fps) ** 2 * smooth + closed[0] * gap
-    root = stiffness.root_speed * step.T @ step + (stiffness.root_bend * fps) ** 2 * smooth + closed[1] * gap
+    told = np.minimum(weight.sum(axis=1), 1)
+    told = np.minimum(told[1:], told[:-1]) if len(told) == frames else told
+    speed = sparse.diags_array(stiffness.root_speed + stiffness.root_hold * (1 - told))
+    root = step.T @ speed @ step + (stiffness.root_bend * fps) ** 2 * smooth + closed[1] * gap
     # A root whose correction costs too much stays; else a tiny cost fixes what has no influence: where all of it is.
     root = root + (TINY if free_root else 1 / TINY) * unit
     measure = unit if len(weight) == frames else step

@@ -57,6 +57,9 @@ EXPECTED_ERROR = {
 `Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
 MAX_ERROR = 0.0165
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
+NO_PERSON = 0.1
+"""Expected error (heights of the identity) from which on a mesh is not taken for a person at all. Chosen by eye: animals
+have 0.2 and more."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -110,6 +113,11 @@ class Confidence:
     def recognised(self) -> bool:
         """Whether the predictions are those of a person."""
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
+
+    @property
+    def lacks_leg(self) -> bool:
+        """Whether a leg was not found, so that there are no soles to be planted."""
+        return any(self._incompleteness(limb) > 1 for limb in ("left leg", "right leg"))
 
     @property
     def fitted(self) -> bool:
@@ -169,8 +177,15 @@ class Confidence:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
         large = self.fitted and self.expected_error > MAX_ERROR
+        if self.fitted and self.expected_error > NO_PERSON:
+            return (
+                f"{name} does not look like a person, and nothing else is moved well (about "
+                f"{self.expected_error:.0%} of the height wrong): {reasons}; animals and things need a clip of the same "
+                "skeleton",
+            )
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
-        return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}",)
+        feet = ", and feet are not planted" if self.lacks_leg else ""
+        return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}",)
 
     def _reasons(self) -> list[str]:
         """List in words which figures are bad."""

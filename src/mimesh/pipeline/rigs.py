@@ -53,7 +53,9 @@ class Rigs:
     beside: AnimatedValues = field(default_factory=dict)
     """Values of nodes beside those of a person, such as tails and skirts, that both files have by name."""
     unnamed: tuple[bool, bool] = (False, False)
-    """Whether identity and driving have joints whose names say nothing, and that `matched` may find."""
+    """Whether identity and driving have joints whose names say nothing."""
+    only_copied: bool = False
+    """Whether the identity's rig is no person's, and could only be given the driving's values as they are."""
 
     @classmethod
     def read(
@@ -77,13 +79,15 @@ class Rigs:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
         own = shared = None
         notes: tuple[str, ...] = ()
-        unnamed = unnamed_driving = False
+        unnamed = unnamed_driving = only_copied = False
         if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
             own, notes, unnamed = _if_usable(lambda: read_own_rig(identity, find[0]), without)
             shared = _shared_motion(identity, clip)
-            if copy and (copied := _copied(identity, clip, shared, own)) is not None:
+            copied = _copied(identity, clip, shared, own)
+            if copied is not None and copy:
                 return cls(own, copied=copied)
+            only_copied = copied is not None and own is None
         driving, skeleton = None, clip.skeleton
         if isinstance(skeleton, GltfJoints):
             skeleton = dataclasses.replace(skeleton, find=find[1])
@@ -92,7 +96,7 @@ class Rigs:
             driving, more, unnamed_driving = _if_usable(skeleton.person, without)
             notes += more
         beside = {} if shared is None or own is None else _beside_person(own, shared.tracks)
-        return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving))
+        return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied)
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""

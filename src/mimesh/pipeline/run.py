@@ -259,6 +259,11 @@ def move(
     """
     with timer.step("prepare"):
         rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
+        if rigs.only_copied and options.changes_motion:
+            raise InputError(
+                f"--root, --smooth: expected the rig of a person, found another one in {identity.name}, whose animation "
+                "is copied as it is; leave these options out"
+            )
         copied = rigs.copied is not None
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
     if prepared is None:
@@ -345,7 +350,8 @@ def play(
         positions = driving_norm.undo(motion.track.positions[0])
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
         report |= {} if own is None else {"rig": "own"}
-        notes += _report_joints(motion, report, (identity.name, clip.mesh.name), np.ptp(rest.vertices[:, 1]))
+        height = np.ptp(rest.vertices[:, 1])
+        notes = _report_joints(motion, report, (identity.name, clip.mesh.name), height) + notes
         if motion.drive is not prepared.drive:
             report["influence_deviation"] = _influence_deviation(prepared, motion)
         if options.root == "drop":

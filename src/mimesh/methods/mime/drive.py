@@ -424,8 +424,9 @@ class MimeMethod:
 
 
 def _feet(mine: IdentityReading, theirs: DrivingReading, skinned: SkinnedMesh) -> Feet | None:
-    """Find the contact points of the feet that both have."""
-    if len(mine.legs) != len(theirs.soles):
+    """Find the contact points of the feet that both have; None where a leg was not found."""
+    lacking = any(of.confidence is not None and of.confidence.lacks_leg for of in (mine, theirs))
+    if lacking or len(mine.legs) != len(theirs.soles):
         return None
     soles = find_soles(mine.vertices, mine.rig, mine.legs, mine.parents)
     return Feet.of(mine.legs, theirs.leg, soles, skinned, theirs.soles, theirs.samples)
