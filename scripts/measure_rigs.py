@@ -1,6 +1,10 @@
 """Measure retargeting on characters' own rigs: every chosen character with clips of other makers.
 
     python scripts/measure_rigs.py POOL --motions FILE ... [-o docs/rigs.json] [--characters 40] [--clips 20]
+    python scripts/measure_rigs.py --own FILE ... [-o docs/rigs.json]
+
+The second form plays the own clips of files through `mimesh animate` and compares the written files with them: the
+motion, and all else that was in the files (`evaluate/own_rigs.py`). Each form leaves the figures of the other.
 
 POOL is a pool of rigged characters; those of its splits train and val are used. FILEs are motions without a mesh: .bvh,
 or .glb with animations of joints. Figures: `evaluate/retargets.py`. "copied rotations" is what users do by hand with
@@ -17,9 +21,11 @@ from pathlib import Path
 from typing import Any
 
 from mimesh.bodies.character_pool import read_pool
+from mimesh.cli import run
 from mimesh.commands.terminal import progress
 from mimesh.core.mesh import cut_clip
 from mimesh.evaluate.limb_calibration import LimbedCharacter
+from mimesh.evaluate.own_rigs import is_compressed, lost_content, playback_error
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.evaluate.retargets import (
     METRICS,
@@ -35,8 +41,10 @@ from mimesh.evaluate.retargets import (
 )
 from mimesh.io import load_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.io.gltf.animation import animation_names
+from mimesh.io.gltf.animation import animated_nodes, animation_names
 from mimesh.io.gltf.document import open_document
+from mimesh.io.gltf.motion import PLAYED_PATHS, gltf_joints, is_motion
+from mimesh.pipeline.rigs import rig_facts
 
 MOST_FRAMES = 150
 """Longer motions are cut to so many frames, in the middle."""
@@ -47,12 +55,18 @@ CLIPS_OF_A_CHARACTER = 3
 def main() -> None:
     """Measure all pairs and write the report; a pair that raises an exception is counted and named."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("pool", type=Path)
+    parser.add_argument("pool", type=Path, nargs="?")
+    parser.add_argument("--own", type=Path, nargs="+", metavar="FILE", help="files whose own clips are played")
     parser.add_argument("--motions", type=Path, nargs="+", default=[], metavar="FILE")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/rigs.json"))
     parser.add_argument("--characters", type=int, default=40)
     parser.add_argument("--clips", type=int, default=20)
     args = parser.parse_args()
+    if args.own:
+        measure_own(args.own, args.output)
+        return
+    if args.pool is None:
+        parser.error("expected POOL or --own, found neither")
     pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
     chosen = choose_characters(tuple(pool), args.characters)
     with tempfile.TemporaryDirectory() as folder:
@@ -73,9 +87,61 @@ def main() -> None:
     report = {"commit": commit(), "machine": machine(), "libraries": libraries(), "characters": len(chosen)}
     report |= {"clips": args.clips, "pairs": len(pairs), "failed": [pair for pair in pairs if "error" in pair]}
     report |= {"upside_down": sum((pair.get("upright") or 1.0) < 0 for pair in pairs), "results": _table(pairs)}
-    with whole_file(args.output) as temporary:
-        temporary.write_text(json.dumps(report | {"figures": pairs}, indent=1) + "\n")
+    _update(args.output, report | {"figures": pairs})
     print(json.dumps({key: report[key] for key in ("pairs", "failed", "upside_down", "results")}, indent=2))
+
+
+def measure_own(paths: list[Path], output: Path) -> None:
+    """Play the own clips of files with the command, compare what is written, and add the figures to the report."""
+    rows = []
+    for path in paths:
+        rows.append(_own_row(path))
+        print(json.dumps(rows[-1]), flush=True)
+    _update(output, {"own": {"commit": commit(), "machine": machine(), "files": rows}})
+
+
+def _own_row(path: Path) -> dict[str, Any]:
+    """Compare one file with what the command writes from it and its own clips."""
+    document = open_document(path)
+    names = animation_names(document)
+    row: dict[str, Any] = {"file": path.name, "clips": len(names), "error": None, "failed": []}
+    if is_motion(document):
+        return row | {"joints": gltf_joints(document), "person": False, "reason": "animations without a mesh"}
+    facts = rig_facts(load_mesh(path))
+    joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    row |= {"joints": len(joints or animated_nodes(document, PLAYED_PATHS)), "person": facts is not None and facts[0]}
+    row["reason"] = "" if facts is None or facts[0] else facts[1].removeprefix(f"{path}: ")
+    errors, lost, is_fbx = [], set(), path.suffix.lower() == ".fbx"
+    with tempfile.TemporaryDirectory() as folder:
+        written = Path(folder) / "written.glb"
+        for animation in [str(number) for number in range(len(names))] or [None]:
+            chosen = [] if animation is None else ["--animation", animation]
+            words = ["animate", str(path), str(path), "-o", str(written), *chosen, "-q", "--no-preview"]
+            if run(words):
+                row["failed"].append(animation)
+                continue
+            errors.append(playback_error(path, animation, written))
+            lost |= set() if is_fbx else set(lost_content(path, written))
+    row["error"] = max(errors, default=None)
+    return row | ({} if is_fbx else {"compressed": is_compressed(path), "lost": sorted(lost)})
+
+
+def _update(output: Path, report: dict[str, Any]) -> None:
+    """Write a report in place of an older one; parts that only that has are kept."""
+    old = json.loads(output.read_text()) if output.is_file() else {}
+    with whole_file(output) as temporary:
+        temporary.write_text(_layout(old | report) + "\n")
+
+
+def _layout(value: Any, indent: str = "") -> str:
+    """Write JSON with a line for each entry of a list, such as a pair of files, and for each group of figures."""
+    inner = indent + " "
+    if isinstance(value, dict) and any(isinstance(entry, (dict, list)) for entry in value.values()):
+        lines = [f"{inner}{json.dumps(key)}: {_layout(entry, inner)}" for key, entry in value.items()]
+        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+    if isinstance(value, list) and any(isinstance(entry, dict) for entry in value):
+        return "[\n" + ",\n".join(inner + json.dumps(entry) for entry in value) + f"\n{indent}]"
+    return json.dumps(value)
 
 
 def _measure_pair(mesh, limbed: LimbedCharacter, actor: Actor) -> dict[str, Any]:
@@ -84,12 +150,12 @@ def _measure_pair(mesh, limbed: LimbedCharacter, actor: Actor) -> dict[str, Any]
     begin = time.perf_counter()
     try:
         result = retarget(mesh, actor)
+        row |= {"own": result.own is not None, "notes": list(result.notes), "seconds": time.perf_counter() - begin}
+        row |= measure(result, limbed, actor)
+        by_hand = copy_rotations(mesh, actor)
+        return row | ({} if by_hand is None else {"copied rotations": measure(by_hand, limbed, actor)})
     except Exception as error:  # that there is none is what is measured
         return row | {"error": repr(error)}
-    row |= {"own": result.own is not None, "notes": list(result.notes), "seconds": time.perf_counter() - begin}
-    row |= measure(result, limbed, actor)
-    by_hand = copy_rotations(mesh, actor)
-    return row | ({} if by_hand is None else {"copied rotations": measure(by_hand, limbed, actor)})
 
 
 def _motions(path: Path) -> list[Actor]:

@@ -160,6 +160,23 @@ def rigs() -> str:
     )
 
 
+def own_clips() -> str:
+    """Return the table of files whose own clips were played through the command, from docs/rigs.json."""
+    report = json.loads((DOCS / "rigs.json").read_text())["own"]
+    rows = [_own_row(row) for row in report["files"]]
+    head = ["file", "joints", "clips", "a person's rig", "largest error", "all else unchanged"]
+    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+
+
+def _own_row(row: dict) -> list[str]:
+    """Return the cells of a file: FBX has no bytes to compare, compressed files are written without compression."""
+    error = "-" if row["error"] is None else f"{row['error']:.0e}" if row["error"] else "0"
+    changed = "no: " + ", ".join(row["lost"]) if row.get("lost") else "yes"
+    changed = "-" if "lost" not in row else f"{changed}, uncompressed" if row["compressed"] else changed
+    person = "yes" if row["person"] else "no: " + row["reason"].partition(" by name,")[0].partition(";")[0]
+    return [f"`{row['file']}`", str(row["joints"]), str(row["clips"]), person, error, changed]
+
+
 def _median_and_p90(figure: dict[str, float] | None) -> str:
     return "-" if figure is None else f"{figure['median']:.2g} ({figure['p90']:.2g})"
 
@@ -206,6 +223,7 @@ INSERTS = {
     "table": table,
     "speed": speed,
     "rigs": rigs,
+    "ownclips": own_clips,
     "transcript": transcript,
     "notes": notes,
     "commands": command_reference,

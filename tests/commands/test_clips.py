@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import rigs
 from networks import write_mime_network
 from people import person, walk
 from vrm_files import bone_positions, vrm, vrma
@@ -57,6 +58,22 @@ def test_a_model_without_joints_and_a_pose_have_frames(files):
     assert animate(files, "pose.obj", "-o", "f.glb", "--no-preview", "-q") == 0
     assert animate(files, "pose.obj", "-o", "g.glb", "--no-preview", "-q", "--skinned") == 0
     assert ["skins" in open_document(files / f"{name}.glb").gltf for name in "efg"] == [False, False, True]
+
+
+def test_a_copied_animation_has_a_preview(files, capsys):
+    path = str(rigs.of_kind(files / "mover.glb", "T-pose")[0])
+    assert run(["animate", path, path, "-o", str(files / "i.glb"), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)["report"]
+    assert report["copied"]
+    assert report["identity"]["up"] == report["driving"]["up"] == "+y"
+    assert (files / "i.preview.html").exists()
+
+
+def test_a_pose_is_put_on_the_bones_of_a_rigged_file(files):
+    rigged = rigs.of_kind(files / "rigged.glb", "T-pose", moving=False)[0]
+    pose = rigs.of_kind(files / "standing.glb", "A-pose", moving=False)[0]
+    assert run(["animate", str(rigged), str(pose), "-o", str(files / "h.glb"), "--no-preview", "-q"]) == 0
+    assert open_document(files / "h.glb").gltf["skins"] == open_document(rigged).gltf["skins"]
 
 
 def test_several_clips_become_animations_of_one_file(files, capsys):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import rigs
 from foreign_names import renamed
 from gltf_samples import props
 from networks import write_mime_network
+from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh
@@ -111,6 +113,7 @@ DAMAGES = {
     "no weights": (no_weights, "skin with weights, found 100%|weights"),
     "half without weights": (some_weights(0.0), "skin with weights, found 50%"),
     "half with NaN weights": (some_weights(float("nan")), "skin with weights, found 50%"),
+    "half with infinite weights": (some_weights(float("inf")), "skin with weights, found 50%"),
     "half with negative weights": (some_weights(-1.0), "skin with weights, found 50%"),
     "a joint scaled to nothing": (scaled("LeftForeArm", [0.0, 0.0, 0.0]), "scaled to nothing|finite|length"),
     "a sheared joint": (scaled("LeftForeArm", [1.0, 3.0, 0.5]), "scaled equally"),
@@ -212,6 +215,41 @@ def test_a_skeleton_that_lies_down_at_rest_is_raised(model, driving, tmp_path):
     assert raised.own is not None
     shift = (raised.clip.vertices[0] - standing.clip.vertices[0]).mean(axis=0)
     np.testing.assert_allclose(raised.clip.vertices - shift, standing.clip.vertices, atol=1e-5)
+
+
+def all_fours(lean: float) -> np.ndarray:
+    """Local rotations of the joints that bring a person from the T-pose onto hands and feet; `lean` in degrees."""
+    rest = np.tile(np.eye(3), (len(PERSON.names), 1, 1))
+    forward = Rotation.from_euler("x", lean, degrees=True).as_matrix()
+    rest[PERSON.names.index("Hips")] = forward
+    for side, sign in (("Left", -1), ("Right", 1)):
+        down = Rotation.from_euler("z", 90 * sign, degrees=True).as_matrix()
+        rest[PERSON.names.index(f"{side}Arm")] = forward.T @ down
+        rest[PERSON.names.index(f"{side}UpLeg")] = forward.T
+    return rest
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), np.diag([-1.0, 1, -1])])
+@pytest.mark.parametrize("lean", [90.0, 40.0])
+def test_animals_with_the_names_of_a_persons_joints_are_no_person(lean, turn, model, driving, tmp_path):
+    """Nor are they where another orientation of the bind pose sets them on their hind legs."""
+    person = rigs.figure()
+    if lean < 60:  # a giraffe: front legs that reach the ground from high shoulders
+        person = longer_arms(person)
+    path = rigs.character(tmp_path / "a.glb", person=person, rest=all_fours(lean), turn=turn, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is None
+    assert any("stands upright" in note for note in result.notes)
+
+
+def longer_arms(person: rigs.Figure) -> rigs.Figure:
+    """Give a person in the T-pose arms of the length of its legs and trunk."""
+    vertices, joints = person.vertices.copy(), person.joints.copy()
+    shoulder = abs(joints[person.names.index("LeftArm"), 0])
+    for points in (vertices, joints):
+        outside = np.maximum(np.abs(points[:, 0]) - shoulder, 0.0)
+        points[:, 0] += 1.2 * np.sign(points[:, 0]) * outside
+    return dataclasses.replace(person, vertices=vertices, joints=joints)
 
 
 @pytest.mark.parametrize("name", ["joint beyond the skin", "fewer bind matrices"])

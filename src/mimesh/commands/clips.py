@@ -135,12 +135,13 @@ def save_clips(
     layout: Layout,
     progress: Callable[[int, int], None] | None,
 ) -> None:
-    """Write results as joints, with `skinned` None where these are more than a pose; else write the one as frames."""
+    """Write results as joints, with `skinned` None where they move or are the file's own; else the one as frames."""
     from ..pipeline.skinned import save_skinned
 
     first = results[0]
     jointed = first.skeleton is not None or first.own is not None
-    if skinned or (skinned is None and jointed and len(first.clip) > 1):
+    moving = len(first.clip) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
+    if skinned or (skinned is None and jointed and moving):
         save_skinned(results, output, names, layout)
     else:
         first.save(output, blendshapes, progress)

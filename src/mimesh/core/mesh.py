@@ -113,8 +113,8 @@ class Clip:
         return len(self.vertices) / self.fps
 
 
-LARGEST = 1e30
-"""Largest coordinate that is accepted: far above any unit, and far below the numbers whose products overflow."""
+LARGEST = 1e18
+"""Largest coordinate that is accepted: far above any unit, and so small that squared distances fit float32."""
 
 
 def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:

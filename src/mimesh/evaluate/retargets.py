@@ -29,12 +29,14 @@ from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigs import Rigs
 from ..pipeline.run import MotionOptions, play, prepare
 from .limb_calibration import LimbedCharacter
-from .limb_metrics import limb_metrics
+from .limb_metrics import PosedLimbs, limb_angles, limb_metrics
 
 FPS = 30.0
 """Frame rate of the pool's clips."""
 MEASURED_FRAMES = 6
 """Frames of a clip, evenly spread, in which surfaces are compared."""
+UPRIGHT_STEP = 5
+"""Frames from one to the next in which trunks are compared."""
 INFLUENCES = 6
 """Largest weights of the shipped body that are measured."""
 NOT_GIVEN = (None, None, None, None)
@@ -104,14 +106,20 @@ def body_limbs() -> LimbedCharacter:
 def measure(result: ClipResult, limbed: LimbedCharacter, actor: Actor) -> dict[str, float | None]:
     """Compare the result with the clip that it imitates: METRICS, means over MEASURED_FRAMES, and speeds of soles.
 
-    `upright`: cosine between the directions from hips to head of both, in the frame in which it is smallest.
+    `upright`: cosine between the directions of both trunks, in the frame in which it is smallest of every
+    UPRIGHT_STEP-th: characters are turned over for a few frames only.
     """
     turn = facing_rotation(result.report["driving"]["front"])
-    frames = np.linspace(0, len(actor.clip) - 1, MEASURED_FRAMES).round().astype(int)
-    poses = [(np.asarray(c.vertices[t], float) for c in (result.clip, actor.clip)) for t in frames]
-    figures = [limb_metrics(limbed, actor.limbed, mine, theirs @ turn.T) for mine, theirs in poses]
+    frames = np.linspace(0, len(actor.clip) - 1, MEASURED_FRAMES).round().astype(int).tolist()
+
+    def posed(t: int) -> tuple[PosedLimbs, PosedLimbs]:
+        mine, theirs = (np.asarray(clip.vertices[t], float) for clip in (result.clip, actor.clip))
+        return PosedLimbs(limbed, mine), PosedLimbs(actor.limbed, theirs @ turn.T)
+
+    pairs = [posed(t) for t in frames]
+    figures = [limb_metrics(mine.limbed, theirs.limbed, mine.vertices, theirs.vertices) for mine, theirs in pairs]
     measured: dict[str, float | None] = {name: _mean([figure[name] for figure in figures]) for name in METRICS}
-    trunk = [figure.get("limb_deg Trunk") for figure in figures]
+    trunk = [limb_angles(*posed(t)).get("Trunk") for t in {*range(0, len(actor.clip), UPRIGHT_STEP), *frames}]
     measured["upright"] = min((float(np.cos(np.radians(angle))) for angle in trunk if angle is not None), default=None)
     measured["skate"], measured["skate_driving"] = (
         result.report.get(key) for key in ("foot_skate", "foot_skate_driving")

@@ -40,7 +40,7 @@ from .timing import DEFAULT_FPS, HIGHEST_FPS
 
 if TYPE_CHECKING:
     from ..motions.bone_motion import BoneMotion
-    from .gltf.own_animation import OwnAnimation
+    from .gltf.own_animation import OwnAnimation, PlayedAnimation
 
 
 def load_mesh(path: str | Path) -> Mesh:
@@ -221,8 +221,8 @@ def save_rig_animations(animations: Sequence[RigAnimation], path: str | Path) ->
         return write_gltf_skinned(animations, temporary)
 
 
-def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> None:
-    """Write the own glTF file of an identity with new animations of its own bones.
+def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) -> list[PlayedAnimation]:
+    """Write the own glTF file of an identity with new animations of its own bones; returns these as they are played.
 
     Raises:
         InputError: another format, or a path that cannot be written to.
@@ -233,7 +233,7 @@ def save_own_animations(animations: Sequence[OwnAnimation], path: str | Path) ->
     refuse_vrm(path)
     _must_hold_joints(path)
     with writing(path), gltf_file(path) as temporary:
-        write_own_animations(animations, temporary)
+        return write_own_animations(animations, temporary)
 
 
 def save_own_pose(animation: OwnAnimation, path: str | Path) -> None:

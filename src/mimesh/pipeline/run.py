@@ -149,7 +149,7 @@ def prepare(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
-    first = dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
+    first = _first_frame(clip)
     rigs = read_rigs(identity, clip, options, corrections) if rigs is None else rigs
     axes = rigs.axes(axes)
     norms = Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
@@ -167,6 +167,10 @@ def prepare(
             drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     rest = _normalised(identity, norms[0])
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
+
+
+def _first_frame(clip: Clip) -> Mesh:
+    return dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
 
 
 def read_rigs(identity: Mesh, clip: Clip, options: MotionOptions, corrections: Corrections) -> Rigs:
@@ -265,7 +269,7 @@ def move(
         copied = rigs.copied is not None and not options.changes_motion
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
     if prepared is None:
-        return copy_animation(identity, clip, rigs, timer, progress, dtype)
+        return copy_animation(identity, clip, rigs, axes, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
 
 
@@ -273,23 +277,32 @@ def copy_animation(
     identity: Mesh,
     clip: Clip,
     rigs: Rigs,
+    axes: Axes,
     timer: Timer,
     progress: Progress | None,
     dtype: type[np.floating],
 ) -> MovedIdentity:
-    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted."""
+    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted.
+
+    Axes are found only for the report, from which pictures are drawn.
+    """
     assert isinstance(identity.source, GltfSource)
     assert rigs.copied is not None
     person = {} if rigs.identity is None else rigs.identity.person
-    tracks = rigs.copied.tracks
-    own = OwnAnimation(identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT)
+    tracks, keys = rigs.copied.tracks, rigs.copied.keys
+    own = OwnAnimation(
+        identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
+    )
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):
             moved[t] = vertices
             if progress is not None:
                 progress(t + 1, len(clip))
+    axes = rigs.axes(axes)
+    shown = {"identity": (identity, *axes[:2]), "driving": (_first_frame(clip), *axes[2:])}
     report = {**quality(identity, moved), **accelerations(clip, moved), "rig": "own", "copied": True}
+    report |= {which: facing(Normalization.fit(*of)) for which, of in shown.items()}
     return MovedIdentity(moved, None, own, report, ())
 
 

@@ -13,7 +13,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.engine_names import SCHEMES
 from ..bodies.engine_rig import Layout, engine_rig
 from ..bodies.joint_names import finger_joints
-from ..core.animated_rig import AnimatedRig, RigAnimation
+from ..core.animated_rig import CHECKED_FRAMES, AnimatedRig, RigAnimation
 from ..core.errors import InputError
 from ..core.rig import Rig, descendants
 from ..io import save_own_animations, save_rig_animations
@@ -21,6 +21,7 @@ from .vrma import save_bone_motions
 
 if TYPE_CHECKING:
     from ..io.gltf.document import Document
+    from ..io.gltf.own_animation import OwnAnimation, PlayedAnimation
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -145,8 +146,34 @@ def _save_on_own_rig(results: Sequence[ClipResult], path: Path, names: Sequence[
         )
         animations.append(own if layout.fps is None else own.resampled(layout.fps))
     with results[0].seconds.step("write"):
-        save_own_animations(animations, path)
+        written = save_own_animations(animations, path)
+    for result, animation, played in zip(results, animations, written, strict=True):
+        result.report.update(_own_deviations(result, animation, played))
     return path
+
+
+def _own_deviations(result: ClipResult, animation: OwnAnimation, played: PlayedAnimation) -> dict[str, float]:
+    """Measure the largest distances of a vertex, over the mesh's size, between a written animation and its result.
+
+    Only CHECKED_FRAMES frames are compared. Frames at another rate have no counterpart in the result: the keys are then
+    left out of the deviation from it.
+    """
+    assert result.own is not None
+    size = np.ptp(animation.source.vertices, axis=0).max()
+    same_rate = animation.frames == len(result.clip) and animation.fps == result.fps
+    chosen = np.unique(np.linspace(0, animation.frames - 1, CHECKED_FRAMES).round().astype(int))
+    skinned = keys = 0.0
+    for t, file, sampled in zip(
+        chosen, played.vertices(chosen / animation.fps), animation.vertices(chosen), strict=True
+    ):
+        keys = max(keys, np.linalg.norm(file - sampled, axis=1).max())
+        if same_rate:
+            skinned = max(skinned, np.linalg.norm(file - result.clip.vertices[t], axis=1).max())
+    if not same_rate:
+        chosen = np.unique(np.linspace(0, len(result.clip) - 1, CHECKED_FRAMES).round().astype(int))
+        for t, sampled in zip(chosen, result.own.vertices(chosen), strict=True):
+            skinned = max(skinned, np.linalg.norm(sampled - result.clip.vertices[t], axis=1).max())
+    return {"skinned_deviation": float(skinned / size), "keys_deviation": float(keys / size)}
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

@@ -127,6 +127,17 @@ def test_animation_is_selected_by_name_or_index(tmp_path, selector, frames):
     assert len(load_clip(hero_with_three_animations(tmp_path), fps=10.0, animation=selector)) == frames
 
 
+def test_a_damaged_animation_beside_the_first_is_refused_only_if_it_is_asked_for(tmp_path):
+    sample = samples.hero()
+    first = sample.gltf["animations"][0]
+    sample.gltf["animations"] = [first, {"name": "empty", "channels": [{"target": {"path": "scale"}}]}, {**first}]
+    sample.gltf["animations"][1]["channels"][0]["target"]["node"] = 1
+    path = sample.glb(tmp_path / "a.glb")
+    assert len(load_clip(path, fps=10.0)) == 11
+    with pytest.raises(InputError, match="samplers in animation 1"):
+        load_clip(path, animation="empty")
+
+
 def test_missing_animation_is_refused_with_the_names_of_others(tmp_path):
     with pytest.raises(InputError, match=r"turn, rig\|short, 2.*--animation"):
         load_clip(hero_with_three_animations(tmp_path), animation="walk")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.io import load_mesh
+from mimesh.io import load_mesh, save_mesh
 from mimesh.io.gltf import read_gltf
 
 JsonChange = Callable[[dict[str, Any]], Any]
@@ -94,6 +94,7 @@ JSON_CHANGES: dict[str, tuple[JsonChange, str]] = {
     "lost buffer": (lambda g: g["buffers"][0].update(uri="lost.bin"), "the data of buffer 0, found no file 'lost.bin'"),
     "short buffer": (lambda g: g["buffers"][0].update(byteLength=10**6), "1000000 bytes in buffer 0"),
     "no data": (lambda g: g["buffers"].append({"byteLength": 4}), "the data of buffer 1, found no file 'inside'"),
+    "number beyond float32": (lambda g: g["nodes"][0].update(scale=[1e39, 1, 1]), "3 numbers in 'nodes .. scale'"),
     "signed sparse": (
         lambda g: next(a for a in g["accessors"] if "sparse" in a)["sparse"]["indices"].update(componentType=5122),
         "unsigned sparse indices",
@@ -181,6 +182,15 @@ def test_invalid_json_text_is_refused(text, message, tmp_path):
     path = tmp_path / "a.gltf"
     path.write_text(text)
     check_refused(path, message)
+
+
+def test_half_of_a_surrogate_pair_in_a_name_is_replaced(tmp_path):
+    """JSON can escape it, but no text can hold it: it could not be written again."""
+    sample = samples.hero()
+    sample.gltf["nodes"][1]["name"] = "a\ud800b \U0001f9b4"
+    mesh = load_mesh(sample.glb(tmp_path / "a.glb"))
+    save_mesh(mesh, tmp_path / "b.glb")
+    assert load_mesh(tmp_path / "b.glb").source.document.gltf["nodes"][1]["name"] == "a\ufffdb \U0001f9b4"
 
 
 def test_text_that_is_not_utf8_is_refused(tmp_path):

@@ -31,7 +31,7 @@ from .check import is_supported
 from .clip import add_morph_animation
 from .document import Document, open_document
 from .edit import GltfSource, edit_document, with_normals
-from .motion import is_motion, read_motion_clip, read_motion_mesh
+from .motion import PLAYED_PATHS, is_motion, read_motion_clip, read_motion_mesh
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
 from .vrm import is_vrm_animation, vrm_bones
@@ -90,10 +90,11 @@ def read_gltf_clip(
         clip = Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
         return dataclasses.replace(clip, skeleton=still_joints(mesh))
     channels = select_channels(document, animation)
-    fps = fps or frame_rate(channels) or DEFAULT_FPS
+    own_fps = frame_rate(channels) or DEFAULT_FPS
+    fps = fps or own_fps
     count, frames = bake_frames(document, mesh.source.rest, channels, fps)
     vertices = store_frames(frames, count, len(mesh.vertices), progress=progress)
-    skeleton = GltfJoints(document, channels, np.arange(count) / fps, mesh)
+    skeleton = GltfJoints(document, channels, np.arange(count) / fps, mesh, whole=fps == own_fps)
     return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)
 
 
@@ -111,7 +112,8 @@ def _joints(document: Document, animation: str | None, clip: Clip, mesh: Mesh | 
     played = None if clip.skeleton is None else clip.skeleton.person()
     if played is not None and is_vrm_animation(document) and vrm_bones(document):
         played = with_hands(played, document, channels, times)
-    return GltfJoints(document, channels, times, mesh, played)
+    whole = clip.fps == (frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS)
+    return GltfJoints(document, channels, times, mesh, played, whole)
 
 
 def write_gltf(mesh: Mesh, path: Path) -> None:

@@ -7,7 +7,7 @@ channel keeps the value of that key. KHR_animation_pointer is not read.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,18 @@ class AnimationChannel:
     """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
     interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
+
+    def stored(self) -> AnimationChannel:
+        """Return the channel with the values that a file has of it, which are float32."""
+        times, values = (array.astype(np.float32).astype(np.float64) for array in (self.times, self.values))
+        return replace(self, times=times, values=values)
+
+    @property
+    def constant(self) -> bool:
+        """Whether the value is the same at all times."""
+        parts = self.values.reshape(len(self.times), 3 if self.interpolation == "CUBICSPLINE" else 1, -1)
+        still = np.ptp(parts, axis=0).max(initial=0) == 0
+        return bool(still and (parts.shape[1] == 1 or not parts[:, ::2].any()))
 
     def sample(self, times: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T C"]:
         """Return the values at times in seconds; quaternions (x, y, z, w) have length 1."""
@@ -208,7 +220,12 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     selected: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
         targets = {(channel.node, channel.path) for channel in selected}
-        channels = read_channels(document, number)
+        try:
+            channels = read_channels(document, number)
+        except InputError:
+            if not selected:
+                raise
+            continue  # an animation that is not asked for may be damaged
         if not any((channel.node, channel.path) in targets for channel in channels):
             selected += channels
     return selected

@@ -53,7 +53,7 @@ def bake_frames(
 ) -> tuple[int, Iterator[Float[np.ndarray, "V 3"]]]:
     """Return the number of frames of an animation and the Mesh's vertices in each; frame k is at k / fps seconds."""
     times = frame_times(document, channels, fps)
-    return len(times), _pose_frames(document, rest, channels, times)
+    return len(times), sample_frames(document, rest, channels, times)
 
 
 def frame_times(document: Document, channels: list[AnimationChannel], fps: float) -> Float[np.ndarray, " T"]:
@@ -79,10 +79,10 @@ def sample_nodes(
         document.release_pages()
 
 
-def _pose_frames(
+def sample_frames(
     document: Document, rest: RestScene, channels: list[AnimationChannel], times: Float[np.ndarray, " T"]
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
-    """Yield the vertices of the Mesh in each frame."""
+    """Yield the vertices of the Mesh at times in seconds."""
     morphing = {channel.node for channel in channels if channel.path == "weights"}
     yield from _posed_blocks(document, rest, morphing, sample_nodes(document, channels, times))
 

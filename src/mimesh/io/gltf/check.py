@@ -158,6 +158,10 @@ INDEX_TYPES = (5121, 5123, 5125)
 """Component types of an index accessor: unsigned byte, short, int (5.24 Mesh Primitive)."""
 
 
+LARGEST = 3.4e38
+"""Largest number in the JSON: about that of float32. Python's reader takes NaN and infinity, which JSON has not."""
+
+
 def is_supported(extension: str) -> bool:
     """Return whether a file with this extension is read correctly and its accessors can be renumbered on writing."""
     return extension in SUPPORTED_EXTENSIONS or extension.startswith(APPEARANCE_PREFIXES)
@@ -269,7 +273,7 @@ def _is_numbers(value: Any, length: int | None) -> bool:
     return (
         isinstance(value, list)
         and (length is None or len(value) == length)
-        and all(isinstance(number, (int, float)) for number in value)
+        and all(isinstance(number, (int, float)) and abs(number) <= LARGEST for number in value)
     )
 
 

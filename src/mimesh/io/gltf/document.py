@@ -206,7 +206,11 @@ def _parse_json(text: bytes, path: Path) -> Any:
         raise ValueError(f"{constant} is not a JSON number")  # json.loads accepts NaN and Infinity by default
 
     try:
-        return json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
+        gltf = json.loads(text.decode("utf-8-sig"), parse_constant=reject_constant)
+        if b"\\ud" in text.lower():  # halves of surrogate pairs, which JSON can escape, are no text
+            whole = json.dumps(gltf, ensure_ascii=False).encode("utf-16", "surrogatepass").decode("utf-16", "replace")
+            gltf = json.loads(whole)
+        return gltf
     except (ValueError, RecursionError) as error:
         raise InputError(
             f"{path}: expected glTF JSON, found text that does not parse ({error}); export it again"

@@ -14,16 +14,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ...core.animated_rig import frames_around
-from .animation import PATH_WIDTHS, AnimationChannel, add_animation, slerp
-from .bake import AnimatedValues, pose_frames, pose_nodes
+from ..timing import DEFAULT_FPS, frame_count
+from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
+from .bake import AnimatedValues, pose_frames, pose_nodes, sample_frames
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .keys import KEY_LIMIT
 from .own_keys import node_keys, rounding
+from .read import RestScene
 from .root_bone import RootBone, place_root_bone
 from .scene import (
     node_properties,
@@ -57,6 +59,8 @@ class OwnAnimation:
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
     """Whether that bone carries the way over the ground."""
+    keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
+    """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
     def with_layout(self, bones: Mapping[str, str], root_bone: str | None, root_moves: bool) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
@@ -78,7 +82,7 @@ class OwnAnimation:
             (node, path): _between(values[before], values[after], fraction[:, None], path == "rotation")
             for (node, path), values in self.tracks.items()
         }
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
+        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
 
     def moves(self, key: tuple[int, str]) -> bool:
         """Tell whether a node is anywhere else than in the file, beyond rounding."""
@@ -100,12 +104,28 @@ class OwnAnimation:
         blocks = pose_nodes(self.source.document, self.tracks, self.frames)
         return np.concatenate([matrices[:, list(nodes)] for _, matrices in blocks])
 
-    def vertices(self) -> Iterator[Float[np.ndarray, "V 3"]]:
-        """Yield the vertices of the Mesh in every frame."""
-        return pose_frames(self.source.document, self.source.rest, self.tracks, self.frames)
+    def vertices(self, frames: Int[np.ndarray, " F"] | None = None) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh in some frames, or in every one."""
+        tracks = self.tracks if frames is None else {key: values[frames] for key, values in self.tracks.items()}
+        count = self.frames if frames is None else len(frames)
+        return pose_frames(self.source.document, self.source.rest, tracks, count)
 
 
-def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
+@dataclass(frozen=True, eq=False)
+class PlayedAnimation:
+    """An animation of a written file as programs play it."""
+
+    document: Document
+    """The nodes of the written file, with the meshes of the one that it was made of."""
+    rest: RestScene
+    channels: list[AnimationChannel]
+
+    def vertices(self, times: Float[np.ndarray, " T"]) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of the Mesh at times in seconds."""
+        return sample_frames(self.document, self.rest, self.channels, times)
+
+
+def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> list[PlayedAnimation]:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
@@ -113,15 +133,23 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
 
     Args:
         animations: of one file, with the same layout.
+
+    Returns:
+        The animations as clients of the file play them.
     """
     root = _root_bone(animations)
     draft = _copied_file(animations, root)
     moved = [animation.tracks if root is None else _with_root_bone(animation, root, draft) for animation in animations]
-    entries = _new_entries(animations, moved, draft)
+    played = _new_channels(animations, moved, draft)
+    entries = _entries(animations, played, draft)
     old = copy.deepcopy(draft.gltf.get("animations", []))
     if entries or old:
         draft.gltf["animations"] = [*entries, *old]
     draft.save(path)
+    # Meshes and skins move as before; what is new in them is in the written file alone.
+    source = animations[0].source
+    written = dataclasses.replace(source.document, gltf={**source.document.gltf, "nodes": draft.gltf["nodes"]})
+    return [PlayedAnimation(written, source.rest, channels) for channels in played]
 
 
 def write_own_pose(animation: OwnAnimation, path: Path) -> None:
@@ -136,23 +164,33 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     old = draft.gltf.get("animations", [])
     if old and vrm_version(animation.source.document) is None:
         pose = {key: values[:1] for key, values in animation.tracks.items()}
-        draft.gltf["animations"] = [*_new_entries([dataclasses.replace(animation, frames=1)], [pose], draft), *old]
+        first = [dataclasses.replace(animation, frames=1)]
+        draft.gltf["animations"] = [*_entries(first, _new_channels(first, [pose], draft), draft), *old]
     draft.save(path)
 
 
-def _new_entries(
+def _new_channels(
     animations: Sequence[OwnAnimation], tracks: Sequence[AnimatedValues], draft: Draft
-) -> list[dict[str, Any]]:
-    """Add new animations to the copy of a file: the values of each for all that any of them moves, old and new."""
+) -> list[list[AnimationChannel]]:
+    """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
     document = animations[0].source.document
-    used = dict.fromkeys(key for values in tracks for key in values) | dict.fromkeys(_animated_values(document))
-    entries = []
-    for animation, values in zip(animations, tracks, strict=True):
+    exact = [_exact_keys(animation, values) for animation, values in zip(animations, tracks, strict=True)]
+    used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
+    used |= dict.fromkeys(_animated_values(document))
+    chosen = []
+    for animation, values, keys in zip(animations, tracks, exact, strict=True):
         still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
         complete = {key: values.get(key, still[key]) for key in used}
-        if complete:
-            entries.append(_add_animation(draft, animation, complete))
-    return entries
+        chosen.append([channel.stored() for channel in _channels(animation, complete, keys)] if complete else [])
+    return chosen
+
+
+def _entries(
+    animations: Sequence[OwnAnimation], chosen: Sequence[list[AnimationChannel]], draft: Draft
+) -> list[dict[str, Any]]:
+    """Add new animations to the copy of a file."""
+    pairs = zip(animations, chosen, strict=True)
+    return [add_animation(draft, animation.name, channels) for animation, channels in pairs if channels]
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
@@ -231,18 +269,39 @@ def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> An
     return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
 
 
-def _add_animation(draft: Draft, animation: OwnAnimation, tracks: AnimatedValues) -> dict[str, Any]:
-    """Add the keys of an animation; one track at least has a key in every frame, from which readers know the rate."""
-    keys = node_keys(animation.source, tracks, animation.key_limit)
-    if not any(len(is_key) == animation.frames and is_key.all() for is_key in keys.values()):
-        first = next(iter(tracks))
+def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[int, str], AnimationChannel]:
+    """Return the keys that are written as they are: not where tracks have changed since, nor at another speed."""
+    last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
+    if frame_count(last, animation.fps) != animation.frames:
+        return {}
+    return {key: keys for key, keys in animation.keys.items() if tracks.get(key) is animation.tracks.get(key)}
+
+
+def _channels(
+    animation: OwnAnimation,
+    tracks: AnimatedValues,
+    exact: Mapping[tuple[int, str], AnimationChannel],
+) -> list[AnimationChannel]:
+    """Choose the keys of an animation, from which readers know its rate.
+
+    Unless copied keys show the rate, one track at least has a key in every frame.
+    """
+    frames = node_keys(animation.source, tracks, animation.key_limit)
+    start = min((keys.times[0] for keys in exact.values()), default=0.0)
+    shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
+    copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
+    if not (shown or copied):
+        first = next((key for key in tracks if key not in exact), next(iter(tracks)))
+        exact = {key: keys for key, keys in exact.items() if key != first}
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
-        keys[first] = np.ones(animation.frames, bool)
-    channels = [
-        AnimationChannel(*key, np.flatnonzero(keys[key]) / animation.fps, values[keys[key]])
-        for key, values in tracks.items()
-    ]
-    return add_animation(draft, animation.name, channels)
+        frames[first] = np.ones(animation.frames, bool)
+    channels = []
+    for key, track in tracks.items():
+        times = np.flatnonzero(frames[key]) / animation.fps
+        # A single key is where copied ones begin, so that it changes neither their length nor their rate.
+        times = times if len(times) > 1 else times + start
+        channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
+    return channels
 
 
 def _animated_values(document: Document) -> list[tuple[int, str]]:

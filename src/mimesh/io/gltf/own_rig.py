@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -24,15 +24,15 @@ from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS
 from .read import RestScene
-from .scene import local_matrices, node_parents, node_properties, sort_parents_first, world_matrices
+from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
 from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
 SHEAR = 1e-3
 """Largest deviation of a joint's axes from right angles: node transforms cannot hold shears (glTF 2.0, 3.5.3)."""
-UNCHANGED = 1e-6
-"""Difference, relative to the size of the character, below which a node keeps the value of its file."""
+UNCHANGED = 5e-7
+"""Distance, over the size of the character, by which a vertex may be off because nodes keep values of their file."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,15 +64,20 @@ class OwnRig:
         moved = {self.nodes[joint]: transforms[:, k] for k, joint in enumerate(joints)}
         world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
         tracks: AnimatedValues = {}
-        size = float(np.ptp(self.humanoid.character.mesh.vertices, axis=0).max())
+        extent = np.ptp(self.humanoid.character.mesh.vertices, axis=0)
         for node in sort_parents_first(document, parent):
             above = world[parent[node]]
             if node not in moved:
                 world[node] = above @ static[node]
                 continue
-            world[node] = moved[node] @ self.scene.T_world_node[node]
-            local = np.linalg.inv(above) @ world[node]
-            tracks |= _node_tracks(document.gltf["nodes"][node], node, local, size)
+            local = np.linalg.inv(above) @ moved[node] @ self.scene.T_world_node[node]
+            unit = np.cbrt(np.abs(np.linalg.det(above[0, :3, :3])))
+            distance, angle = UNCHANGED * extent.max() / unit, UNCHANGED * extent.max() / np.linalg.norm(extent)
+            entry = node_properties(document.gltf["nodes"][node])
+            found = _node_tracks(entry, local, distance, angle)
+            tracks |= {(node, path): values for path, values in found.items()}
+            # The nodes below undo what this one is off, so that errors along a chain do not add up.
+            world[node] = above @ local_matrix({**entry, **found})
         return tracks
 
 
@@ -129,6 +134,8 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+    whole: bool = False
+    """Whether the frames are those of the whole animation, at the rate of its keys."""
 
     @property
     def has_joints(self) -> bool:
@@ -138,7 +145,8 @@ class GltfJoints:
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
         played = None if self.played is None else self.played.cut(frames)
-        return dataclasses.replace(self, times=self.times[frames], played=played)
+        times = self.times[frames]
+        return dataclasses.replace(self, times=times, played=played, whole=self.whole and len(times) == len(self.times))
 
     def values(self) -> AnimatedValues:
         """Sample the animated values of all nodes."""
@@ -226,26 +234,38 @@ def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
         raise InputError(f"{path}: expected joints scaled equally along all axes, found others; apply their scale")
 
 
-def _node_tracks(entry: dict[str, Any], node: int, local: Float[np.ndarray, "T 4 4"], size: float) -> AnimatedValues:
-    """Decompose local transforms into those of translation, rotation and scale that differ from the file's."""
+def _node_tracks(
+    own: Mapping[str, Float[np.ndarray, " _"]], local: Float[np.ndarray, "T 4 4"], distance: float, angle: float
+) -> dict[str, Float[np.ndarray, "T _"]]:
+    """Decompose local transforms into those of translation, rotation and scale that differ from the file's.
+
+    Args:
+        own: the properties that the node has in the file.
+        distance: difference of translations that counts as none, in the unit of the node's parent.
+        angle: the same of rotations, in radians, and of scales, relative.
+    """
     from scipy.spatial.transform import Rotation
 
-    own = node_properties(entry)
     linear = local[:, :3, :3]
     # Scales are those of the bind pose, which the file's nodes may not be in, nor have been mirrored since.
     signs = np.where(own["scale"] < 0, -1.0, 1.0)
     mirrored = np.linalg.det(linear[0]) * signs.prod() < 0
     scale = np.linalg.norm(linear, axis=1) * (-signs if mirrored else signs)
-    if (np.ptp(scale, axis=0) <= UNCHANGED * np.abs(scale[0])).all():
-        scale[:] = scale[0]  # without rounding errors it has one key
     rotation = Rotation.from_matrix(nearest_rotation(linear / np.where(scale == 0, 1.0, scale)[:, None])).as_quat()
-    rotation = continuous_quaternions(rotation, own["rotation"])
-    found: AnimatedValues = {}
-    unit = np.linalg.norm(local[:, :3, 3]).max(initial=0) + size
-    if np.abs(local[:, :3, 3] - own["translation"]).max() > UNCHANGED * unit:
-        found[node, "translation"] = local[:, :3, 3]
-    if np.abs(rotation - own["rotation"]).max() > UNCHANGED:
-        found[node, "rotation"] = rotation
-    if (np.abs(scale - own["scale"]) > UNCHANGED * np.abs(scale)).any():
-        found[node, "scale"] = scale
-    return found
+    values = {
+        "translation": (local[:, :3, 3], distance),
+        # Two unit quaternions with the angle x between them are rotations 2 x apart.
+        "rotation": (continuous_quaternions(rotation, own["rotation"]), angle / 2),
+        "scale": (scale, angle * np.abs(scale).max()),
+    }
+    return {
+        path: _constant_if_still(track, tolerance)
+        for path, (track, tolerance) in values.items()
+        if np.linalg.norm(track - own[path], axis=1).max() > tolerance
+    }
+
+
+def _constant_if_still(track: Float[np.ndarray, "T C"], tolerance: float) -> Float[np.ndarray, "T C"]:
+    """Take the first value in all frames if the others differ by rounding errors alone: it has one key then."""
+    still = np.linalg.norm(track - track[0], axis=1).max() <= tolerance
+    return np.broadcast_to(track[0], track.shape) if still else track

@@ -23,7 +23,7 @@ DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 
 
 def local_matrices(document: Document) -> Float[np.ndarray, "N 4 4"]:
     """Return each node's local transform (parent from node), from its matrix or its translation, rotation, scale."""
-    return np.array([_local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
+    return np.array([local_matrix(node) for node in document.gltf.get("nodes", [])], np.float64).reshape(-1, 4, 4)
 
 
 def animated_matrices(
@@ -40,11 +40,11 @@ def animated_matrices(
         if path in DEFAULT_TRS:
             properties.setdefault(node, {})[path] = values
     for node, values in properties.items():
-        T_parent_node[:, node] = _local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
+        T_parent_node[:, node] = local_matrix({**node_properties(document.gltf["nodes"][node]), **values})
     return T_parent_node
 
 
-def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
+def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _"]]:
     """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
     from scipy.spatial.transform import Rotation
 
@@ -251,8 +251,11 @@ def normal_matrices(linear: Float[np.ndarray, "M 3 3"]) -> Float[np.ndarray, "M 
     Computed as cofactor matrices, which exist for singular (flattening) matrices too.
     """
     a, b, c = linear[:, :, 0], linear[:, :, 1], linear[:, :, 2]
-    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
-    return cofactors * np.where(np.linalg.det(linear) < 0, -1.0, 1.0)[:, None, None]
+    # Matrices with NaN come from damaged skins, whose vertices are refused with a message.
+    with np.errstate(invalid="ignore", over="ignore"):
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+        mirrored = np.linalg.det(linear) < 0
+    return cofactors * np.where(mirrored, -1.0, 1.0)[:, None, None]
 
 
 def inner_products(a: Float[np.ndarray, "*N C"], b: Float[np.ndarray, "*N C"]) -> Float[np.ndarray, "*N 1"]:
@@ -266,7 +269,7 @@ def normalized_quaternions(quat_xyzw: Float[np.ndarray, "*N 4"]) -> Float[np.nda
     return quat_xyzw / np.where(length > 0, length, 1.0)
 
 
-def _local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
+def local_matrix(node: dict[str, Any]) -> Float[np.ndarray, "*T 4 4"]:
     """Return the local transform of a node, T * R * S; its translation, rotation and scale may have leading axes."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -329,8 +332,8 @@ def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
 def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.ndarray, Float[np.ndarray, "V K"]]:
     """Read the joint indices and weights of each vertex from all sets JOINTS_n and WEIGHTS_n, as (V, K) arrays.
 
-    Weights are divided by their sum; a vertex without any weight follows its first joint, as in three.js. Joints of
-    weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
+    Weights are divided by their sum; a vertex without any finite weight follows its first joint, as in three.js.
+    Joints of weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
 
     Raises:
         InputError: a set of joints comes without weights.
@@ -344,5 +347,6 @@ def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.n
         raise InputError(f"{document.path}: expected WEIGHTS for each set of JOINTS, found none; export it again")
     joint, weight = np.concatenate(joints, axis=1), np.concatenate(weights, axis=1)
     total = weight.sum(axis=1, keepdims=True)
-    weight = np.where(total > 0, weight / np.where(total > 0, total, 1.0), np.eye(1, weight.shape[1]))
+    usable = (total > 0) & np.isfinite(total)
+    weight = np.where(usable, weight / np.where(usable, total, 1.0), np.eye(1, weight.shape[1]))
     return np.where(weight == 0, 0, joint).astype(np.int64), weight

@@ -6,14 +6,16 @@ of the joints' parents, as the inverse bind matrices have them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
 
 from ...bodies.joint_names import ancestors
-from ...core.geometry import nearest_rotation
-from .animation import animated_nodes
+from ...core.geometry import continuous_quaternions, nearest_rotation
+from .animation import AnimationChannel, animated_nodes
 from .bake import AnimatedValues
 from .document import Document
 from .edit import GltfSource
@@ -47,6 +49,8 @@ class SharedMotion:
     """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
     alike: bool
     """Whether the rest poses are alike enough for the copy of the whole skeleton."""
+    keys: dict[tuple[int, str], AnimationChannel] = field(default_factory=dict)
+    """Keys of the driving file, where they can be copied as they are."""
 
 
 def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
@@ -74,6 +78,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
     values = driving.values()
     tracks: AnimatedValues = {}
+    sources: dict[tuple[int, str], tuple[int, str]] = {}
     for k, (node, other) in enumerate(pairs.items()):
         if turned[k] >= ALIKE:
             continue
@@ -84,17 +89,23 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 value = my_rest[k, :3, 3] + scale * (value - their_rest[k, :3, 3])
             if path == "rotation" and not same_rest:
                 value = _since_rest(value, my_rest[k], their_rest[k])
+            if path == "rotation":
+                value = continuous_quaternions(value, own[path])
+            sources[node, path] = (other, path)
             if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
                 tracks[node, path] = np.broadcast_to(value, (len(driving.times), value.shape[1]))
-    tracks |= _other_tracks(mine, theirs, values, set(tracks))
+    beside = _other_sources(mine, theirs, values, set(tracks))
+    for key, source in beside.items():
+        tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
     # In a copy of the same file all targets have been copied already, those that do not move included.
     same_file = _names(mine) == _names(theirs) and all(
         _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
     )
     faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
-    return SharedMotion(faces | tracks, same_rest, alike)
+    keys = _copied_keys(driving, sources | beside) if same_rest and driving.whole else {}
+    return SharedMotion(faces | tracks, same_rest, alike, keys)
 
 
 def copy_morphs(identity: GltfSource, driving: GltfJoints) -> SharedMotion | None:
@@ -191,15 +202,31 @@ def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool
     return True
 
 
-def _other_tracks(
+def _copied_keys(
+    driving: GltfJoints, sources: Mapping[tuple[int, str], tuple[int, str]]
+) -> dict[tuple[int, str], AnimationChannel]:
+    """Copy the keys of properties that change; they are exact between frames too, whatever their times."""
+    channels = {(channel.node, channel.path): channel for channel in driving.channels if not channel.constant}
+    keys = {}
+    for key, source in sources.items():
+        if source not in channels:
+            continue
+        channel = dataclasses.replace(channels[source], node=key[0])
+        if channel.path == "rotation" and channel.interpolation == "LINEAR":
+            channel = dataclasses.replace(channel, values=continuous_quaternions(channel.values))
+        keys[key] = channel
+    return keys
+
+
+def _other_sources(
     mine: Document, theirs: Document, values: AnimatedValues, done: set[tuple[int, str]]
-) -> AnimatedValues:
-    """Copy the values of nodes that are no joints, by name: props, and morph weights of a mesh with the same targets.
+) -> dict[tuple[int, str], tuple[int, str]]:
+    """Find what is copied to nodes that are no joints, by name: props, and weights of meshes with the same targets.
 
     Targets are the same if they have the same names, or if one of the files does not name them, the same number.
     """
     their_names, my_names = _names(theirs), _names(mine)
-    tracks: AnimatedValues = {}
+    sources: dict[tuple[int, str], tuple[int, str]] = {}
     for (other, path), value in values.items():
         nodes = [other] if mine is theirs else [n for n, name in enumerate(my_names) if name == their_names[other]]
         for node in nodes[:1]:
@@ -207,8 +234,8 @@ def _other_tracks(
                 value.shape[1] == target_count(mine, node) and _same_targets(mine, node, theirs, other)
             )
             if fits and (node, path) not in done and not any(n == node for n, _ in done):
-                tracks[node, path] = value
-    return tracks
+                sources[node, path] = (other, path)
+    return sources
 
 
 def _same_targets(mine: Document, node: int, theirs: Document, other: int) -> bool:

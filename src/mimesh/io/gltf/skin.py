@@ -75,15 +75,15 @@ def rig_on_nodes(
 
 
 def unweighted_vertices(document: Document, rest: RestScene) -> int:
-    """Count the skinned vertices without weights or with NaN, which follow the first joint (see `read_influences`)."""
+    """Count the skinned vertices without finite weights, which follow the first joint (see `read_influences`)."""
     count = 0
     for span in rest.vertex_ranges:
         if _find_skin(document, span) is None:
             continue
         primitive = get_primitive(document, (span.node, span.primitives[0]))
         sets = [name for name in primitive["attributes"] if name.startswith("WEIGHTS_")]
-        total = sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets)
-        count += int((~(np.asarray(total) > 0)).sum())
+        total = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
+        count += int((~((total > 0) & np.isfinite(total))).sum())
     return count
 
 
