@@ -257,6 +257,22 @@ def test_a_pose_comes_before_the_animations_of_the_file(model, tmp_path):
     )
 
 
+def test_a_vrm_gets_no_animation_with_its_pose(model, tmp_path):
+    """Files of VRM have none by their specification; one that has stays as it is."""
+
+    def as_vrm(draft: Draft) -> None:
+        draft.gltf["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": {}}}}
+
+    driving = rigs.character(tmp_path / "pose.glb", moved=rigs.exercise(rigs.figure())[-1])
+    identity, *_ = rigs.of_kind(tmp_path / "a.vrm", "T-pose", name=renamed("vrm"), change=as_vrm)
+    result = transfer(str(identity), str(driving), model)
+    assert result.own is not None
+    for name in ("out.glb", "out.vrm"):
+        result.save(tmp_path / name)
+        animations = open_document(tmp_path / name).gltf["animations"]
+        assert [animation["name"] for animation in animations] == ["move"]
+
+
 def tail(draft: Draft) -> None:
     """Let the file's animation move a node that no person has."""
     gltf = draft.gltf
