@@ -58,8 +58,8 @@ EXPECTED_ERROR = {
 MAX_ERROR = 0.0165
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
 NO_PERSON = 0.1
-"""Expected error (heights of the identity) from which on a mesh is not taken for a person at all. Chosen by eye: animals
-have 0.2 and more."""
+"""Expected error (heights of the identity) from which on a whole mesh is not taken for a person at all. Chosen by eye:
+animals have 0.13 and more."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -117,7 +117,7 @@ class Confidence:
     @property
     def lacks_leg(self) -> bool:
         """Whether a leg was not found, so that there are no soles to be planted."""
-        return any(self._incompleteness(limb) > 1 for limb in ("left leg", "right leg"))
+        return any("leg" in limb for limb in self._incomplete())
 
     @property
     def fitted(self) -> bool:
@@ -177,19 +177,18 @@ class Confidence:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
         large = self.fitted and self.expected_error > MAX_ERROR
-        if self.fitted and self.expected_error > NO_PERSON:
-            return (
-                f"{name} does not look like a person, and nothing else is moved well (about "
-                f"{self.expected_error:.0%} of the height wrong): {reasons}; animals and things need a clip of the same "
-                "skeleton",
-            )
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
+        if self.fitted and self.expected_error > NO_PERSON and not self._incomplete():
+            return (
+                f"{name} does not look like a person, and nothing else is moved well{error}: {reasons}; animals and "
+                "things need a clip of the same skeleton",
+            )
         feet = ", and feet are not planted" if self.lacks_leg else ""
         return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}",)
 
     def _reasons(self) -> list[str]:
         """List in words which figures are bad."""
-        incomplete = [limb for limb in MIN_SHARE if self._incompleteness(limb) > 1]
+        incomplete = self._incomplete()
         uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
         unmatched = [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
         reasons = []
@@ -204,6 +203,10 @@ class Confidence:
         if self.flexion > FOLDED:
             reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
         return reasons
+
+    def _incomplete(self) -> list[str]:
+        """List the limbs that were not found."""
+        return [limb for limb in MIN_SHARE if self._incompleteness(limb) > 1]
 
     def _incompleteness(self, limb: str) -> float:
         """Return how much of a limb is missing: above 1, its share of the surface is too small, or too much of it is

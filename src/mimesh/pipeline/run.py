@@ -261,8 +261,8 @@ def move(
         rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
         if rigs.only_copied and options.changes_motion:
             raise InputError(
-                f"--root, --smooth: expected the rig of a person, found another one in {identity.name}, whose animation "
-                "is copied as it is; leave these options out"
+                f"--root, --smooth: expected the rig of a person, found another one in {identity.name}, whose "
+                "animation is copied as it is; leave these options out"
             )
         copied = rigs.copied is not None
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
