@@ -57,7 +57,7 @@ def joined_animations(document: Document) -> tuple[Draft, dict[str, Any]]:
         joined = []
         for key in moved:
             values = np.concatenate([of_one.get(key, np.repeat(still[key], count, 0)) for count, of_one in samples])
-            joined.append(AnimationChannel(*key, np.concatenate(times), values))
+            joined.append(AnimationChannel(key[0], key[1], np.concatenate(times), values))
         draft.gltf["animations"] = [add_animation(draft, "all", joined)]
         _make_joints(draft, document, {node for node, path in moved if path != "weights"})
     return draft, {"fps": fps, "clips": clips}
