@@ -23,6 +23,7 @@ from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
 from mimesh.io.gltf.own_animation import OwnAnimation
 from mimesh.motions import load_motion, window
+from mimesh.motions.motion import joint_tracks
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.skinned import save_skinned
 
@@ -134,11 +135,6 @@ def test_node_scales_that_the_bind_pose_does_not_have_are_taken_back(scale, mode
     assert deviation(load_clip(tmp_path / "out.glb").vertices, truth(person)) < EXACT
 
 
-def limb_direction(vertices_or_joints: dict[str, np.ndarray], start: str, end: str) -> np.ndarray:
-    vector = vertices_or_joints[end] - vertices_or_joints[start]
-    return vector / np.linalg.norm(vector)
-
-
 def test_limbs_of_one_joint_point_where_the_drivings_limbs_do(model, driving, tmp_path):
     person = rigs.changed(rigs.figure(), "one joint a limb")
     path = rigs.character(tmp_path / "blocks.glb", person=person, name=renamed("kaykit"))
@@ -190,12 +186,31 @@ def test_a_clip_without_a_mesh_drives_a_rig(model, tmp_path):
 
 def test_a_bvh_file_drives_a_rig(model, tmp_path):
     motion = window(load_motion("walk"), 0.0, 0.3)
-    path = write_bvh(tmp_path / "walk.bvh", load_body(), motion)
+    body = load_body()
+    path = write_bvh(tmp_path / "walk.bvh", body, motion)
     identity = rigs.character(tmp_path / "a.glb", name=renamed("unreal"))
     result = animate(str(identity), str(path), model)
     assert result.own is not None
     assert result.notes == ()
-    assert np.isfinite(result.clip.vertices).all()
+    # The person of the file walks along -z, the identity faces +z.
+    wanted = joint_tracks(body, motion)[1] * [-1, 1, -1]
+    found, names = result.skeleton.joint_positions(), result.skeleton.names
+    for side in ("Left", "Right"):
+        for start, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("UpLeg", "Leg"), ("Leg", "Foot")):
+            joints = [f"{side}{start}", f"{side}{end}"]
+            expected = bone_directions(wanted[:, [body.joint(joint) for joint in joints]])
+            bones = bone_directions(found[:, [names.index(renamed("unreal")(joint)) for joint in joints]])
+            cosine = (expected * bones).sum(axis=1).clip(-1, 1)
+            assert np.degrees(np.arccos(cosine)).max() < 3, joints
+    hips = found[:, names.index(renamed("unreal")("Hips"))]
+    way, wanted_way = hips[-1] - hips[0], wanted[-1, 0] - wanted[0, 0]
+    np.testing.assert_allclose(way, wanted_way, atol=0.2 * np.linalg.norm(wanted_way))  # legs are of other lengths
+
+
+def bone_directions(positions: np.ndarray) -> np.ndarray:
+    """Compute unit vectors from the first to the second of two joints in every frame."""
+    vectors = positions[:, 1] - positions[:, 0]
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def test_a_mesh_without_joints_drives_a_rig(model, tmp_path):
@@ -240,6 +255,22 @@ def test_a_pose_comes_before_the_animations_of_the_file(model, tmp_path):
     np.testing.assert_allclose(
         load_clip(tmp_path / "out.glb", animation="move").vertices, load_clip(identity).vertices, atol=1e-6
     )
+
+
+def test_a_vrm_gets_no_animation_with_its_pose(model, tmp_path):
+    """Files of VRM have none by their specification; one that has stays as it is."""
+
+    def as_vrm(draft: Draft) -> None:
+        draft.gltf["extensions"] = {"VRMC_vrm": {"specVersion": "1.0", "humanoid": {"humanBones": {}}}}
+
+    driving = rigs.character(tmp_path / "pose.glb", moved=rigs.exercise(rigs.figure())[-1])
+    identity, *_ = rigs.of_kind(tmp_path / "a.vrm", "T-pose", name=renamed("vrm"), change=as_vrm)
+    result = transfer(str(identity), str(driving), model)
+    assert result.own is not None
+    for name in ("out.glb", "out.vrm"):
+        result.save(tmp_path / name)
+        animations = open_document(tmp_path / name).gltf["animations"]
+        assert [animation["name"] for animation in animations] == ["move"]
 
 
 def tail(draft: Draft) -> None:

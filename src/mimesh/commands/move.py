@@ -90,8 +90,15 @@ Names = Annotated[
         help="Bone names and hierarchy: mixamo, unreal, vrm, godot or rigify; own keeps the names.",
     ),
 ]
-RootBone = Annotated[bool, typer.Option("--root-bone", help="Put the way over the ground on a bone above the hips.")]
-Rest = Annotated[str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in: file, T or A.")]
+RootBone = Annotated[
+    bool,
+    typer.Option(
+        "--root-bone", help="Put the way over the ground on a bone above all others; own rigs get one, or use theirs."
+    ),
+]
+Rest = Annotated[
+    str, typer.Option(metavar="POSE", help="Pose the skeleton is bound in: file, T or A (not with own rigs).")
+]
 OutputFps = Annotated[
     float | None, typer.Option(help="Frame rate of the joints written, sampled from DRIVING's: 30, 60.")
 ]
@@ -191,7 +198,8 @@ def animate(
     save_joints: SaveJoints = None,
     save_driving_joints: SaveDrivingJoints = None,
     skinned: Annotated[
-        bool, typer.Option("--skinned", help="Write joints and weights (mime; .glb, .gltf), also of a single pose.")
+        bool,
+        typer.Option("--skinned", help="Write joints (.glb, .gltf, .fbx; the default of mime) also of a single pose."),
     ] = False,
     morphs: Annotated[
         bool, typer.Option("--morphs", help="Write a morph target for each frame, not joints (.glb, .gltf).")

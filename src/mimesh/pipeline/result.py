@@ -175,7 +175,8 @@ class Result(_Playable):
     def save(self, path: str | Path) -> Path:
         """Write the mesh in the format of the suffix; the identity's own suffix keeps all contents of its file.
 
-        A rigged glTF identity that moved on its own bones stays rigged: its bones are in the pose.
+        A rigged glTF identity that moved on its own bones stays rigged: its bones are in the pose. If its file has
+        animations, the pose comes first among them, because programs play the first one.
         """
         path = Path(path)
         with self.seconds.step("write"):
@@ -259,8 +260,9 @@ class ClipResult(_Playable):
         Args:
             names: names and hierarchy of the bones, as in "mixamo", "unreal", "vrm", "godot", "rigify"; "own"
                 keeps them. Bones of the identity's own rig are renamed where they are.
-            root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest.
-            rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A".
+            root_bone: add a bone on the ground that carries the displacement over it; the hips keep the rest. The
+                identity's own rig gets it above all joints, or has such a bone already.
+            rest: pose that the mesh is bound in: that of the identity's "file", "T" or "A"; own rigs have the file's.
             fps: frame rate of the file, sampled from this result's; None keeps it.
 
         Raises:

@@ -24,7 +24,7 @@ from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .keys import KEY_LIMIT
-from .own_keys import node_keys, rounding
+from .own_keys import Tracks, node_keys, rounding
 from .read import RestScene
 from .root_bone import RootBone, place_root_bone
 from .scene import (
@@ -170,7 +170,7 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
 
 
 def _new_channels(
-    animations: Sequence[OwnAnimation], tracks: Sequence[AnimatedValues], draft: Draft
+    animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft
 ) -> list[list[AnimationChannel]]:
     """Choose the keys of new animations: those of each for all that any of them moves, old and new."""
     document = animations[0].source.document
@@ -279,7 +279,7 @@ def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[i
 
 def _channels(
     animation: OwnAnimation,
-    tracks: AnimatedValues,
+    tracks: Tracks,
     exact: Mapping[tuple[int, str], AnimationChannel],
 ) -> list[AnimationChannel]:
     """Choose the keys of an animation, from which readers know its rate.

@@ -5,11 +5,12 @@ Rotations get the fewest keys with which no vertex moves farther than a limit (s
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from jaxtyping import Bool, Float
 
 from ...core.mesh import Mesh
-from .bake import AnimatedValues
 from .document import Document
 from .edit import GltfSource
 from .keys import SHORTEST_REACH, chain_tolerances, choose_keys, without_costly_times
@@ -18,17 +19,16 @@ from .skin import rig_on_nodes
 
 ROUNDING = 1e-7
 """Change of a value, over itself or over the mesh's size, that counts as none: float32 stores values no better."""
-
 ROTATION_SHARE = 0.8
 """Share of the limit that thinned rotations may use; the rest is left to scales and to rounding."""
 SCALE_SHARE = 0.05
 """Relative change of a scale, over the limit, that counts as none: scales that are computed from matrices in float32
 change by up to 5e-6 where bones keep their lengths (measured on a file of Kenney's)."""
+Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
+"""Values by (node, target path): in every frame, or in one of what does not move."""
 
 
-def node_keys(
-    source: GltfSource, tracks: AnimatedValues, limit: float
-) -> dict[tuple[int, str], Bool[np.ndarray, " T"]]:
+def node_keys(source: GltfSource, tracks: Tracks, limit: float) -> dict[tuple[int, str], Bool[np.ndarray, " _"]]:
     """Choose the frames of animated values that become keys; what stays the same has one, in the first frame.
 
     Args:
@@ -65,7 +65,7 @@ def _scale_above(source: GltfSource, parent: int) -> float:
     return 1.0 if parent < 0 else float(np.linalg.norm(source.rest.T_world_node[parent, :3, :3], axis=0).max())
 
 
-def _tolerances(source: GltfSource, tracks: AnimatedValues, turning: set[int], limit: float) -> dict[int, float]:
+def _tolerances(source: GltfSource, tracks: Tracks, turning: set[int], limit: float) -> dict[int, float]:
     """Compute the error of each turning node's rotation (radians) with which no vertex moves farther than `limit`.
 
     As `keys.rotation_tolerances`: each node has an equal share of the limit, among those that turn in the longest chain
@@ -91,7 +91,7 @@ def _tolerances(source: GltfSource, tracks: AnimatedValues, turning: set[int], l
     return dict(zip(nodes, chain_tolerances(reaches, rig.parents, limit * size, turns).tolist(), strict=True))
 
 
-def _farthest(document: Document, tracks: AnimatedValues, node: int) -> float:
+def _farthest(document: Document, tracks: Tracks, node: int) -> float:
     """Return how far an animation moves a node from its place in the frame of its parent."""
     path = tracks.get((node, "translation"))
     if path is None:

@@ -176,7 +176,8 @@ def place_root_bone(source: GltfSource, person: Mapping[str, int], moving: Colle
     for node in ancestors(parents, person["Hips"])[::-1]:
         if node in moving or node not in common:
             break
-        free = node in joints and node not in weighted and "mesh" not in document.gltf["nodes"][node]
+        # Figures of rigid parts have no skin whose joints it could be one of.
+        free = (node in joints or not skins) and node not in weighted and set(document.gltf["nodes"][node]) <= BARE
         named = ROOT_NAME.fullmatch(str(document.gltf["nodes"][node].get("name", ""))) is not None
         placed = np.linalg.norm(world[node, :3, 3] - origin) < SAME_PLACE * size
         if free and named and placed and np.abs(_unit(world[node]) - np.eye(3)).max() < SAME_AXES:
