@@ -34,6 +34,7 @@ from .scene import (
     sort_parents_first,
     world_matrices,
 )
+from .vrm import json_object
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
@@ -242,11 +243,21 @@ def _add_animation(
 
 
 def _animated_values(draft: Draft) -> list[tuple[int, str]]:
-    """List the properties of nodes that the file's own animations move."""
-    channels = [channel for animation in draft.gltf.get("animations", []) for channel in animation["channels"]]
-    targets = [channel["target"] for channel in channels]
-    found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
-    return [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(draft.gltf["nodes"])]
+    """List the properties of nodes that the file's own animations move; damaged channels are left out."""
+    nodes, found = draft.gltf["nodes"], []
+    for animation in draft.gltf.get("animations", []):
+        channels = animation.get("channels")
+        for channel in channels if isinstance(channels, list) else []:
+            target = json_object(channel, "target")
+            node, path = target.get("node"), str(target.get("path"))
+            if path in PATH_WIDTHS and type(node) is int and 0 <= node < len(nodes):
+                found += [(node, path)] if path != "weights" or _has_targets(draft, nodes[node]) else []
+    return found
+
+
+def _has_targets(draft: Draft, node: dict[str, Any]) -> bool:
+    """Return whether a node shows a mesh with morph targets."""
+    return "mesh" in node and any(part.get("targets") for part in draft.gltf["meshes"][node["mesh"]]["primitives"])
 
 
 def _chosen_keys(values: Float[np.ndarray, "T C"], path: str, tolerance: float) -> Bool[np.ndarray, " T"]:
