@@ -252,6 +252,30 @@ def longer_arms(person: rigs.Figure) -> rigs.Figure:
     return dataclasses.replace(person, vertices=vertices, joints=joints)
 
 
+STRANGE_CHANNELS = {
+    "a node before the first": {"sampler": 0, "target": {"node": -1, "path": "rotation"}},
+    "a node after the last": {"sampler": 0, "target": {"node": 10**6, "path": "rotation"}},
+    "weights of a node without a mesh": {"sampler": 0, "target": {"node": 3, "path": "weights"}},
+    "no target": {"sampler": 0},
+    "no object": None,
+}
+
+
+@pytest.mark.parametrize("channels", [*STRANGE_CHANNELS, "no list"])
+def test_damaged_animations_beside_the_new_one_stay_as_they_are(channels, model, driving, tmp_path):
+    def change(draft: Draft) -> None:
+        wrong = None if channels == "no list" else [STRANGE_CHANNELS[channels]]
+        draft.gltf["animations"] = [{"name": "old", "channels": wrong, "samplers": []}]
+
+    path = rigs.character(tmp_path / "a.glb", change=change, name=renamed("mixamo"))
+    result = animate(str(path), str(driving), model)
+    assert result.own is not None
+    result.save_skinned(tmp_path / "out.glb")
+    np.testing.assert_allclose(load_clip(tmp_path / "out.glb").vertices, result.clip.vertices, atol=1e-5)
+    kept = [open_document(file).gltf["animations"][-1] for file in (path, tmp_path / "out.glb")]
+    assert kept[0] == kept[1]
+
+
 @pytest.mark.parametrize("name", ["joint beyond the skin", "fewer bind matrices"])
 def test_files_whose_surface_is_not_known_are_refused(name, tmp_path):
     def change(draft: Draft) -> None:

@@ -33,7 +33,7 @@ from .scene import (
     read_morph_weights,
     target_count,
 )
-from .vrm import vrm_version
+from .vrm import json_object, vrm_version
 
 TRUNK = ("LowerBack", "Spine", "Spine1")
 """Our joints between hips and neck."""
@@ -305,12 +305,16 @@ def _channels(
 
 
 def _animated_values(document: Document) -> list[tuple[int, str]]:
-    """List the properties of nodes that the file's own animations move."""
-    channels = [channel for animation in document.gltf.get("animations", []) for channel in animation["channels"]]
-    targets = [channel["target"] for channel in channels]
-    found = [(target["node"], target["path"]) for target in targets if isinstance(target.get("node"), int)]
-    existing = [key for key in found if key[1] in PATH_WIDTHS and key[0] < len(document.gltf["nodes"])]
-    return [(node, path) for node, path in existing if path != "weights" or target_count(document, node)]
+    """List the properties of nodes that the file's own animations move; damaged channels are left out."""
+    count, found = len(document.gltf["nodes"]), []
+    for animation in document.gltf.get("animations", []):
+        channels = animation.get("channels")
+        for channel in channels if isinstance(channels, list) else []:
+            target = json_object(channel, "target")
+            node, path = target.get("node"), str(target.get("path"))
+            if path in PATH_WIDTHS and type(node) is int and 0 <= node < count:
+                found += [(node, path)] if path != "weights" or target_count(document, node) else []
+    return found
 
 
 def _between(
