@@ -18,7 +18,6 @@ from jaxtyping import Bool, Float
 
 from ...core.animated_rig import frames_around
 from ...core.errors import InputError
-from ...core.geometry import nearest_rotation
 from .animation import PATH_WIDTHS, slerp
 from .bake import AnimatedValues, pose_frames, pose_nodes
 from .document import Document
@@ -26,9 +25,9 @@ from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .keys import choose_keys
 from .scene import (
-    DEFAULT_TRS,
     local_matrices,
     node_parents,
+    node_properties,
     normalized_quaternions,
     scene_nodes,
     sort_parents_first,
@@ -132,18 +131,6 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
     for (node, target), values in animation.tracks.items():
         draft.gltf["nodes"][node][target] = values[0].tolist()
     draft.save(path)
-
-
-def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
-    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
-    from scipy.spatial.transform import Rotation
-
-    if "matrix" not in entry:
-        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
-    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
-    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
-    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
-    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
 
 
 def node_value(entry: dict[str, Any], path: str, document: Document) -> Float[np.ndarray, "1 C"]:

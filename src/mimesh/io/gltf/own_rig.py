@@ -11,10 +11,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ...bodies.character_pool import facing_rotation, sampled_poses
+from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import nearest_rotation
 from ...core.mesh import Mesh
-from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimationChannel, animated_nodes
@@ -23,9 +23,8 @@ from .character import read_clips, read_standing
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS
-from .own_animation import node_properties
 from .read import RestScene
-from .scene import local_matrices, node_parents, sort_parents_first
+from .scene import local_matrices, node_parents, node_properties, sort_parents_first
 from .skin import unweighted_vertices
 
 UNSKINNED = 0.02
@@ -92,7 +91,7 @@ def read_own_rig(mesh: Mesh) -> OwnRig:
         raise InputError(f"{path}: {document.damage}; export it again")
     standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest)
     rig, nodes = standing.rig, standing.nodes
-    _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    check_sound(rig, standing.scene.T_world_node[nodes], path)
     _check_bound(document, path)
     bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
     if bare > UNSKINNED:
@@ -154,24 +153,15 @@ class GltfJoints:
             return self.played
         rig = read_own_rig(self.mesh)
         humanoid, document = rig.humanoid, self.document
-        names = ("Hips", *(name for name in humanoid.joints if name != "Hips"))
-        of_name = [humanoid.joints[name] for name in names]
-        nodes = [rig.nodes[joint] for joint in of_name]
+        nodes = [rig.nodes[humanoid.joints[name]] for name in humanoid.person]
         blocks = sample_nodes(document, self.channels, self.times)
         world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
         if not np.isfinite(world).all():
             raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
-        rest_inverse = np.linalg.pinv(rig.scene.T_world_node[nodes][:, :3, :3])
-        moved = nearest_rotation(world[..., :3, :3] @ rest_inverse)
-        frames = np.stack([humanoid.frames[name] for name in names])
-        character = humanoid.character
-        column_of = {joint: k for k, joint in enumerate(of_name)}
-        weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
-        front = axis_name(humanoid.turn[2])
-        return PersonMotion(names, moved @ frames, world[..., :3, 3], humanoid.leg, weights, front)
+        return humanoid.motion(world, rig.scene.T_world_node[nodes])
 
 
-def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"], path: object) -> None:
     """Check that vertices have joints, and that joints can be animated.
 
     Raises:
@@ -194,7 +184,7 @@ def _check_bound(document: Document, path: Path) -> None:
     _check_scales(local_matrices(document)[joints], path)
 
 
-def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:
     """Check that joints have a size, which is the same along all axes."""
     linear = transforms[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)

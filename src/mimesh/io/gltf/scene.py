@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.errors import InputError
+from ...core.geometry import nearest_rotation
 from .document import Document, read_accessor, read_floats
 
 DEFAULT_TRS = {"translation": (0, 0, 0), "rotation": (0, 0, 0, 1), "scale": (1, 1, 1)}
@@ -30,15 +31,30 @@ def animated_matrices(
 ) -> Float[np.ndarray, "T N 4 4"]:
     """Return each node's local transform in T frames.
 
-    `animated` has the values of animated properties by (node, target path); other properties keep those of the file.
+    `animated` has the values of animated properties by (node, target path); other properties keep those of the file. A
+    matrix is replaced by its translation, rotation and scale: animated nodes must not have one (glTF 2.0, 3.5.3).
     """
     T_parent_node = np.tile(local_matrices(document), (frames, 1, 1, 1))
     properties: dict[int, dict[str, Any]] = {}
     for (node, path), values in animated.items():
-        properties.setdefault(node, {})[path] = values
+        if path in DEFAULT_TRS:
+            properties.setdefault(node, {})[path] = values
     for node, values in properties.items():
-        T_parent_node[:, node] = _local_matrix({**document.gltf["nodes"][node], **values})
+        entry = document.gltf["nodes"][node]
+        T_parent_node[:, node] = _local_matrix({**(node_properties(entry) if "matrix" in entry else entry), **values})
     return T_parent_node
+
+
+def node_properties(entry: dict[str, Any]) -> dict[str, Float[np.ndarray, " C"]]:
+    """Return translation, rotation (xyzw) and scale of a node, those of its matrix if it has one."""
+    from scipy.spatial.transform import Rotation
+
+    if "matrix" not in entry:
+        return {key: np.array(entry.get(key, default), float) for key, default in DEFAULT_TRS.items()}
+    matrix = np.array(entry["matrix"], float).reshape(4, 4).T
+    scale = np.linalg.norm(matrix[:3, :3], axis=0) * (-1.0 if np.linalg.det(matrix[:3, :3]) < 0 else 1.0)
+    rotation = nearest_rotation(matrix[:3, :3] / np.where(scale == 0, 1.0, scale))
+    return {"translation": matrix[:3, 3], "rotation": Rotation.from_matrix(rotation).as_quat(), "scale": scale}
 
 
 def world_matrices(document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"]) -> Float[np.ndarray, "*T N 4 4"]:

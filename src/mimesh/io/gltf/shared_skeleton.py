@@ -19,9 +19,8 @@ from .document import Document
 from .edit import GltfSource
 from .morph_weights import morph_tracks, named_weights, target_count, target_names
 from .motion import PLAYED_PATHS, rest_matrices
-from .own_animation import node_properties
 from .own_rig import UNSKINNED, GltfJoints
-from .scene import local_matrices, node_parents, normalized_quaternions, world_matrices
+from .scene import local_matrices, node_parents, node_properties, normalized_quaternions, world_matrices
 from .skin import unweighted_vertices
 from .vrm import animated_expressions
 
