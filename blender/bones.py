@@ -78,7 +78,7 @@ def _tree(bones: list[bpy.types.Bone]) -> tuple[tuple[str, ...], tuple[int, ...]
 @functools.lru_cache(maxsize=8)
 def _person(names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
     """Find the joints of a person by name; kept, because panels are drawn often."""
-    from mimesh.pipeline.bone_rigs import person_joints
+    from mimesh.bodies.joint_names import person_joints
 
     return person_joints(names, parents)
 

@@ -41,8 +41,7 @@ def transfer(context: Context, frames: range, single_pose: bool) -> Generator[St
     yield 1.0, "mimesh: building the result"
     notes = tuple(note for note in result.notes if not (single_pose and "has one frame" in note))
     if isinstance(identity, OwnArmature):
-        name = f"{settings.driving.name} on {identity.armature.name}"
-        return notes + own_armature.build(context, identity, result, frames, single_pose, name)
+        return notes + own_armature.build(context, identity, result, frames, single_pose)
     built = building.Transfer(source, identity, result, frames, single_pose)
     if settings.result == "ARMATURE":
         building.build_armature(context, built)
@@ -71,11 +70,15 @@ def _run(
         own: move the identity's own armature.
         with_bones: use the bones of a driving armature, unless its joints were moved.
     """
+    from mimesh import InputError
+
     settings = context.scene.mimesh
     yield 0.0, "mimesh: reading the scene"
     with_joints = settings.model == "mime"
     options = settings.options() | (joints.corrections(context, frames) if with_joints else {})
     if own:
+        if not with_joints:
+            raise InputError(f"Own armature: expected the model mime, found {settings.model}; choose it as the model")
         joints.refuse_moved(context, "identity")
         identity = reading.read_own_armature(
             context, settings.identity, settings.identity_up, settings.front("identity")

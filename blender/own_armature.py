@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 
 from . import animating
-from .bones import OwnArmature
+from .bones import OwnArmature, armature_of
 
 if TYPE_CHECKING:
     from bpy.types import Constraint, Context, Object, PoseBone
@@ -39,9 +39,7 @@ class _Motion:
     """Largest extent of the mesh, in the space of the armature."""
 
 
-def build(
-    context: Context, own: OwnArmature, result: ClipResult, frames: range, single_pose: bool, name: str
-) -> tuple[str, ...]:
+def build(context: Context, own: OwnArmature, result: ClipResult, frames: range, single_pose: bool) -> tuple[str, ...]:
     """Animate the armature with a new action, or pose it without keys; returns notes for the user.
 
     The action before stays in the file: it gets a fake user and is kept as a muted NLA strip. Bones that are not keyed
@@ -64,7 +62,7 @@ def build(
             constraint.influence = 0.0
     else:
         _stash_action(armature)
-        bag = animating.new_channels(armature, name)
+        bag = animating.new_channels(armature, _action_name(context, armature))
         for bone, values in channels.items():
             for path, rows in values.items():
                 data_path = armature.pose.bones[bone].path_from_id(path)
@@ -166,8 +164,16 @@ def _check_editable(armature: Object) -> None:
         raise InputError(f"{armature.name}: expected no NLA strip in tweak mode, found one; leave it (Tab) first")
 
 
+def _action_name(context: Context, armature: Object) -> str:
+    """Name the new action after the driving's action, or its object without one, and the armature."""
+    driving = context.scene.mimesh.driving
+    animation = (armature_of(driving) or driving).animation_data
+    action = None if animation is None else animation.action
+    return f"{(action or driving).name} on {armature.name}"
+
+
 def _stash_action(armature: Object) -> None:
-    """Keep the armature's action in the file: with a fake user, and as a muted NLA strip, as Blender's Stash does."""
+    """Keep the armature's action in the file, as Blender's Stash does: with a fake user, and in a muted NLA strip."""
     animation = armature.animation_data
     action = None if animation is None else animation.action
     if action is None:
@@ -175,6 +181,8 @@ def _stash_action(armature: Object) -> None:
     slot = animation.action_slot
     action.use_fake_user = True
     animation.action = None
+    if any(strip.action == action for track in animation.nla_tracks for strip in track.strips):
+        return
     track = animation.nla_tracks.new()
     track.name = "[Action Stash]"
     strip = track.strips.new(action.name, int(action.frame_range[0]), action)
@@ -231,8 +239,8 @@ def _missed_notes(context: Context, motion: _Motion, frames: range, single_pose:
     if not missed:
         return ()
     return (
-        f"{motion.armature.name}: {len(missed)} bones are not where the motion takes them ({_quoted(missed)}): drivers, NLA "
-        "strips or other constraints move them; mute these",
+        f"{motion.armature.name}: {len(missed)} bones are not where the motion takes them ({_quoted(missed)}): "
+        "drivers, NLA strips or constraints move them; mute these",
     )
 
 

@@ -147,7 +147,8 @@ def read_clip(
     objects, armature = driving_meshes(context, source), driving_armature(source) if with_bones else None
     if not objects and armature is None:
         wanted = "a visible mesh, or an armature with the bones of a person by name" if with_bones else "a visible mesh"
-        raise InputError(f"{source.name}: expected {wanted}, found none; show a mesh or choose another driving")
+        reason = "" if with_bones else " (bones alone need the model mime, and no joints that were moved)"
+        raise InputError(f"{source.name}: expected {wanted}, found none{reason}; show a mesh or choose another driving")
     if armature is not None:
         bones.check_usable(armature)
     reader = DrivingReader(context, source, objects, armature)

@@ -13,6 +13,7 @@ from motion_files import write_bvh
 from networks import write_mime_network, write_network
 
 from mimesh.bodies import load_body
+from mimesh.bodies.joint_names import person_joints
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.person_motion import KnownJoints
@@ -21,7 +22,7 @@ from mimesh.io.gltf.bake import sample_nodes
 from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
 from mimesh.motions import load_bvh, load_motion, window
 from mimesh.pipeline import animate
-from mimesh.pipeline.bone_rigs import Binding, BoneJoints, Bones, clip_of_bones, person_joints, rig_of_bones
+from mimesh.pipeline.bone_rigs import Binding, BoneJoints, Bones, clip_of_bones, rig_of_bones
 
 EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh."""

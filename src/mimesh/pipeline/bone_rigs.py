@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.character_pool import facing_rotation
-from ..bodies.joint_names import finger_joints, named_fingers, named_joints
+from ..bodies.joint_names import finger_joints, person_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.geometry import nearest_rotation
@@ -58,16 +58,6 @@ class Binding:
     """Index J is the world, which does not move."""
     weights: Float[np.ndarray, "V K"]
     """Rows sum to 1."""
-
-
-def person_joints(names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
-    """Find the joints of a person and of fingers by name; none where thighs or upper arms are missing."""
-    found = named_joints(names, parents)
-    needed = [(f"{side}Arm",) for side in SIDES] + [(f"{side}UpLeg", f"{side}Leg") for side in SIDES]
-    if not all(any(name in found for name in either) for either in needed):
-        return {}
-    hands = {name: found[name] for side in SIDES if (name := f"{side}Hand") in found}
-    return found | named_fingers(names, parents, hands)
 
 
 def rig_of_bones(mesh: Mesh, bones: Bones, binding: Binding, up: str = "+y", front: str | None = None) -> HumanoidRig:
