@@ -64,15 +64,43 @@ def known_bones(armature: bpy.types.Object) -> tuple[int, int]:
 
 def bone_tree(armature: bpy.types.Object) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """List the deforming bones with the nearest deforming one above each; all bones, if only these are a person's."""
-    bones = sorted(armature.data.bones, key=lambda bone: len(bone.parent_recursive))
+    bones = list(armature.data.bones)
     deforming = _tree([bone for bone in bones if bone.use_deform])
     return deforming if _person(*deforming) else _tree(bones)
 
 
 def _tree(bones: list[bpy.types.Bone]) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    place = {bone.name: k for k, bone in enumerate(bones)}
-    above = (next((place[one.name] for one in bone.parent_recursive if one.name in place), -1) for bone in bones)
-    return tuple(place), tuple(above)
+    """List bones, parents first, with the index of the nearest of them above each.
+
+    The deforming bones of a generated Rigify rig are children of bones that mirror the whole skeleton: above
+    DEF-thigh.L is ORG-thigh.L, then ORG-spine, which stands for DEF-spine.
+    """
+    names = {bone.name for bone in bones}
+    above = {}
+    for bone in bones:
+        chain = (_deforming_name(one.name, names) for one in bone.parent_recursive)
+        above[bone.name] = next((name for name in chain if name in names and name != bone.name), None)
+    depth = {name: _depth(above, name) for name in above}
+    ordered = sorted(above, key=depth.__getitem__)
+    place = {name: k for k, name in enumerate(ordered)}
+    return tuple(ordered), tuple(-1 if (parent := above[name]) is None else place[parent] for name in ordered)
+
+
+def _deforming_name(name: str, names: set[str]) -> str:
+    """Return the deforming bone that an original bone of a Rigify rig stands for, if there is one."""
+    twin = "DEF-" + name.removeprefix("ORG-")
+    return twin if name.startswith("ORG-") and twin in names else name
+
+
+def _depth(above: dict[str, str | None], name: str | None) -> int:
+    """Count the bones above a bone; a loop, which only strange names can make, ends at its second visit."""
+    seen: list[str | None] = []
+    while name is not None and name not in seen:
+        seen.append(name)
+        name = above[name]
+    if name is not None:
+        above[name] = None
+    return len(seen)
 
 
 @functools.lru_cache(maxsize=8)

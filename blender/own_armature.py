@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -34,7 +34,7 @@ class _Motion:
     target: dict[str, np.ndarray]
     """Of each bone that moves (T, 4, 4), parents first."""
     keyed: list[str]
-    """Bones that are keyed: those of a person, and others that do not move with a bone above them."""
+    """Bones that are keyed: those of a person, and others that would not move with these."""
     size: float
     """Largest extent of the mesh, in the space of the armature."""
 
@@ -85,7 +85,10 @@ def _motion(own: OwnArmature, result: ClipResult) -> _Motion:
     ordered = sorted(of_name, key=lambda name: len(bones[name].parent_recursive))
     person = {own.rig.character.joint_names[joint] for joint in own.rig.joints.values()}
     loose = {name for name in ordered if not any(above.name in of_name for above in bones[name].parent_recursive)}
-    keyed = [name for name in ordered if name in person or name in loose]
+    controlled = {
+        name for name in ordered if any(_follows_control(armature, c, of_name) for c in _acting(armature, name))
+    }
+    keyed = [name for name in ordered if name in person | loose | controlled]
     size = float(np.ptp(own.mesh.vertices, axis=0).max() * np.cbrt(abs(np.linalg.det(to_armature[:3, :3]))))
     return _Motion(armature, {name: of_name[name] for name in ordered}, keyed, size)
 
@@ -196,15 +199,28 @@ def _acting_constraints(armature: Object, keyed: Sequence[str]) -> list[tuple[st
     moved = set(keyed)
     found = []
     for bone in armature.pose.bones:
-        for constraint in bone.constraints:
+        for constraint in _acting(armature, bone.name):
             chain = {bone.name}
             if constraint.type in {"IK", "SPLINE_IK"}:
                 above = [one.name for one in bone.parent_recursive]
                 count = constraint.chain_count
                 chain |= set(above[: count - 1] if count else above)
-            if constraint.enabled and constraint.influence > 0 and chain & moved:
+            if chain & moved:
                 found.append((bone.name, constraint))
     return found
+
+
+def _acting(armature: Object, bone: str) -> list[Constraint]:
+    """List the constraints of a bone that have an influence."""
+    return [one for one in armature.pose.bones[bone].constraints if one.enabled and one.influence > 0]
+
+
+def _follows_control(armature: Object, constraint: Constraint, moved: Container[str]) -> bool:
+    """Tell whether a constraint follows a bone of the same armature that does not move with some bones."""
+    single = [constraint] if hasattr(constraint, "subtarget") else []
+    targets = [one.subtarget for one in (*single, *getattr(constraint, "targets", ())) if one.target == armature]
+    bones = [armature.data.bones[name] for name in targets if name in armature.data.bones]
+    return any(not any(one.name in moved for one in (bone, *bone.parent_recursive)) for bone in bones)
 
 
 def _constraint_notes(

@@ -180,6 +180,34 @@ def constraints(driving):
     FACTS["driven"] = notes()
 
 
+def control_rig(driving):
+    """Give a character the structure of a generated Rigify rig: deforming bones copy others that have the hierarchy."""
+    armature, mesh = imported(FOLDER / "own_rigify.glb")
+    armature.animation_data_clear()
+    for bone in armature.pose.bones:
+        bone.matrix_basis = Matrix()
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = armature.data.edit_bones
+    parents = {bone.name: bone.parent.name if bone.parent else None for bone in bones}
+    for name in parents:
+        original = bones.new(f"ORG-{name}")
+        original.head, original.tail, original.roll = bones[name].head, bones[name].tail, bones[name].roll
+        original.use_deform = False
+        bones[name].use_connect = False
+    for name, parent in parents.items():
+        bones[f"ORG-{name}"].parent = None if parent is None else bones[f"ORG-{parent}"]
+        bones[name].parent = bones[f"ORG-{name}"]
+        bones[name].name = f"DEF-{name}"
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for name in parents:
+        copying = armature.pose.bones[f"DEF-{name}"].constraints.new("COPY_TRANSFORMS")
+        copying.target, copying.subtarget = armature, f"ORG-{name}"
+    choose(mesh, driving)
+    FACTS["control rig"] = {"drawn": drawn(), "notes": notes()}
+    np.savez(FOLDER / "control_rig.npz", result=played(mesh))
+
+
 def undone(driving):
     armature, mesh = imported(FOLDER / "own_mixamo.glb")
     choose(mesh, driving)
@@ -296,6 +324,7 @@ def main():
     variants(driving)
     constraints(driving)
     unknown_identity(driving)
+    control_rig(driving)
     drivings(imported(FOLDER / "own_mixamo.glb")[1])
     undone(bpy.data.objects[driving.name])
     (FOLDER / "facts.json").write_text(json.dumps(FACTS))

@@ -122,6 +122,13 @@ def test_constraints_are_released_and_named(folder, facts):
     assert any("1 bones are not where the motion takes them (mixamorig:Head)" in note for note in facts["driven"])
 
 
+def test_deforming_bones_of_a_control_rig_move(folder, facts):
+    assert deviation(folder, "control_rig", moved(folder, "own_rigify")) < 10 * CLOSE
+    (note,) = facts["control rig"]["notes"]
+    assert "Copy Transforms on DEF-spine" in note
+    assert "31 bones, 25 of a person" in facts["control rig"]["drawn"]
+
+
 def test_one_undo_step_removes_all(facts):
     undone = facts["undone"]
     before, between, after = undone["actions"]
