@@ -64,23 +64,34 @@ def known_bones(armature: bpy.types.Object) -> tuple[int, int]:
 
 def bone_tree(armature: bpy.types.Object) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """List the deforming bones with the nearest deforming one above each; all bones, if only these are a person's."""
-    bones = list(armature.data.bones)
-    deforming = _tree([bone for bone in bones if bone.use_deform])
-    return deforming if _person(*deforming) else _tree(bones)
+    bones = armature.data.bones
+    return _chosen_tree(tuple((one.name, one.parent and one.parent.name, one.use_deform) for one in bones))
 
 
-def _tree(bones: list[bpy.types.Bone]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+@functools.lru_cache(maxsize=8)
+def _chosen_tree(bones: tuple[tuple[str, str | None, bool], ...]) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Choose the bones for `bone_tree`, from their names, parents and use; kept, because panels are drawn often."""
+    parents = {name: parent for name, parent, _ in bones}
+    deforming = _tree({name for name, _, deforms in bones if deforms}, parents)
+    return deforming if _person(*deforming) else _tree(set(parents), parents)
+
+
+def _tree(names: set[str], parents: dict[str, str | None]) -> tuple[tuple[str, ...], tuple[int, ...]]:
     """List bones, parents first, with the index of the nearest of them above each.
 
     The deforming bones of a generated Rigify rig are children of bones that mirror the whole skeleton: above
     DEF-thigh.L is ORG-thigh.L, then ORG-spine, which stands for DEF-spine.
     """
-    names = {bone.name for bone in bones}
-    above = {}
-    for bone in bones:
-        chain = (_deforming_name(one.name, names) for one in bone.parent_recursive)
-        above[bone.name] = next((name for name in chain if name in names and name != bone.name), None)
-    depth = {name: _depth(above, name) for name in above}
+    above: dict[str, str | None] = {}
+    for name in parents:
+        if name in names:
+            chain = (_deforming_name(one, names) for one in _chain(parents, parents[name]))
+            above[name] = next((one for one in chain if one in names and one != name), None)
+    # Strange names could make a loop: a bone whose chain returns to it becomes a root.
+    for name in above:
+        if name in _chain(above, above[name]):
+            above[name] = None
+    depth = {name: len(_chain(above, name)) for name in above}
     ordered = sorted(above, key=depth.__getitem__)
     place = {name: k for k, name in enumerate(ordered)}
     return tuple(ordered), tuple(-1 if (parent := above[name]) is None else place[parent] for name in ordered)
@@ -92,15 +103,13 @@ def _deforming_name(name: str, names: set[str]) -> str:
     return twin if name.startswith("ORG-") and twin in names else name
 
 
-def _depth(above: dict[str, str | None], name: str | None) -> int:
-    """Count the bones above a bone; a loop, which only strange names can make, ends at its second visit."""
-    seen: list[str | None] = []
-    while name is not None and name not in seen:
-        seen.append(name)
+def _chain(above: dict[str, str | None], name: str | None) -> list[str]:
+    """List a bone and those above it, each once."""
+    chain: list[str] = []
+    while name is not None and name not in chain:
+        chain.append(name)
         name = above[name]
-    if name is not None:
-        above[name] = None
-    return len(seen)
+    return chain
 
 
 @functools.lru_cache(maxsize=8)
