@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """mimesh in Blender: transfers the pose or motion of one object to another.
 
-`panel.py` shows the properties of `properties.py`; `operator.py` reads the scene (`reading.py`), runs mimesh in a
-thread (`job.py`) and builds the result (`building.py`, `animating.py`), or empties for joints that the user can correct
-(`joints.py`). mimesh itself is a wheel in the extension, imported when first used.
+`panel.py` shows the properties of `properties.py`; `operator.py` reads the scene (`reading.py`, `bones.py`), runs
+mimesh in a thread (`job.py`) and builds the result: on the identity's own armature (`own_armature.py`) or on a copy
+(`building.py`, `animating.py`), or empties for joints that the user can correct (`joints.py`). mimesh itself is a wheel
+in the extension, imported when first used.
 """
 
 import bpy

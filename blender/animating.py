@@ -15,11 +15,11 @@ if TYPE_CHECKING:
 
 def key_shapes(keys: bpy.types.Key, name: str, frames: range) -> None:
     """Animate every shape key but the basis: 1 on its frame, 0 on the frames before and after; the last one stays 1."""
-    channels = _new_channels(keys, name)
+    channels = new_channels(keys, name)
     for t, key in enumerate(keys.key_blocks[1:], start=1):
         # The first frame is the basis, so key t belongs to frames[t].
         times, values = frames[t - 1 : t + 2], [0.0, 1.0, 0.0]
-        _add_curve(channels, key.path_from_id("value"), 0, times, values[: len(times)])
+        add_curve(channels, key.path_from_id("value"), 0, times, values[: len(times)])
 
 
 def pose_bones(
@@ -37,12 +37,12 @@ def pose_bones(
     bones[0].location = locations[0]
     if frames is None:
         return
-    channels = _new_channels(rig, name)
+    channels = new_channels(rig, name)
     for j, bone in enumerate(bones):
         for axis in range(4):
-            _add_curve(channels, bone.path_from_id("rotation_quaternion"), axis, frames, rotations[:, j, axis])
+            add_curve(channels, bone.path_from_id("rotation_quaternion"), axis, frames, rotations[:, j, axis])
     for axis in range(3):
-        _add_curve(channels, bones[0].path_from_id("location"), axis, frames, locations[:, axis])
+        add_curve(channels, bones[0].path_from_id("location"), axis, frames, locations[:, axis])
 
 
 def _bone_channels(rig: bpy.types.Object, skeleton: AnimatedRig, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,7 +92,7 @@ def _quaternions(rotation: np.ndarray) -> np.ndarray:
     return quaternions[..., [3, 0, 1, 2]]
 
 
-def _new_channels(owner: bpy.types.ID, name: str) -> bpy.types.ActionChannelbag:
+def new_channels(owner: bpy.types.ID, name: str) -> bpy.types.ActionChannelbag:
     """Create an action for an owner and return its container of curves."""
     action = bpy.data.actions.new(name)
     slot = action.slots.new(id_type=owner.id_type, name=owner.name)
@@ -102,7 +102,7 @@ def _new_channels(owner: bpy.types.ID, name: str) -> bpy.types.ActionChannelbag:
     return strip.channelbag(slot, ensure=True)
 
 
-def _add_curve(
+def add_curve(
     channels: bpy.types.ActionChannelbag, path: str, index: int, frames: Sequence[int], values: Sequence[float]
 ) -> None:
     """Add a curve with linear keys at the frames."""

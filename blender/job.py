@@ -13,7 +13,8 @@ PANEL_NAMES = {
     "give --driving-front": "choose a front of the driving (Facing)",
     "give --front": "choose a front of the identity (Facing)",
     "choose it with -m": "choose it as the model",
-    "--skinned": "Armature",
+    "--skinned": "New armature",
+    "--rig": "Own armature",
 }
 """Replacements in messages: options of the command line by names of the panel."""
 

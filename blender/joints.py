@@ -105,5 +105,16 @@ def corrections(context: bpy.types.Context, frames: range) -> dict[str, JointCor
     return found
 
 
+def refuse_moved(context: bpy.types.Context, role: str) -> None:
+    """Raise InputError if joints of a role were moved, where bones say where they are."""
+    from mimesh import InputError
+
+    if count := len(moved_empties(context, role)):
+        raise InputError(
+            f"joints of the {role}: expected none that were moved, because its armature has them, found {count}; clear "
+            "them, or choose another Result"
+        )
+
+
 def _empties(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [one for one in context.scene.objects if one.type == "EMPTY" and JOINT in one]

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import bpy
 from bpy.types import Context, Event, Operator
 
-from . import building, joints, reading
+from . import building, joints, own_armature, reading
+from .bones import OwnArmature
 from .job import Job, panel_message
 
 if TYPE_CHECKING:
@@ -36,14 +37,17 @@ def transfer(context: Context, frames: range, single_pose: bool) -> Generator[St
     """
     settings = context.scene.mimesh
     source = settings.identity
-    identity, result = yield from _run(context, frames)
+    identity, result = yield from _run(context, frames, settings.result == "OWN")
     yield 1.0, "mimesh: building the result"
+    notes = tuple(note for note in result.notes if not (single_pose and "has one frame" in note))
+    if isinstance(identity, OwnArmature):
+        return notes + own_armature.build(context, identity, result, frames, single_pose)
     built = building.Transfer(source, identity, result, frames, single_pose)
     if settings.result == "ARMATURE":
         building.build_armature(context, built)
     else:
         building.build_shape_keys(context, built)
-    return tuple(note for note in result.notes if not (single_pose and "has one frame" in note))
+    return notes
 
 
 def show_joints(context: Context, frame: int) -> Generator[Step, None, tuple[str, ...]]:
@@ -52,19 +56,40 @@ def show_joints(context: Context, frame: int) -> Generator[Step, None, tuple[str
 
     if context.scene.mimesh.model != "mime":
         raise InputError(f"joints: expected the model mime, found {context.scene.mimesh.model}; choose it as the model")
-    _, result = yield from _run(context, range(frame, frame + 1))
+    _, result = yield from _run(context, range(frame, frame + 1), own=False, with_bones=False)
     joints.show(context, result, frame)
     return ()
 
 
-def _run(context: Context, frames: range) -> Generator[Step, None, tuple[reading.Identity, ClipResult]]:
-    """Read the scene and run mimesh with the settings and the joints that were moved; yields steps."""
+def _run(
+    context: Context, frames: range, own: bool, with_bones: bool = True
+) -> Generator[Step, None, tuple[reading.Identity | OwnArmature, ClipResult]]:
+    """Read the scene and run mimesh with the settings and the joints that were moved; yields steps.
+
+    Args:
+        own: move the identity's own armature.
+        with_bones: use the bones of a driving armature, unless its joints were moved.
+    """
+    from mimesh import InputError
+
     settings = context.scene.mimesh
     yield 0.0, "mimesh: reading the scene"
-    corrections = joints.corrections(context, frames) if settings.model == "mime" else {}
-    identity = reading.read_identity(context, settings.identity)
-    clip = yield from _read_driving(context, frames)
-    job = Job(identity.mesh, clip, settings.options() | corrections)
+    with_joints = settings.model == "mime"
+    options = settings.options() | (joints.corrections(context, frames) if with_joints else {})
+    if own:
+        if not with_joints:
+            raise InputError(f"Own armature: expected the model mime, found {settings.model}; choose it as the model")
+        joints.refuse_moved(context, "identity")
+        identity = reading.read_own_armature(
+            context, settings.identity, settings.identity_up, settings.front("identity")
+        )
+        options["rig"] = identity.rig
+    else:
+        identity = reading.read_identity(context, settings.identity)
+    clip = yield from _read_driving(context, frames, with_bones and with_joints and "driving_joints" not in options)
+    if clip.mesh.up is not None:  # bones without a mesh move mimesh's body, whose axes are known
+        options |= {"driving_up": None, "driving_front": None}
+    job = Job(identity.mesh, clip, options)
     job.start()
     try:
         while job.running:
@@ -75,9 +100,9 @@ def _run(context: Context, frames: range) -> Generator[Step, None, tuple[reading
     return identity, job.result()
 
 
-def _read_driving(context: Context, frames: range) -> Generator[Step, None, Clip]:
+def _read_driving(context: Context, frames: range, with_bones: bool) -> Generator[Step, None, Clip]:
     """Read the driving object; yields a step per frame and returns the clip."""
-    reader = reading.read_clip(context, context.scene.mimesh.driving, frames)
+    reader = reading.read_clip(context, context.scene.mimesh.driving, frames, with_bones)
     with contextlib.closing(reader):
         while True:
             try:
@@ -88,7 +113,7 @@ def _read_driving(context: Context, frames: range) -> Generator[Step, None, Clip
 
 
 class _TransferOperator(Operator):
-    """Base of the operators: a copy of the identity gets the pose or motion of the driving."""
+    """Base of the operators: the identity's armature or a copy of its mesh gets the pose or motion of the driving."""
 
     bl_options = frozenset({"UNDO"})
 
@@ -178,7 +203,7 @@ class _TransferOperator(Operator):
 
 
 class MIMESH_OT_animate(_TransferOperator):
-    """Make a copy of the identity move as the driving does"""
+    """Make the identity move as the driving does: a copy of its mesh, or its own armature"""
 
     bl_idname = "mimesh.animate"
     bl_label = "Animate"
@@ -189,7 +214,7 @@ class MIMESH_OT_animate(_TransferOperator):
 
 
 class MIMESH_OT_pose(_TransferOperator):
-    """Give a copy of the identity the pose that the driving has now"""
+    """Give the identity the pose that the driving has now: a copy of its mesh, or its own armature"""
 
     bl_idname = "mimesh.pose"
     bl_label = "Pose"

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tab "mimesh" in the sidebar of the 3D view: two object fields, options, two buttons."""
 
-from bpy.types import Context, Panel, UILayout
+from bpy.types import Context, Object, Panel, UILayout
 
-from . import joints
+from . import bones, joints
 from .properties import MimeshSettings
 
 
@@ -18,14 +18,17 @@ class MIMESH_PT_main(_Sidebar, Panel):
 
     def draw(self, context: Context) -> None:
         layout, settings = _form(self.layout, context)
-        layout.prop(settings, "identity")
-        layout.prop(settings, "driving")
+        for which in ("identity", "driving"):
+            layout.prop(settings, which)
+            if (text := _bones_text(settings, which)) is not None:
+                layout.label(text=text, icon="ARMATURE_DATA")
         layout.prop(settings, "model")
         layout.prop(settings, "result")
-        if settings.result == "ARMATURE" and settings.model != "mime":
-            layout.label(text="Only mime has joints", icon="ERROR")
+        problem = _problem(settings)
+        if problem is not None:
+            layout.label(text=problem, icon="ERROR")
         _draw_range(layout, settings)
-        _draw_buttons(self.layout, context)
+        _draw_buttons(self.layout, context, usable=problem is None)
 
 
 class MIMESH_PT_joints(_Sidebar, Panel):
@@ -35,7 +38,9 @@ class MIMESH_PT_joints(_Sidebar, Panel):
 
     def draw(self, context: Context) -> None:
         layout, settings = _form(self.layout, context)
-        layout.enabled = settings.model == "mime"
+        # Joints of an armature need not be found.
+        known = settings.result == "OWN" and bool(_known(settings.driving))
+        layout.enabled = settings.model == "mime" and not known
         row = layout.row(align=True)
         row.operator("mimesh.show_joints", icon="EMPTY_DATA")
         row.operator("mimesh.clear_joints", icon="X")
@@ -86,7 +91,33 @@ def _draw_range(layout: UILayout, settings: MimeshSettings) -> None:
     column.prop(settings, "frame_step")
 
 
-def _draw_buttons(layout: UILayout, context: Context) -> None:
+def _known(source: Object | None) -> int:
+    """Count the bones of a person in the armature of an object."""
+    armature = bones.armature_of(source)
+    return 0 if armature is None else bones.known_bones(armature)[1]
+
+
+def _bones_text(settings: MimeshSettings, which: str) -> str | None:
+    """Tell in a line what is known of the armature of identity or driving; None without one."""
+    armature = bones.armature_of(getattr(settings, which))
+    if armature is None:
+        return None
+    count, known = bones.known_bones(armature)
+    return f"{count} bones, {known} of a person" if known else f"{count} bones, not known as a person's"
+
+
+def _problem(settings: MimeshSettings) -> str | None:
+    """Tell why the result that is chosen cannot be made; None: it can."""
+    if settings.result != "SHAPE_KEYS" and settings.model != "mime":
+        return "Only mime has joints"
+    if settings.result == "OWN" and settings.identity is not None and not _known(settings.identity):
+        return "No armature of a person: choose another result"
+    if settings.result != "OWN" and settings.identity is not None and settings.identity.type == "ARMATURE":
+        return "Choose the mesh, or Own armature"
+    return None
+
+
+def _draw_buttons(layout: UILayout, context: Context, usable: bool) -> None:
     """Draw the buttons, or the progress while one of them is running."""
     progress = context.window_manager.mimesh
     if progress.text:
@@ -94,6 +125,6 @@ def _draw_buttons(layout: UILayout, context: Context) -> None:
         layout.label(text="Esc cancels")
         return
     row = layout.row(align=True)
-    row.scale_y = 1.4
+    row.scale_y, row.enabled = 1.4, usable
     row.operator("mimesh.animate", icon="PLAY")
     row.operator("mimesh.pose", icon="ARMATURE_DATA")

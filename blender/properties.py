@@ -2,7 +2,9 @@
 """The user's settings, stored with the scene, and the progress, stored with the window manager."""
 
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
-from bpy.types import Object, PropertyGroup
+from bpy.types import Context, Object, PropertyGroup
+
+from . import bones
 
 MODELS = (
     ("mime", "mime", "Predicts joints and skinning weights of both meshes; fast, made for people"),
@@ -12,8 +14,9 @@ MODELS = (
     ("aniformer", "AniFormer", "AniFormer (2021), three frames at once"),
 )
 RESULTS = (
+    ("OWN", "Own armature", "A new action on the identity's own armature, whose action before is kept (mime only)"),
     ("SHAPE_KEYS", "Shape keys", "One shape key per frame, on a copy of the mesh"),
-    ("ARMATURE", "Armature", "Bones, weights and an action, on a copy of the mesh (mime only)"),
+    ("ARMATURE", "New armature", "Bones, weights and an action, on a copy of the mesh (mime only)"),
 )
 ROOTS = (
     ("scale", "Scaled by leg length", "Distances on the ground are scaled by the ratio of leg lengths"),
@@ -24,25 +27,38 @@ AXES = tuple((axis, axis.upper(), f"{axis} of world space") for axis in ("+x", "
 FRONTS = (("auto", "Detected", "Detected from the shape"), *AXES)
 
 
-def _is_mesh(settings: PropertyGroup, candidate: Object) -> bool:
-    return candidate.type == "MESH"
+def _can_move(settings: PropertyGroup, candidate: Object) -> bool:
+    return candidate.type in {"MESH", "ARMATURE"}
 
 
 def _can_drive(settings: PropertyGroup, candidate: Object) -> bool:
     return candidate.type in {"MESH", "ARMATURE", "EMPTY"}
 
 
+def _choose_result(settings: PropertyGroup, context: Context) -> None:
+    """Choose the identity's own armature as the result where it is a person's, and another result where not."""
+    armature = bones.armature_of(settings.identity)
+    if armature is not None and bones.known_bones(armature)[1]:
+        settings.result = "OWN"
+    elif settings.result == "OWN":
+        settings.result = "SHAPE_KEYS"
+
+
 class MimeshSettings(PropertyGroup):
     """Settings of a transfer."""
 
     identity: PointerProperty(
-        name="Identity", type=Object, poll=_is_mesh, description="Mesh to move; it is not changed, a copy of it moves"
+        name="Identity",
+        type=Object,
+        poll=_can_move,
+        update=_choose_result,
+        description="Mesh to move, or its armature; a copy of the mesh moves, or its own armature gets a new action",
     )
     driving: PointerProperty(
         name="Driving",
         type=Object,
         poll=_can_drive,
-        description="Object with the motion: an animated mesh, or an armature or empty with its child meshes",
+        description="Object with the motion: an animated mesh, an armature, or an empty with its child meshes",
     )
     model: EnumProperty(name="Model", items=MODELS, default="mime")
     result: EnumProperty(name="Result", items=RESULTS, default="SHAPE_KEYS")
@@ -83,15 +99,19 @@ class MimeshSettings(PropertyGroup):
             return range(scene.frame_start, scene.frame_end + 1, self.frame_step)
         return range(self.frame_start, self.frame_end + 1, self.frame_step)
 
+    def front(self, which: str) -> str | None:
+        """Return the front of identity or driving; None: it is to be detected."""
+        front = getattr(self, f"{which}_front")
+        return None if front == "auto" else front
+
     def options(self) -> dict:
         """Return the keyword arguments of `mimesh.animate`; options of mime are left out for other models."""
-        fronts = [None if front == "auto" else front for front in (self.identity_front, self.driving_front)]
         options = {
             "model": self.model,
             "up": self.identity_up,
-            "front": fronts[0],
+            "front": self.front("identity"),
             "driving_up": self.driving_up,
-            "driving_front": fronts[1],
+            "driving_front": self.front("driving"),
             "skinned": self.result == "ARMATURE",
         }
         if self.model == "mime":

@@ -6,39 +6,24 @@ Blender is the module `bpy` in an environment of its own: `make clients` makes o
 import json
 import os
 import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from client_programs import blender
 from people import person, walk
 
 import mimesh
 from mimesh.pipeline.corrections import shown_bones
 
 pytestmark = pytest.mark.client
-ROOT = Path(__file__).parents[2]
-PYTHON = Path(os.environ.get("MIMESH_BPY", ROOT / ".clients" / "bpy" / "bin" / "python"))
 AXES = {"up": "+z", "driving_up": "+z"}
 JOINTS = {"root": "keep", "ground": True}
 
 
 def z_up(vertices):
     return np.stack([vertices[..., 0], -vertices[..., 2], vertices[..., 1]], axis=-1)
-
-
-@pytest.fixture(scope="module")
-def archive(tmp_path_factory):
-    asked = [PYTHON, "-I", "-c", "import bpy, sys; print('%d.%d' % sys.version_info[:2])"]
-    answer = subprocess.run(asked, capture_output=True, text=True) if PYTHON.is_file() else None
-    if answer is None or answer.returncode:
-        pytest.skip(f"no Blender at {PYTHON}: run make clients, or set MIMESH_BPY to a Python that has bpy")
-    folder = tmp_path_factory.mktemp("dist")
-    build = [sys.executable, ROOT / "scripts" / "build_blender.py", "--python", answer.stdout.split()[-1]]
-    subprocess.run([*build, "--output", folder], check=True)
-    (path,) = folder.glob("*.zip")
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +41,7 @@ def outcome(archive, tmp_path_factory):
     mimesh.animate(person(2, faces=2000), clip).save_skinned(folder / "driving.glb")
     script = Path(__file__).with_name("blender_scene.py")
     environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
-    subprocess.run([PYTHON, "-I", script, archive, folder], check=True, env=environment)
+    subprocess.run([blender(), "-I", script, archive, folder], check=True, env=environment)
     return folder
 
 

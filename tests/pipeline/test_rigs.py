@@ -57,6 +57,16 @@ def truth(person: rigs.Figure, rest: np.ndarray | None = None) -> np.ndarray:
     return np.stack([rigs.posed(person, frame, rest) for frame in rigs.exercise(person)])
 
 
+@pytest.mark.parametrize(("kind", "shape"), [("T-pose", 0), ("feet on roots", 1)])
+def test_frames_of_a_file_whose_nodes_have_matrices_are_those_that_are_written(kind, shape, model, driving, tmp_path):
+    path = rigs.of_kind(tmp_path / "a.glb", kind, shape=shape, moving=False)[0]
+    result = animate(str(path), str(driving), model)
+    result.save_skinned(tmp_path / "out.glb")
+    written = load_clip(tmp_path / "out.glb").vertices
+    assert np.ptp(written, axis=0).max() > 0.1
+    assert deviation(result.clip.vertices, written) < EXACT
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_the_same_person_on_a_rig_with_other_names_and_axes(scheme, model, driving, tmp_path):
     path = rigs.character(tmp_path / "a.glb", name=renamed(scheme), frames=3)

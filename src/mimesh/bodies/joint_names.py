@@ -108,6 +108,17 @@ def trunk_joints(chest: list[int], head: int | None, hips: int, parents: tuple[i
     return found | {"Head": head, **dict(zip(("Neck", "Neck1"), ends, strict=False))}
 
 
+def person_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, int]:
+    """Find the joints of a person and of fingers; none where thighs or upper arms are missing."""
+    found = named_joints(joint_names, parents)
+    needed = [(f"{side}Arm",) for side in ("Left", "Right")]
+    needed += [(f"{side}UpLeg", f"{side}Leg") for side in ("Left", "Right")]
+    if not all(any(name in found for name in either) for either in needed):
+        return {}
+    hands = {name: found[name] for side in ("Left", "Right") if (name := f"{side}Hand") in found}
+    return found | named_fingers(joint_names, parents, hands)
+
+
 def finger_joints(side: str) -> tuple[str, ...]:
     """List the names of the fifteen finger joints of a side, Left or Right: LeftHandThumb1, ..., LeftHandPinky3."""
     return tuple(f"{side}Hand{finger}{k}" for finger in FINGERS for k in (1, 2, 3))

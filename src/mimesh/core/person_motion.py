@@ -25,6 +25,8 @@ class PersonMotion:
 
     front: str | None = None
     """Axis to the person's front at rest, such as "+z"; None: not known."""
+    up: str = "+y"
+    """Axis away from the ground."""
 
     def cut(self, frames: slice) -> PersonMotion:
         """Select frames."""

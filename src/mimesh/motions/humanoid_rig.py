@@ -19,7 +19,9 @@ from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
 from ..bodies.skinned_character import SkinnedCharacter
-from ..core.geometry import unit_vectors
+from ..core.geometry import nearest_rotation, unit_vectors
+from ..core.normalization import axis_name
+from ..core.person_motion import PersonMotion
 from ..core.rig import descendants
 from .rest_calibration import rotation_between
 from .retarget import BONES, limb_alignments
@@ -73,6 +75,26 @@ class HumanoidRig:
             if side + lower[part] not in self.joints
         }
 
+    @property
+    def person(self) -> tuple[str, ...]:
+        """Names of the joints that are known, the hips first."""
+        return ("Hips", *(name for name in self.joints if name != "Hips"))
+
+    def motion(self, world: Float[np.ndarray, "T K 4 4"], rest: Float[np.ndarray, "K 4 4"]) -> PersonMotion:
+        """Compute the motion of the known joints from their transforms, with weights for the character's vertices.
+
+        Args:
+            world: transform of each joint of `person` in every frame, in the axes and unit of the character.
+            rest: the same at rest, with the same scales.
+        """
+        names, character = self.person, self.character
+        moved = nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
+        frames = np.stack([self.frames[name] for name in names])
+        column_of = {self.joints[name]: k for k, name in enumerate(names)}
+        weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
+        up, front = axis_name(self.turn[1]), axis_name(self.turn[2])
+        return PersonMotion(names, moved @ frames, world[..., :3, 3], self.leg, weights, front, up)
+
     def tree(self) -> tuple[list[int], tuple[int, ...]]:
         """Select the joints that move with the hips, the hips first, and the parent of each among them.
 
@@ -109,7 +131,7 @@ def humanoid_rig(
 
     Args:
         character: at rest, in the axes of its file.
-        turn: rotation about the vertical that makes it face +z.
+        turn: rotation after which y is up and it faces +z.
         known: joints that the file itself names, in place of those found by their names.
         poses: makes transforms of each joint from rest to some poses; called if a foot is not below its shin.
         path: in error messages.

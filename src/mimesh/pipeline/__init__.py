@@ -15,6 +15,7 @@ from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip
 from ..core.normalization import Normalization
 from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
+from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
@@ -35,7 +36,7 @@ def transfer(
     refine: bool | None = None,
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
-    rig: str = "own",
+    rig: str | HumanoidRig = "own",
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
 ) -> Result:
@@ -58,7 +59,8 @@ def transfer(
         reference: the driving mesh in the identity's pose (deformation transfer only).
         markers: pairs (identity vertex, driving vertex) that correspond, or a file of them (deformation transfer only).
         rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
-            its surface, and its skin is dropped.
+            its surface, and its skin is dropped. A program that has the identity's bones passes the rig that
+            `pipeline.bone_rigs.rig_of_bones` makes of them; their motion is the result's `skeleton`.
         joints: positions of some of the identity's joints, where the model finds them wrongly (mime only): joint ->
             (x, y, z) in the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are
             the keys of `Result.joints`.
@@ -74,7 +76,7 @@ def transfer(
     choice = _choice(model, ensemble, seed, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
-    options = MotionOptions(rig=rig if takes_rigs(model) else "mimesh")
+    options = MotionOptions(rig=_usable_rig(rig, model))
     moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
     mesh = identity.with_vertices(moved.vertices[0])
     return Result(
@@ -114,7 +116,7 @@ def animate(
     ground: bool = True,
     smooth: float = 0.0,
     skinned: bool | None = False,
-    rig: str = "own",
+    rig: str | HumanoidRig = "own",
     progress: Progress | None = None,
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
@@ -158,7 +160,7 @@ def animate(
         clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
-    options = MotionOptions(root, ground, smooth, skinned, rig if takes_rigs(model) else "mimesh")
+    options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model))
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     notes = moved.notes
     if len(clip) == 1:
@@ -198,6 +200,19 @@ def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -
         return find_method(model, ensemble=ensemble, seed=seed, reference=normalised, markers=markers)
 
     return choose
+
+
+def _usable_rig(rig: str | HumanoidRig, model: str | Method) -> str | HumanoidRig:
+    """Return the choice of the identity's rig; models without joints use none.
+
+    Raises:
+        InputError: the rig itself is given, and the model has no joints.
+    """
+    if takes_rigs(model):
+        return rig
+    if isinstance(rig, HumanoidRig):
+        raise InputError(f"--rig: expected a model with joints (mime), found {_name(model)}; choose it with -m")
+    return "mimesh"
 
 
 def _name(model: str | Method) -> str:

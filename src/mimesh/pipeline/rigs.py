@@ -56,26 +56,30 @@ class Rigs:
     """Whether identity and driving have joints whose names say nothing."""
     only_copied: bool = False
     """Whether the identity's rig is no person's, and could only be given the driving's values as they are."""
+    given: HumanoidRig | None = None
+    """The identity's rig, where a program has passed one; then `identity` is None."""
 
     @classmethod
     def read(
         cls,
         identity: Mesh,
         clip: Clip,
-        choice: str = "own",
+        choice: str | HumanoidRig = "own",
         copy: bool = True,
         find: tuple[FindJoints | None, FindJoints | None] = (None, None),
     ) -> Rigs:
         """Read the rigs of both files, where these have any; the identity's only if the choice is "own".
 
         Args:
+            choice: one of RIGS, or the identity's rig itself.
             copy: of files with the same skeleton, read only what is copied.
             find: find joints of identity and driving whose names say nothing.
 
         Raises:
             InputError: a choice that is none of RIGS.
         """
-        if choice not in RIGS:
+        given = choice if isinstance(choice, HumanoidRig) else None
+        if given is None and choice not in RIGS:
             raise InputError(f"--rig: expected one of {', '.join(RIGS)}, found {choice!r}; choose one of them")
         own = shared = None
         notes: tuple[str, ...] = ()
@@ -96,15 +100,22 @@ class Rigs:
             driving, more, unnamed_driving = _if_usable(skeleton.person, without)
             notes += more
         beside = {} if shared is None or own is None else _beside_person(own, shared.tracks)
-        return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied)
+        return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied, given)
+
+    @property
+    def humanoid(self) -> HumanoidRig | None:
+        """The identity's rig; None: its joints are found on its surface."""
+        return self.given if self.identity is None else self.identity.humanoid
 
     def axes(self, axes: Axes) -> Axes:
         """Fill in up and front of the identity and the driving, where the rigs say them and the user does not."""
         up, front, driving_up, driving_front = axes
         if self.identity is not None and up is None and front is None:
             up, front = "+y", axis_name(self.identity.humanoid.turn[2])
-        if self.driving is not None and driving_up in (None, "+y") and driving_front is None:
-            driving_up = "+y"
+        if self.given is not None:  # its axes are part of it
+            up, front = axis_name(self.given.turn[1]), axis_name(self.given.turn[2])
+        if self.driving is not None and driving_up in (None, self.driving.up) and driving_front is None:
+            driving_up = self.driving.up
             driving_front = self.driving.front or heading_axis(self.driving.rotation[0, 0])
         return up, front, driving_up, driving_front
 
@@ -120,9 +131,9 @@ class Rigs:
 
     def apply(self, method: Method, fps: float, norms: tuple[Normalization, Normalization]) -> Method:
         """Return the method with the rigs; methods without joints are left as they are."""
-        if not isinstance(method, RigMethod) or (self.identity is None and self.driving is None):
+        if not isinstance(method, RigMethod) or (self.humanoid is None and self.driving is None):
             return method
-        identity = None if self.identity is None else known_identity(self.identity.humanoid, norms[0])
+        identity = None if self.humanoid is None else known_identity(self.humanoid, norms[0])
         driving = None if self.driving is None else known_driving(self.driving, fps, norms[1])
         return method.with_rigs(identity, driving)
 

@@ -35,6 +35,7 @@ from ..methods.base import (
     SkinnedMethod,
     SurfaceMotion,
 )
+from ..motions.humanoid_rig import HumanoidRig
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
@@ -63,8 +64,8 @@ class MotionOptions:
     skinned: bool | None = False
     """Move each vertex by its INFLUENCES largest weights, as files of skinned meshes do; None: if the method has joints
     and the clip is more than a pose."""
-    rig: str = "own"
-    """One of `rigs.RIGS`. Other values have no effect on a method without joints."""
+    rig: str | HumanoidRig = "own"
+    """One of `rigs.RIGS`, or the identity's rig itself. Other values have no effect on a method without joints."""
 
     @property
     def changes_motion(self) -> bool:
@@ -323,7 +324,7 @@ def play(
             scale = driving_norm.radius / identity_norm.radius
             limited = len(clip) > 1 if options.skinned is None else options.skinned
             # The weights of an identity's own file stay as they are.
-            limited = limited and prepared.rigs.identity is None
+            limited = limited and prepared.rigs.humanoid is None
             drive = prepared.drive.limited(rest.vertices, INFLUENCES) if limited else prepared.drive
             motion = _joint_motion(drive, driving, clip.fps, options, scale)
         frames = prepared.drive(driving) if motion is None else motion.frames()
@@ -349,7 +350,7 @@ def play(
     if motion is not None:
         positions = driving_norm.undo(motion.track.positions[0])
         driving_joints = without_fingers(dict(zip(motion.drive.driving_joints, positions, strict=True)))
-        report |= {} if own is None else {"rig": "own"}
+        report |= {} if prepared.rigs.humanoid is None else {"rig": "own"}
         height = np.ptp(rest.vertices[:, 1])
         notes = _report_joints(motion, report, (identity.name, clip.mesh.name), height) + notes
         if motion.drive is not prepared.drive:
@@ -462,12 +463,12 @@ def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]
 
 def _animated_rig(prepared: Prepared, motion: _JointMotion, shift: Float[np.ndarray, " 3"]) -> AnimatedRig:
     """Return the rig and its motion in the identity's axes, unit and position."""
-    identity, norm, own = prepared.identity, prepared.identity_norm, prepared.rigs.identity
+    identity, norm, known = prepared.identity, prepared.identity_norm, prepared.rigs.humanoid
     undo, drive = norm.rotation.T, motion.drive
     rig = Rig(undo @ drive.rig.rotation, norm.undo(drive.rig.joints), drive.rig.weights)
     rotation, root = undo @ motion.posed.rotation, norm.undo(motion.posed.root + shift)
-    if own is not None:
-        identity = identity.with_vertices(own.humanoid.character.mesh.vertices)
+    if known is not None:
+        identity = identity.with_vertices(known.character.mesh.vertices)
     return AnimatedRig(identity, drive.joints, drive.skinned.parents, rig, rotation, root, drive.person)
 
 

@@ -212,20 +212,30 @@ def _standing(
     at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
     rig = dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames)
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
-    part = carried_part(rig)
-    try:
-        joints = name_sided_joints(rig, path, known)
-    except UnnamedJoints:
-        if find is None:
-            raise
-        known = find(part)
-        joints = name_sided_joints(rig, path, known)
+    if find is not None:
+        try:
+            name_sided_joints(rig, path, known)
+        except UnnamedJoints:
+            known = find(carried_part(rig))
+    facing = standing_facing(rig, known, "-z" if vrm_version(document) == 0 else "+z", path)
+    return StandingCharacter(rig, nodes, facing, known, scene)
+
+
+def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:
+    """Check that a rig is that of one person who stands, and find where the person faces; see `find_facing`.
+
+    Args:
+        known: joints that the file itself names.
+
+    Raises:
+        InputError: limbs that are not found by name, several characters, or a trunk that is not upright.
+    """
+    part, joints = carried_part(rig), name_sided_joints(rig, path, known)
     _check_one_skeleton(part, joints, path)
     if not _stands(part, joints):
         raise NotUpright(f"{path}: expected a character that stands upright at rest, y up, found another rest pose; "
                          "turn it, or leave it out")  # fmt: skip
-    facing = find_facing(part, joints, "-z" if vrm_version(document) == 0 else "+z")
-    return StandingCharacter(rig, nodes, facing, known, scene)
+    return find_facing(part, joints, rule)
 
 
 def _stands(rig: SkinnedCharacter, joints: dict[str, int]) -> bool:
@@ -301,7 +311,7 @@ def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[n
     return (rig.joints[joints[f"Left{part}"]] + rig.joints[joints[f"Right{part}"]]) / 2
 
 
-def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: Path) -> None:
+def _check_one_skeleton(rig: SkinnedCharacter, joints: dict[str, int], path: object) -> None:
     """Check that nearly all weights are on the skeletons (a rig may have several roots) that the named joints are in.
 
     Raises:

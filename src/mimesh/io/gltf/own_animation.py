@@ -269,7 +269,7 @@ def _with_root_bone(animation: OwnAnimation, root: RootBone, draft: Draft) -> An
     return root.carrying(tracks, animation.node_matrices([animation.joints["Hips"]])[:, 0, :3, 3], draft)
 
 
-def _exact_keys(animation: OwnAnimation, tracks: AnimatedValues) -> dict[tuple[int, str], AnimationChannel]:
+def _exact_keys(animation: OwnAnimation, tracks: Tracks) -> dict[tuple[int, str], AnimationChannel]:
     """Return the keys that are written as they are: not where tracks have changed since, nor at another speed."""
     last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
     if frame_count(last, animation.fps) != animation.frames:

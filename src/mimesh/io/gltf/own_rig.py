@@ -12,10 +12,10 @@ from jaxtyping import Float
 
 from ...bodies.character_limbs import FindJoints
 from ...bodies.character_pool import facing_rotation, sampled_poses
+from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
-from ...core.normalization import axis_name
 from ...core.person_motion import PersonMotion
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animation import AnimationChannel, animated_nodes
@@ -101,7 +101,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
         raise InputError(f"{path}: {document.damage}; export it again")
     standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest, find)
     rig, nodes = standing.rig, standing.nodes
-    _check_sound(rig, standing.scene.T_world_node[nodes], path)
+    check_sound(rig, standing.scene.T_world_node[nodes], path)
     _check_bound(document, path)
     bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
     if bare > UNSKINNED:
@@ -170,24 +170,15 @@ class GltfJoints:
             return self.played
         rig = read_own_rig(self.mesh, self.find)
         humanoid, document = rig.humanoid, self.document
-        names = ("Hips", *(name for name in humanoid.joints if name != "Hips"))
-        of_name = [humanoid.joints[name] for name in names]
-        nodes = [rig.nodes[joint] for joint in of_name]
+        nodes = [rig.nodes[humanoid.joints[name]] for name in humanoid.person]
         blocks = sample_nodes(document, self.channels, self.times)
         world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
         if not np.isfinite(world).all():
             raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
-        rest_inverse = np.linalg.pinv(rig.scene.T_world_node[nodes][:, :3, :3])
-        moved = nearest_rotation(world[..., :3, :3] @ rest_inverse)
-        frames = np.stack([humanoid.frames[name] for name in names])
-        character = humanoid.character
-        column_of = {joint: k for k, joint in enumerate(of_name)}
-        weights = character.summed_weights(character.nearest_columns(column_of, 0), len(names))
-        front = axis_name(humanoid.turn[2])
-        return PersonMotion(names, moved @ frames, world[..., :3, 3], humanoid.leg, weights, front)
+        return humanoid.motion(world, rig.scene.T_world_node[nodes])
 
 
-def _check_sound(rig, T_world_joint: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"], path: object) -> None:
     """Check that vertices have joints, and that joints can be animated.
 
     Raises:
@@ -227,7 +218,7 @@ def _check_above(own: OwnRig) -> None:
         raise InputError(f"{document.path}: expected a rig as it was bound, found a mirrored one; apply its scale")
 
 
-def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: Path) -> None:
+def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:
     """Check that joints have a size, which is the same along all axes."""
     linear = transforms[:, :3, :3]
     scale = np.linalg.norm(linear, axis=1)

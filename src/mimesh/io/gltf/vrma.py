@@ -45,10 +45,20 @@ def with_hands(
     joints = bone_joints(nodes_of)
     nodes = [nodes_of[name] for name in joints]
     rest = world_matrices(document, local_matrices(document))[nodes]
+    world = np.concatenate([matrices[:, nodes] for _, matrices in sample_nodes(document, channels, times)])
+    return with_posed_hands(played, joints, rest, world)
+
+
+def with_posed_hands(
+    played: PersonMotion,
+    joints: tuple[str, ...],
+    rest: Float[np.ndarray, "J 4 4"],
+    world: Float[np.ndarray, "T J 4 4"],
+) -> PersonMotion:
+    """As `with_hands`, from the transforms of joints at rest and in every frame, in any axes."""
     axes = axes_from_rest(rest[:, :3, 3], {name: k for k, name in enumerate(joints)})
     frames = t_pose_frames(joints, rest[:, :3, 3] @ axes.T)
-    world = np.concatenate([matrices[:, nodes, :3, :3] for _, matrices in sample_nodes(document, channels, times)])
-    moved = axes @ nearest_rotation(world @ np.linalg.pinv(rest[:, :3, :3])) @ axes.T
+    moved = axes @ nearest_rotation(world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3])) @ axes.T
     rotation_of = dict(zip(joints, (moved @ frames).swapaxes(0, 1), strict=True))
     for side in SIDES:
         if any(name in joints for name in finger_joints(side)):

@@ -1,0 +1,198 @@
+"""Makes rigs and motions of bones that another program has, given as names, parents and matrices.
+
+Blender's extension calls these functions. Axes and unit are those of the program: up may be any axis, as options say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..bodies.character_limbs import SIDES
+from ..bodies.character_pool import facing_rotation
+from ..bodies.joint_names import finger_joints, person_joints
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.errors import InputError
+from ..core.geometry import nearest_rotation
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import ORIENTATIONS, ROTATIONS
+from ..core.person_motion import KnownJoints, PersonMotion
+from ..io.gltf.character import standing_facing
+from ..io.gltf.own_rig import check_sound
+from ..io.gltf.vrma import with_posed_hands
+from ..motions.bone_motion import bone_joints
+from ..motions.bvh import Bvh
+from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
+from ..motions.motion import LEG, leg_length
+from ..motions.on_body import on_body, played
+from ..motions.rest_calibration import axes_from_motion
+from ..motions.retarget import axes_from_rest, rests_standing, to_local
+
+FORWARD = {"+z": "-y", "-z": "+y"}
+"""Where characters face by custom, for each up axis: in Blender the front view looks along +y. Others: +z."""
+FEWEST_FINGERS = 3
+"""Fingers of a skeleton without a mesh are used from so many on: optical captures have one or two, mostly noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Bones:
+    """A skeleton at rest, in the axes and unit of the program."""
+
+    name: str
+    """In error messages."""
+    joint_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for roots; parents come before their children."""
+    T_world_joint: Float[np.ndarray, "J 4 4"]
+    """Transform of each joint at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Binding:
+    """The joints and weights of the vertices of a mesh; K influences a vertex, of which some may have no weight."""
+
+    joint_of: Int[np.ndarray, "V K"]
+    """Index J is the world, which does not move."""
+    weights: Float[np.ndarray, "V K"]
+    """Rows sum to 1."""
+
+
+def rig_of_bones(mesh: Mesh, bones: Bones, binding: Binding, up: str = "+y", front: str | None = None) -> HumanoidRig:
+    """Make the rig of a person, which `animate` takes as `rig`.
+
+    Args:
+        mesh: at rest.
+        up: axis of the program away from the ground.
+        front: axis to the person's front; None: found from the joints and the feet.
+
+    Raises:
+        InputError: the joints are not those of a person who stands, have no weights, or are scaled unequally.
+    """
+    joints = np.tile(np.eye(4), (len(bones.parents), 1, 1))
+    joints[:, :3, :3] = nearest_rotation(bones.T_world_joint[:, :3, :3])
+    joints[:, :3, 3] = bones.T_world_joint[:, :3, 3]
+    points = np.repeat(mesh.vertices[:, None], binding.weights.shape[1], axis=1)
+    rig = SkinnedCharacter(mesh, bones.joint_names, bones.parents, joints, binding.joint_of, binding.weights, points)
+    check_sound(rig, bones.T_world_joint, bones.name)
+    upright = ROTATIONS[ORIENTATIONS.index((up, front or FORWARD.get(up, "+z")))]
+    facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", bones.name)
+
+    def poses() -> np.ndarray:
+        return np.zeros((0, len(bones.parents), 4, 4))
+
+    return humanoid_rig(rig, facing_rotation(facing) @ upright, {}, poses, bones.name)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class BoneJoints:
+    """The bones of a driving mesh in the frames of its clip (`Clip.skeleton`)."""
+
+    mesh: Mesh
+    """At rest, with the vertices of the clip."""
+    bones: Bones
+    binding: Binding
+    T_world_joint: Float[np.ndarray, "T J 4 4"]
+    up: str = "+y"
+    front: str | None = None
+
+    @property
+    def has_joints(self) -> bool:
+        """Whether there are any: yes."""
+        return True
+
+    def cut(self, frames: slice) -> BoneJoints:
+        """Select frames of the clip."""
+        return replace(self, T_world_joint=self.T_world_joint[frames])
+
+    def person(self) -> PersonMotion:
+        """Read the joints of a person.
+
+        Raises:
+            InputError: as `rig_of_bones`, or NaN or infinity in a frame.
+        """
+        _check_finite(self.T_world_joint, self.bones.name)
+        rig = rig_of_bones(self.mesh, self.bones, self.binding, self.up, self.front)
+        place = {name: j for j, name in enumerate(self.bones.joint_names)}
+        chosen = [place[rig.character.joint_names[rig.joints[name]]] for name in rig.person]
+        return rig.motion(self.T_world_joint[:, chosen], self.bones.T_world_joint[chosen])
+
+
+def clip_of_bones(
+    bones: Bones, T_world_joint: Float[np.ndarray, "T J 4 4"], fps: float, front: str | None = None
+) -> Clip:
+    """Play the motion of a skeleton without a mesh on the shipped body: y up, in the unit of the skeleton.
+
+    Fingers move where a hand has at least FEWEST_FINGERS of them.
+
+    Args:
+        front: axis that the person faces in the first frame, in the axes of the skeleton; None: found from the hips.
+
+    Raises:
+        InputError: the joints are not those of a person, or NaN or infinity in a frame.
+    """
+    _check_finite(T_world_joint, bones.name)
+    rest = bones.T_world_joint
+    rotation = nearest_rotation(T_world_joint[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]))
+    clip = played(on_body(_skeleton(bones, rotation, T_world_joint[..., :3, 3], fps), bones.name))
+    assert isinstance(clip.skeleton, KnownJoints)
+    joints = person_joints(bones.joint_names, bones.parents)
+    motion = _with_fingers(clip.skeleton.motion, joints, rest, T_world_joint)
+    clip = _scaled(clip, motion, leg_length(rest[[joints[name] for name in LEG], :3, 3], LEG) / motion.leg)
+    if front is None:
+        return clip
+    standing = rests_standing(rest[:, :3, 3], joints)
+    axes = axes_from_rest(rest[:, :3, 3], joints) if standing else axes_from_motion(T_world_joint[..., :3, 3], joints)
+    ahead = axes @ ROTATIONS[[pair[1] for pair in ORIENTATIONS].index(front)][2]
+    return replace(clip, headings=np.tile(ahead, (len(clip), 1)))
+
+
+def _skeleton(
+    bones: Bones, rotation: Float[np.ndarray, "T J 3 3"], position: Float[np.ndarray, "T J 3"], fps: float
+) -> Bvh:
+    """Make a skeleton with one root, of world rotations since rest and positions; every joint may slide."""
+    rest, parents = bones.T_world_joint[:, :3, 3], np.array(bones.parents)
+    names = bones.joint_names
+    if (parents < 0).sum() > 1:  # a new root, which stays where it is
+        names, parents = ("world", *names), np.append(-1, parents + 1)
+        rest = np.concatenate([np.zeros((1, 3)), rest])
+        position = np.pad(position, ((0, 0), (1, 0), (0, 0)))
+        rotation = np.concatenate([np.tile(np.eye(3), (len(rotation), 1, 1, 1)), rotation], axis=1)
+    above = np.maximum(parents, 0)
+    offsets = np.where(parents[:, None] >= 0, rest - rest[above], rest)
+    steps = (rotation[:, above].swapaxes(-1, -2) @ (position - position[:, above])[..., None])[..., 0]
+    moved = {j: steps[:, j] for j in range(1, len(parents))}
+    order = tuple(parents.tolist())
+    return Bvh(bones.name, names, order, offsets, {}, to_local(rotation, order), position[:, 0], fps, moved)
+
+
+def _with_fingers(
+    motion: PersonMotion,
+    joints: Mapping[str, int],
+    rest: Float[np.ndarray, "J 4 4"],
+    T_world_joint: Float[np.ndarray, "T J 4 4"],
+) -> PersonMotion:
+    """Add the fingers of hands that have enough of them."""
+    first = {side: [name for name in finger_joints(side)[::3] if name in joints] for side in SIDES}
+    bare = {name for side in SIDES if len(first[side]) < FEWEST_FINGERS for name in finger_joints(side)}
+    names = bone_joints({name: joint for name, joint in joints.items() if name not in bare})
+    if len(bare) == sum(len(finger_joints(side)) for side in SIDES):
+        return motion
+    chosen = [joints[name] for name in names]
+    return with_posed_hands(motion, names, rest[chosen], T_world_joint[:, chosen])
+
+
+def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> Clip:
+    """Scale a clip and its joints about the origin."""
+    mesh = replace(clip.mesh, vertices=scale * clip.mesh.vertices)
+    for frame in clip.vertices:  # may be on disk
+        frame *= scale
+    motion = replace(motion, positions=scale * motion.positions, leg=scale * motion.leg)
+    return replace(clip, mesh=mesh, skeleton=KnownJoints(motion))
+
+
+def _check_finite(transforms: Float[np.ndarray, "T J 4 4"], name: str) -> None:
+    if not np.isfinite(transforms).all():
+        raise InputError(f"{name}: expected finite joints, found NaN or infinity; repair the animation")

@@ -1,0 +1,190 @@
+"""Bones given as arrays by another program move as those of a file: in other axes, as identity and as driving."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rigs
+from foreign_names import SCHEMES, renamed
+from motion_files import write_bvh
+from networks import write_mime_network, write_network
+
+from mimesh.bodies import load_body
+from mimesh.bodies.joint_names import person_joints
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.person_motion import KnownJoints
+from mimesh.io import load_clip, load_mesh
+from mimesh.io.gltf.bake import sample_nodes
+from mimesh.io.gltf.own_rig import GltfJoints, read_own_rig
+from mimesh.motions import load_bvh, load_motion, window
+from mimesh.pipeline import animate
+from mimesh.pipeline.bone_rigs import Binding, BoneJoints, Bones, clip_of_bones, rig_of_bones
+
+EXACT = 1e-5
+"""Largest distance of a vertex, over the size of the mesh."""
+Z_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""From y up to z up, as Blender imports glTF: what faces +z then faces -y."""
+
+
+@pytest.fixture(scope="module")
+def model(tmp_path_factory):
+    pytest.importorskip("onnx")
+    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
+
+
+@pytest.fixture(scope="module")
+def driving(tmp_path_factory) -> Path:
+    return rigs.of_kind(tmp_path_factory.mktemp("driving") / "move.glb", "A-pose", shape=2)[0]
+
+
+def bones_of(path: Path, axes: np.ndarray = Z_UP) -> tuple[Mesh, Bones, Binding, list[int]]:
+    """Read a file's mesh, bones and weights as arrays in other axes, with the node of each bone."""
+    mesh = load_mesh(path)
+    own = read_own_rig(mesh)
+    rig = own.humanoid.character
+    bones = Bones(path.stem, rig.joint_names, rig.parents, axes @ own.scene.T_world_node[own.nodes])
+    turned = Mesh(rig.mesh.vertices @ axes[:3, :3].T, mesh.faces, name="bones")
+    return turned, bones, Binding(rig.joint_of, rig.weights), own.nodes
+
+
+def joints_of(path: Path, axes: np.ndarray = Z_UP) -> tuple[Clip, BoneJoints]:
+    """Read a file's clip as arrays in other axes."""
+    clip, (mesh, bones, binding, nodes) = load_clip(path), bones_of(path, axes)
+    assert isinstance(clip.skeleton, GltfJoints)
+    blocks = sample_nodes(clip.skeleton.document, clip.skeleton.channels, clip.skeleton.times)
+    world = axes @ np.concatenate([matrices[:, nodes] for _, matrices in blocks])
+    turned = Clip(mesh, clip.vertices @ axes[:3, :3].T, clip.fps)
+    return turned, BoneJoints(mesh, bones, binding, world, "+z")
+
+
+def deviation(found: np.ndarray, expected: np.ndarray) -> float:
+    return np.abs(found - expected).max() / np.ptp(expected[0], axis=0).max()
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_bones_of_an_identity_move_as_those_of_its_file(scheme, model, driving, tmp_path):
+    path = rigs.character(tmp_path / "own.glb", name=renamed(scheme), frames=3)
+    expected = animate(str(path), str(driving), model)
+    mesh, bones, binding, _ = bones_of(path)
+    rig = rig_of_bones(mesh, bones, binding, "+z")
+    result = animate(mesh, load_clip(driving), model, rig=rig)
+    assert deviation(result.clip.vertices @ Z_UP[:3, :3], expected.clip.vertices) < EXACT
+    assert result.report["rig"] == "own"
+    assert result.own is None
+    moved = result.skeleton.transforms()
+    np.testing.assert_allclose(
+        np.linalg.inv(Z_UP) @ moved @ Z_UP, expected.skeleton.transforms(), atol=EXACT * np.ptp(mesh.vertices)
+    )
+
+
+@pytest.mark.parametrize("kind", ["feet on roots", "twists", "no toes", "A-pose"])
+def test_bones_of_rigs_of_any_kind(kind, model, driving, tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", kind, moving=False)[0]
+    expected = animate(str(path), str(driving), model)
+    mesh, bones, binding, _ = bones_of(path)
+    result = animate(mesh, load_clip(driving), model, rig=rig_of_bones(mesh, bones, binding, "+z"))
+    assert deviation(result.clip.vertices @ Z_UP[:3, :3], expected.clip.vertices) < EXACT
+
+
+def test_bones_of_a_driving_mesh_are_used(model, driving, tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
+    expected = animate(str(path), str(driving), model)
+    clip, joints = joints_of(driving)
+    result = animate(str(path), dataclasses.replace(clip, skeleton=joints), model)
+    assert deviation(result.clip.vertices, expected.clip.vertices) < EXACT
+    part = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, start=2, step=2)
+    assert deviation(part.clip.vertices, animate(str(path), str(driving), model, start=2, step=2).clip.vertices) < EXACT
+
+
+def test_a_driving_whose_bones_are_unknown_is_read_on_its_surface(model, driving, tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
+    clip, joints = joints_of(driving)
+    unnamed = dataclasses.replace(joints.bones, joint_names=tuple(f"b{j}" for j in range(len(joints.bones.parents))))
+    joints = dataclasses.replace(joints, bones=unnamed)
+    result = animate(str(path), dataclasses.replace(clip, skeleton=joints), model, driving_up="+z")
+    assert any("joints of bones are not used, they are found on its surface" in note for note in result.notes)
+
+
+@pytest.fixture
+def capture(tmp_path) -> Path:
+    return write_bvh(tmp_path / "walk.bvh", load_body(), window(load_motion("walk"), 0.0, 0.3))
+
+
+def skeleton_of(path: Path, axes: np.ndarray, scale: float = 1.0) -> tuple[Bones, np.ndarray]:
+    """Read a BVH file as a skeleton in other axes and in another unit."""
+    bvh = load_bvh(path)
+    rotation, position = bvh.world()
+    world = np.tile(np.eye(4), (*position.shape[:2], 1, 1))
+    world[..., :3, :3], world[..., :3, 3] = rotation, scale * position
+    rest = np.tile(np.eye(4), (len(bvh.parents), 1, 1))
+    rest[:, :3, 3] = scale * bvh.rest()
+    return Bones("capture", bvh.joint_names, bvh.parents, axes @ rest), axes @ world
+
+
+@pytest.mark.parametrize("scale", [1.0, 37.0])
+def test_a_skeleton_without_a_mesh_moves_as_its_motion_file(scale, model, capture, tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
+    expected = animate(str(path), str(capture), model)
+    bones, world = skeleton_of(capture, Z_UP, scale)
+    clip = clip_of_bones(bones, world, expected.fps)
+    assert clip.skeleton.person().leg == pytest.approx(scale * load_clip(capture).skeleton.person().leg, rel=0.2)
+    result = animate(str(path), clip, model)
+    assert deviation(result.clip.vertices, expected.clip.vertices) < EXACT
+    kept = animate(str(path), clip, model, root="keep", ground=False).skeleton.root
+    # The first frame faces where the identity does, so paths are compared by their distances on the ground.
+    distances = [np.linalg.norm(p - p[0], axis=1) for p in (kept[:, [0, 2]], world[:, 0, :2, 3])]
+    np.testing.assert_allclose(distances[0], distances[1], atol=1e-4 * scale)
+
+
+def test_front_of_a_skeleton_without_a_mesh_can_be_given(model, capture, tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
+    bones, world = skeleton_of(capture, Z_UP)
+    ahead, back = (
+        animate(str(path), clip_of_bones(bones, world, 30.0, front), model).skeleton.transforms()[:, 0, :3, :3]
+        for front in ("-y", "+y")
+    )
+    half_turn = np.diag([-1.0, 1.0, -1.0])
+    np.testing.assert_allclose(back, half_turn @ ahead, atol=1e-4)
+
+
+def test_several_roots_and_fingers_of_a_skeleton_without_a_mesh(tmp_path):
+    person = rigs.figure(None, fingers=True)
+    motion = np.stack(rigs.exercise(person, joints=(*rigs.MOVING, "LeftHandIndex1", "LeftHandIndex2")))
+    rest = np.tile(np.eye(4), (len(person.names) + 1, 1, 1))
+    rest[1:, :3, 3] = person.joints
+    world = np.concatenate([np.broadcast_to(np.eye(4), (len(motion), 1, 4, 4)), motion @ rest[1:]], axis=1)
+    names, parents = ("prop", *person.names), (-1, *(p + 1 if p >= 0 else -1 for p in person.parents))
+    clip = clip_of_bones(Bones("two roots", names, parents, rest), world, 30.0)
+    assert isinstance(clip.skeleton, KnownJoints)
+    found = clip.skeleton.person()
+    for name in ("LeftHandIndex2", "LeftForeArm", "RightFoot"):
+        rotation = motion[:, person.names.index(name), :3, :3]
+        np.testing.assert_allclose(found.rotation[:, found.joints.index(name)], rotation, atol=1e-4)
+
+
+def test_joints_of_a_person_are_counted():
+    names = tuple(map(renamed("mixamo"), load_body().joint_names))
+    assert {"Hips", "LeftArm", "RightLeg"} <= set(person_joints(names, load_body().parents))
+    assert person_joints(("root", "tail", "fin"), (-1, 0, 1)) == {}
+
+
+def test_rigs_that_cannot_be_used_are_explained(model, driving, tmp_path):
+    mesh, bones, binding, _ = bones_of(rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0])
+    with pytest.raises(InputError, match="stands upright"):
+        rig_of_bones(mesh, bones, binding, "+y")
+    stretched = bones.T_world_joint * np.array([1.0, 2.0, 1.0, 1.0])
+    with pytest.raises(InputError, match="scaled equally"):
+        rig_of_bones(mesh, dataclasses.replace(bones, T_world_joint=stretched), binding, "+z")
+    loose = np.full_like(binding.joint_of, len(bones.parents))
+    with pytest.raises(InputError, match="found 100% of the vertices without"):
+        rig_of_bones(mesh, bones, dataclasses.replace(binding, joint_of=loose), "+z")
+    with pytest.raises(InputError, match="expected finite joints"):
+        clip_of_bones(bones, np.full((2, len(bones.parents), 4, 4), np.nan), 30.0)
+    rig = rig_of_bones(mesh, bones, binding, "+z")
+    network = str(write_network(tmp_path / "npt.onnx"))
+    with pytest.raises(InputError, match=r"expected a model with joints \(mime\)"):
+        animate(mesh, load_clip(driving), network, rig=rig)
