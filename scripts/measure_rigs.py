@@ -2,9 +2,11 @@
 
     python scripts/measure_rigs.py POOL --motions FILE ... [-o docs/rigs.json] [--characters 40] [--clips 20]
     python scripts/measure_rigs.py --own FILE ... [-o docs/rigs.json]
+    python scripts/measure_rigs.py POOL --unnamed [-o docs/rigs.json]
 
 The second form plays the own clips of files through `mimesh animate` and compares the written files with them: the
-motion, and all else that was in the files (`evaluate/own_rigs.py`). Each form leaves the figures of the other.
+motion, and all else that was in the files (`evaluate/own_rigs.py`). The third hides the names of the joints of all
+characters of the pool and finds them again (`evaluate/unnamed_rigs.py`). Each form leaves the figures of the others.
 
 POOL is a pool of rigged characters; those of its splits train and val are used. FILEs are motions without a mesh: .bvh,
 or .glb with animations of joints. Figures: `evaluate/retargets.py`. "copied rotations" is what users do by hand with
@@ -20,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mimesh.bodies.character_pool import read_pool
+from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.cli import run
 from mimesh.commands.terminal import progress
 from mimesh.core.mesh import cut_clip
@@ -39,6 +41,7 @@ from mimesh.evaluate.retargets import (
     summary,
     write_pool,
 )
+from mimesh.evaluate.unnamed_rigs import match_character, summarise_matches
 from mimesh.io import load_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.io.gltf.animation import animated_nodes, animation_names
@@ -57,6 +60,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("pool", type=Path, nargs="?")
     parser.add_argument("--own", type=Path, nargs="+", metavar="FILE", help="files whose own clips are played")
+    parser.add_argument("--unnamed", action="store_true", help="find the joints of the pool without their names")
     parser.add_argument("--motions", type=Path, nargs="+", default=[], metavar="FILE")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/rigs.json"))
     parser.add_argument("--characters", type=int, default=40)
@@ -68,6 +72,9 @@ def main() -> None:
     if args.pool is None:
         parser.error("expected POOL or --own, found neither")
     pool = [character for split in ("train", "val") for character in read_pool(args.pool, split).characters]
+    if args.unnamed:
+        measure_unnamed(pool, args.output)
+        return
     chosen = choose_characters(tuple(pool), args.characters)
     with tempfile.TemporaryDirectory() as folder:
         players = choose_characters(tuple(c for c in pool if c.clips), 8)
@@ -89,6 +96,19 @@ def main() -> None:
     report |= {"upside_down": sum((pair.get("upright") or 1.0) < 0 for pair in pairs), "results": _table(pairs)}
     _update(args.output, report | {"figures": pairs})
     print(json.dumps({key: report[key] for key in ("pairs", "failed", "upside_down", "results")}, indent=2))
+
+
+def measure_unnamed(pool: list[PoolCharacter], output: Path) -> None:
+    """Find the joints of all characters without their names, and add the figures to the report."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder, progress("characters", quiet=False) as advance:
+        for k, character in enumerate(pool):
+            rows.append(match_character(character, Path(folder)))
+            if advance is not None:
+                advance(k + 1, len(pool))
+    report = {"commit": commit(), "machine": machine(), "results": summarise_matches(rows), "characters": rows}
+    _update(output, {"unnamed": report})
+    print(json.dumps(report["results"], indent=2))
 
 
 def measure_own(paths: list[Path], output: Path) -> None:

@@ -168,6 +168,17 @@ def own_clips() -> str:
     return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
+def unnamed_rigs() -> str:
+    """Return the table of characters whose joints were found without their names, from docs/rigs.json."""
+    report = json.loads((DOCS / "rigs.json").read_text())["unnamed"]
+    head = ["pack (split)", "characters", "not used", "all limb joints right", "joints right"]
+    rows = [
+        [pack, str(row["characters"]), str(row["refused"]), str(row["all limbs"]), f"{row['found']} of {row['joints']}"]
+        for pack, row in report["results"].items()
+    ]
+    return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
+
+
 def _own_row(row: dict) -> list[str]:
     """Return the cells of a file: FBX has no bytes to compare, compressed files are written without compression."""
     error = "-" if row["error"] is None else f"{row['error']:.0e}" if row["error"] else "0"
@@ -224,6 +235,7 @@ INSERTS = {
     "speed": speed,
     "rigs": rigs,
     "ownclips": own_clips,
+    "unnamed": unnamed_rigs,
     "transcript": transcript,
     "notes": notes,
     "commands": command_reference,
