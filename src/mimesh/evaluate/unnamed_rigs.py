@@ -16,9 +16,12 @@ from ..io.gltf.own_rig import read_own_rig
 from ..methods import find_method
 from ..methods.base import RigMethod
 from ..pipeline.matched_rigs import joint_finder
+from .retargets import FPS
 
 LIMBS = ("Arm", "Leg", "Hand", "Foot")
 """Parts of the names of limb joints."""
+KEYS = ("characters", "refused", "all limbs", "joints", "found")
+"""Figures of `summarise_matches`: "all limbs" counts characters without a wrong or missing joint of a limb."""
 
 
 def match_character(character: PoolCharacter, folder: Path) -> dict[str, Any]:
@@ -27,7 +30,9 @@ def match_character(character: PoolCharacter, folder: Path) -> dict[str, Any]:
     assert isinstance(method, RigMethod)
     names = tuple(f"joint_{j}" for j in range(len(character.rig.parents)))
     path = folder / f"{character.meta.file}.glb"
-    write_character(dataclasses.replace(character, rig=dataclasses.replace(character.rig, joint_names=names)), path)
+    write_character(
+        dataclasses.replace(character, rig=dataclasses.replace(character.rig, joint_names=names)), path, {}, FPS
+    )
     expected = without_fingers(character.joints)
     row = {"file": character.meta.file, "pack": character.meta.pack, "split": character.meta.split}
     row |= {"joints": len(expected), "found": 0, "wrong": [], "refused": ""}
@@ -53,7 +58,3 @@ def summarise_matches(rows: Iterable[dict[str, Any]]) -> dict[str, dict[str, int
             entry["found"] += row["found"]
             entry["all limbs"] += not row["wrong"]
     return table
-
-
-KEYS = ("characters", "refused", "all limbs", "joints", "found")
-"""Figures of `summarise_matches`: "all limbs" counts characters without a wrong or missing joint of a limb."""
