@@ -155,14 +155,16 @@ def humanoid_rig(
     hands = {name: joints[name] for side in unnamed if (name := f"{side}Hand") in joints}
     joints |= named_fingers(facing.joint_names, facing.parents, hands)
     moving = moves_vertices(facing)
-    joints = {name: joint for name, joint in joints.items() if moving[joint] or name in ("Hips", "Head")}
+    named = joints
+    joints = {name: joint for name, joint in named.items() if moving[joint] or name in ("Hips", "Head")}
     limbs = find_limbs(facing, joints, path)
-    frames = rest_frames(facing.joints, joints, limbs)
+    # Joints without weights, such as tips of fingers, still show where the bone above them points.
+    frames = rest_frames(facing.joints, named, limbs)
     back = turn.T
     rig = HumanoidRig(
         facing.turned(back),
         joints,
-        {name: back @ frame for name, frame in frames.items()},
+        {name: back @ frames[name] for name in joints},
         {name: Limb(limb.joint, back @ limb.start, back @ limb.end) for name, limb in limbs.items()},
         turn,
     )
