@@ -17,11 +17,10 @@ import numpy as np
 from jaxtyping import Float
 
 from ...core.errors import InputError
+from .accessor_types import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from .check import is_supported
 from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type, uri_file_name
 
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-"""Values of `bufferView.target`: vertex attributes and indices (glTF 2.0, 5.11 Buffer View)."""
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 """Accessor `type` by number of components."""
 LARGEST_GLB = 2**32 - 1
