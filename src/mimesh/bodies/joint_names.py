@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from ..core.errors import InputError
@@ -106,6 +106,17 @@ def trunk_joints(chest: list[int], head: int | None, hips: int, parents: tuple[i
     neck = _below(ancestors(parents, head), chest[0])[:-1]
     ends = [neck[0], neck[-1]] if len(neck) > 1 else neck
     return found | {"Head": head, **dict(zip(("Neck", "Neck1"), ends, strict=False))}
+
+
+def with_named_neck(found: Mapping[str, int], joint_names: Sequence[str]) -> dict[str, int]:
+    """Take the last joint of the trunk for the neck where it is called so: in 3ds Max Bipeds, the arms are below it.
+
+    For output, whose readers expect a neck; the joints of a motion stay those that the hierarchy gives.
+    """
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found]
+    if "Neck" in found or len(trunk) < 2 or "neck" not in joint_names[found[trunk[-1]]].lower():
+        return dict(found)
+    return {name: joint for name, joint in found.items() if name != trunk[-1]} | {"Neck": found[trunk[-1]]}
 
 
 def finger_joints(side: str) -> tuple[str, ...]:
