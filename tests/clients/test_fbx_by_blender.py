@@ -3,11 +3,17 @@
 Blender is the module `bpy` in an environment of its own: `make clients` makes one, or MIMESH_BPY names its Python.
 """
 
+import io
+import json
+import subprocess
+
 import numpy as np
 import pytest
 from client_programs import blender
 from engine_rigs import moving_rig
+from gltf_samples import png, props
 from people import person, walk
+from PIL import Image
 from rigs import character
 from scipy.spatial import cKDTree
 
@@ -28,6 +34,19 @@ CLOSE = 1e-4
 """Largest distance of a vertex or a bone, over the size of the mesh."""
 SAME_AXES = 2e-3
 """Largest difference of an axis of a bone; Blender stores bones as head, tail and roll in single precision."""
+READ_IN_BLENDER = """
+import json, sys, bpy
+bpy.ops.wm.read_factory_settings(use_empty=True)
+bpy.ops.import_scene.fbx(filepath=sys.argv[1])
+found = {}
+for material in bpy.data.materials:
+    color = material.node_tree.nodes["Principled BSDF"].inputs["Base Color"]
+    images = [link.from_node.image for link in color.links]
+    files = [(image.filepath.replace("\\\\", "/").rpartition("/")[2], image.packed_file.size) for image in images]
+    found[material.name] = [list(color.default_value)[:3], files]
+print("FOUND" + json.dumps(found))
+"""
+"""Script that prints colour and image of each material of an FBX file."""
 
 
 @pytest.fixture(autouse=True)
@@ -126,3 +145,57 @@ def test_fbx_is_written_again_as_fbx(tmp_path):
     save_rig_animations([RigAnimation("dance", rig, FPS)], tmp_path / "a.fbx")
     save_as_fbx(tmp_path / "a.fbx", tmp_path / "b.fbx")
     compare(tmp_path / "a.fbx", tmp_path / "b.fbx", rig.names)
+
+
+def test_colours_and_texture_names(tmp_path):
+    """Blender has networks of nodes for vertex colours, unlit materials, and a texture with a factor."""
+    (tmp_path / "colour map.png").write_bytes(png())
+    other = io.BytesIO()
+    Image.new("RGB", (2, 2), (0, 0, 255)).save(other, "JPEG")
+    sample = props()
+    flat = {"baseColorFactor": [0.1, 0.2, 0.3, 1.0]}
+    sample.gltf["extensionsUsed"] = ["KHR_materials_unlit"]
+    sample.gltf["materials"] = [
+        {"name": "flat", "pbrMetallicRoughness": flat},
+        {"name": "unlit", "pbrMetallicRoughness": flat, "extensions": {"KHR_materials_unlit": {}}},
+        {"name": "beside", "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}},
+        {"name": "inside", "pbrMetallicRoughness": {**flat, "baseColorTexture": {"index": 1}}},
+    ]
+    inside = sample.view(other.getvalue())
+    sample.gltf["images"] = [{"uri": "colour%20map.png"}, {"bufferView": inside, "mimeType": "image/jpeg"}]
+    sample.gltf["textures"] = [{"source": 0}, {"source": 1}]
+    box = sample.gltf["meshes"][0]["primitives"][0]
+    colored = {**box["attributes"], "COLOR_0": sample.accessor(np.full((24, 4), 0.5))}
+    box_meshes = [
+        {"primitives": [{**box, "attributes": attributes, "material": number} for number in range(4)]}
+        for attributes in (box["attributes"], colored)
+    ]
+    sample.gltf["meshes"] += box_meshes
+    sample.gltf["nodes"][1]["mesh"], sample.gltf["nodes"][2]["mesh"] = (len(sample.gltf["meshes"]) - k for k in (1, 2))
+    save_as_fbx(sample.text(tmp_path / "a.gltf"), tmp_path / "a.fbx")
+    color = [0.1, 0.2, 0.3]
+    beside, inside = ["colour map.png", len(png())], ["image1.jpg", len(other.getvalue())]
+    expected = {"flat": (color, []), "unlit": (color, []), "beside": ([1, 1, 1], [beside]), "inside": (color, [inside])}
+
+    script = tmp_path / "read.py"
+    script.write_text(READ_IN_BLENDER)
+    answer = subprocess.run([blender(), script, tmp_path / "a.fbx"], capture_output=True, text=True, check=True)
+    by_blender = json.loads(answer.stdout.partition("FOUND")[2].splitlines()[0])
+    # Meshes with and without vertex colours share a material.
+    assert set(by_blender) & {"DefaultMaterial"} == set(by_blender) - set(expected)
+    for name, (color, images) in expected.items():
+        np.testing.assert_allclose(by_blender[name][0], color, atol=1e-6)
+        assert by_blender[name][1] == images
+
+    document = open_document(tmp_path / "a.fbx")
+    gltf = document.gltf
+    for material in gltf["materials"]:
+        color, images = expected.get(material["name"], (None, []))
+        surface = material["pbrMetallicRoughness"]
+        if "baseColorTexture" in surface:
+            source = gltf["textures"][surface["baseColorTexture"]["index"]]["source"]
+            assert [gltf["images"][source]["name"]] == [name.partition(".")[0] for name, _ in images]
+            assert [len(document.images[source])] == [size for _, size in images]
+        elif color is not None:
+            assert not images
+            np.testing.assert_allclose(surface["baseColorFactor"][:3], color, atol=1e-6)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from engine_rigs import moving_rig
+from foreign_names import renamed
 from gltf_samples import Sample
 from networks import write_mime_network
 from people import person, walk
@@ -170,6 +171,27 @@ def test_several_clips_are_several_animations(tmp_path):
     results = [mimesh.animate(path, vrma(tmp_path / f"{seed}.vrma", bone_positions(rig), seed)[0]) for seed in (1, 2)]
     mimesh.save_skinned(results, tmp_path / "all.vrma", ["walk", "run"])
     assert [entry["name"] for entry in open_document(tmp_path / "all.vrma").gltf["animations"]] == ["walk", "run"]
+
+
+def test_a_neck_that_carries_the_arms_is_the_neck(tmp_path):
+    """In 3ds Max Bipeds, the clavicles are below the neck, which the hierarchy then makes part of the trunk."""
+    hold = dict.fromkeys(("LeftShoulder", "RightShoulder", "Head"), "Neck")
+    path = character(tmp_path / "a.glb", name=renamed("biped"), hold=hold, frames=1)
+    result = mimesh.animate(path, walk(1, frames=4, faces=900))
+    nodes = [node.get("name") for node in open_document(path).gltf["nodes"]]
+    assert nodes[result.own.joints["Spine1"]] == "Bip01 Neck"
+    motion = _bone_motion(result, "walk", None, tmp_path / "a.vrma")
+    assert {"spine", "chest", "neck", "head"} <= set(motion.bones)
+    assert "upperChest" not in motion.bones
+    parents = dict(zip(motion.bones, (motion.bones[k] for k in motion.parents), strict=True))
+    assert (parents["head"], parents["neck"], parents["leftShoulder"]) == ("neck", "chest", "chest")
+    by_name = {name: motion.rotation[:, k] for k, name in enumerate(motion.bones)}
+    neck, head = (result.own.node_matrices([nodes.index(name)])[:, 0, :3, :3] for name in ("Bip01 Neck", "Bip01 Head"))
+    rest = result.own.source.rest.T_world_node
+    for name, world in (("neck", neck), ("head", head)):
+        since = world @ np.linalg.inv(rest[nodes.index(f"Bip01 {name.capitalize()}"), :3, :3])
+        angle = Rotation.from_matrix(since).magnitude()
+        np.testing.assert_allclose(Rotation.from_matrix(by_name[name]).magnitude(), angle, atol=1e-6)
 
 
 @pytest.mark.parametrize("version", [0, 1])

@@ -259,7 +259,8 @@ def character(
     for j, matrix in enumerate(local(T_world_joint if moved is None else moved @ T_world_joint)):
         placed = {"matrix": matrix.T.ravel().tolist()} if clips is None else _properties(matrix)
         nodes.append({"name": name(person.names[j]), **placed})
-        nodes[0 if parents[j] < 0 else parents[j] + 2].setdefault("children", []).append(j + 2)
+    for j, parent in enumerate(parents):
+        nodes[0 if parent < 0 else parent + 2].setdefault("children", []).append(j + 2)
     draft = Draft({"asset": {"version": "2.0"}, "scenes": [{"nodes": [0]}]})
     draft.gltf |= {"nodes": nodes, "meshes": [], "skins": []}
     placed = np.concatenate([vertices, np.ones((len(remaining), 1))], axis=1) @ np.linalg.inv(armature).T

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TypeVar
 
 from ..core.errors import InputError
@@ -117,6 +117,17 @@ def person_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dic
         return {}
     hands = {name: found[name] for side in ("Left", "Right") if (name := f"{side}Hand") in found}
     return found | named_fingers(joint_names, parents, hands)
+
+
+def with_named_neck(found: Mapping[str, int], joint_names: Sequence[str]) -> dict[str, int]:
+    """Take the last joint of the trunk for the neck where it is called so: in 3ds Max Bipeds, the arms are below it.
+
+    For output, whose readers expect a neck; the joints of a motion stay those that the hierarchy gives.
+    """
+    trunk = [name for name in ("LowerBack", "Spine", "Spine1") if name in found]
+    if "Neck" in found or len(trunk) < 2 or "neck" not in joint_names[found[trunk[-1]]].lower():
+        return dict(found)
+    return {name: joint for name, joint in found.items() if name != trunk[-1]} | {"Neck": found[trunk[-1]]}
 
 
 def finger_joints(side: str) -> tuple[str, ...]:

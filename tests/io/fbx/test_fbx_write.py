@@ -28,6 +28,30 @@ def program(folder: Path, body: str, name: str = "blender") -> Path:
     return path
 
 
+def fbx_surfaces(folder: Path) -> Path:
+    """Write a .gltf with materials and images of many names: equal, none, with a path, of a file that is not there."""
+    sample = samples.hero()
+    (folder / "colour map.png").write_bytes(samples.png())
+    sample.gltf["images"] = [
+        {"uri": "colour%20map.png"},
+        {"name": "skin:1.PNG", "mimeType": "image/png", "bufferView": sample.view(samples.png())},
+        {"name": "textures/Skin_1", "mimeType": "image/png", "bufferView": sample.view(samples.png())},
+        {"uri": "textures/gone.tga"},
+    ]
+    sample.gltf["textures"] = [{"source": number} for number in range(4)]
+    diffuse = {"diffuseTexture": {"index": 0}}
+    sample.gltf["materials"] = [
+        {"name": "coat", "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 0.5]}},
+        {
+            "name": "coat",
+            "alphaMode": "BLEND",
+            "pbrMetallicRoughness": {"baseColorFactor": [0.4, 0.5, 0.6, 0.5], "baseColorTexture": {"index": 1}},
+        },
+        {"extensions": {"KHR_materials_pbrSpecularGlossiness": diffuse}},
+    ]
+    return sample.text(folder / "hero.gltf")
+
+
 @pytest.fixture
 def no_blender(monkeypatch):
     monkeypatch.delenv("BLENDER", raising=False)
@@ -137,3 +161,20 @@ def test_file_without_animations_has_no_parts(copier, tmp_path):
     draft, timeline = joined_animations(document)
     assert timeline["clips"] == []
     assert "animations" not in draft.gltf or draft.gltf["animations"] == []
+
+
+def test_materials_and_images_are_listed_with_their_names(copier, tmp_path):
+    sample = fbx_surfaces(tmp_path)
+    save_as_fbx(sample, tmp_path / "out.fbx")
+    job, document = copier(tmp_path / "out.fbx")
+    assert Path(job["fbx"]).name == "out.fbx"
+    found = [(entry["name"], entry["color"], entry["alpha"], entry["image"]) for entry in job["materials"]]
+    assert found == [
+        ("coat", [0.1, 0.2, 0.3], 1.0, None),
+        ("coat", [0.4, 0.5, 0.6], 0.5, job["images"][1]["key"]),
+        ("material2", [1.0, 1.0, 1.0], 1.0, job["images"][0]["key"]),
+    ]
+    assert [image["name"] for image in job["images"]] == ["colour map.png", "skin_1.png", "Skin_1-2.png", "gone.tga"]
+    keys = [entry["key"] for entry in (*job["materials"], *job["images"])]
+    assert len(set(keys)) == len(keys)
+    assert [entry["name"] for entry in (*document.gltf["materials"], *document.gltf["images"])] == keys

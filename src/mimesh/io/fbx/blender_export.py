@@ -3,8 +3,8 @@
     blender --background --factory-startup --python blender_export.py -- JOB.json
     python blender_export.py -- JOB.json      where Python has `bpy`
 
-The job has the paths `glb`, `fbx` and `errors`, the frame rate `fps`, and `clips`, the parts of the one animation.
-Frame 0 is the file at rest.
+The job has the paths `glb`, `fbx` and `errors`, the frame rate `fps`, `clips`, the parts of the one animation, and
+`materials` and `images` (see `plain_materials`). Frame 0 is the file at rest.
 """
 
 # pyright: reportMissingImports=false, reportMissingModuleSource=false
@@ -58,6 +58,9 @@ def export(job):
     scene.render.fps = max(1, round(job["fps"]))
     scene.render.fps_base = scene.render.fps / job["fps"]
     call(bpy.ops.import_scene.gltf, IMPORT, filepath=job["glb"])
+    for entry in job["materials"]:
+        make_plain(entry)
+    name_images(job["images"])
     armatures = [thing for thing in bpy.data.objects if thing.type == "ARMATURE"]
     if len(armatures) == 1:
         for other in [thing for thing in bpy.data.objects if thing.name == ARMATURE and thing != armatures[0]]:
@@ -66,6 +69,46 @@ def export(job):
     if job["clips"]:
         add_strips(job["clips"], armatures)
     call(bpy.ops.export_scene.fbx, EXPORT, filepath=job["fbx"], bake_anim=bool(job["clips"]))
+
+
+def make_plain(entry):
+    """Replace the base colour's network of nodes by a colour and an image, in one material for all of its variants."""
+    # The importer makes a variant, with a number at the end of its name, for meshes with vertex colours.
+    variants = [material for material in bpy.data.materials if material.name.rpartition(".")[0] == entry["key"]]
+    exact = bpy.data.materials.get(entry["key"])
+    found = ([exact] if exact else []) + variants
+    if not found:
+        return
+    material = found[0]
+    for variant in found[1:]:
+        variant.user_remap(material)
+        bpy.data.materials.remove(variant)
+    material.name = entry["name"]
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader = next((node for node in nodes if node.type == "BSDF_PRINCIPLED"), None)
+    if shader is None:  # unlit
+        shader = nodes.new("ShaderNodeBsdfPrincipled")
+        shader.inputs["Roughness"].default_value = 1.0
+        output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+        links.new(shader.outputs[0], output.inputs["Surface"])
+    color, alpha = shader.inputs["Base Color"], shader.inputs["Alpha"]
+    for link in list(color.links):
+        links.remove(link)
+    color.default_value = (*entry["color"], 1.0)
+    alpha.default_value = entry["alpha"]
+    images = [node for node in nodes if node.type == "TEX_IMAGE" and node.image is not None]
+    picture = next((node for node in images if entry["image"] and node.image.name == entry["image"]), None)
+    if picture is not None:
+        links.new(picture.outputs["Color"], color)
+
+
+def name_images(images):
+    """Give each image its file name, relative to the file that is written: images of a .glb have none."""
+    for entry in images:
+        image = bpy.data.images.get(entry["key"])
+        if image is not None:
+            image.filepath = "//" + entry["name"]
+            image.name = entry["name"]
 
 
 def add_strips(clips, armatures):

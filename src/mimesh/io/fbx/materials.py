@@ -85,16 +85,17 @@ class MaterialWriter:
         """Add a texture with its image and sampler; returns its index, or None where the image is not there."""
         files = [texture, *items(texture.file_textures)]
         content = next((found for file in files if (found := self._image(file)) is not None), None)
+        paths = [file.relative_filename or file.absolute_filename for file in files]
+        name = next((PureWindowsPath(path).name for path in paths if path), texture.name)
         if content is None:
-            names = [file.relative_filename or file.absolute_filename for file in files]
-            self.missing.append(next((PureWindowsPath(name).name for name in names if name), texture.name))
+            self.missing.append(name)
             return None
         gltf = self.draft.gltf
         images, samplers, textures = (gltf.setdefault(key, []) for key in ("images", "samplers", "textures"))
         if content not in self._images:
             self._images[content] = len(images)
             view = self.draft.add_view(content)
-            images.append({"name": texture.name, "bufferView": view, "mimeType": image_type(content)})
+            images.append({"name": PureWindowsPath(name).stem, "bufferView": view, "mimeType": image_type(content)})
         wraps = [CLAMP_TO_EDGE if int(wrap) else REPEAT for wrap in (texture.wrap_u, texture.wrap_v)]
         sampler = dict(zip(("wrapS", "wrapT"), wraps, strict=True))
         if sampler not in samplers:

@@ -22,6 +22,7 @@ from pathlib import Path
 from ...core.errors import InputError
 from ..child_process import MIB, last_line
 from ..gltf.document import open_document
+from .plain_materials import plain_materials
 from .timeline import joined_animations
 
 SCRIPT = Path(__file__).with_name("blender_export.py")
@@ -79,21 +80,24 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
     command = find_blender(name)
     document = open_document(glb)
     draft, timeline = joined_animations(document)
+    surfaces = plain_materials(draft, document)
     with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
         scene, job = Path(folder, "scene.glb"), Path(folder, "job.json")
         draft.save(scene)
-        files = {"glb": str(scene), "fbx": str(Path(folder, "scene.fbx")), "errors": str(Path(folder, "errors"))}
+        # The folder of embedded images is named after the file.
+        written = Path(folder, name.with_suffix(".fbx").name)
+        files = {"glb": str(scene), "fbx": str(written), "errors": str(Path(folder, "errors"))}
         Path(files["errors"]).touch()
-        job.write_text(json.dumps(files | timeline), encoding="utf-8")
+        job.write_text(json.dumps(files | timeline | surfaces), encoding="utf-8")
         seconds = SECONDS + SECONDS_PER_MIB * scene.stat().st_size / MIB
         code = _run([*command, str(SCRIPT), "--", str(job)], Path(folder), seconds, name)
-        if code or not Path(files["fbx"]).is_file():
+        if code or not written.is_file():
             message = last_line(Path(files["errors"])) or last_line(Path(folder, "output")) or f"exit code {code}"
             raise InputError(
                 f"{name}: expected Blender ({command[0]}) to write FBX, found '{message[:300]}'; "
                 "try another version of Blender, or write a .glb"
             )
-        shutil.copyfile(files["fbx"], target)
+        shutil.copyfile(written, target)
 
 
 def _run(command: list[str], folder: Path, seconds: float, name: Path) -> int:

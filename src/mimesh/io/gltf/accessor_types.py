@@ -14,6 +14,9 @@ COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u
 COMPONENT_COUNTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 """Components of an element of each accessor `type` (3.6.2.2)."""
 
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+"""Values of `bufferView.target`: vertex attributes and indices (5.11 Buffer View)."""
+
 
 def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
     """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).

@@ -18,6 +18,7 @@ from ...core.errors import InputError
 from ..child_process import Limits, child_result
 from .accessor_types import COMPONENT_COUNTS, COMPONENT_TYPES, element_size
 from .check import DRACO, MESHOPT
+from .decoded_values import correct_decoded
 
 DECODER = "mimesh.io.gltf.decoders:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
@@ -105,7 +106,9 @@ def decompress(
         return gltf, binary
     if work.size > LARGEST:
         raise InputError(f"{path}: expected up to 4 GiB of data, found {work.size:,} bytes; the file is damaged")
-    decoded = _decode(work, path) if work.jobs else b""
+    decoded = bytearray(_decode(work, path) if work.jobs else b"")
+    new = {id(view) for view in work.views}
+    correct_decoded(gltf, decoded, {k for k, view in enumerate(gltf["bufferViews"]) if id(view) in new})
     kept = _keep_used(gltf, dead, work.views, binary)
     start = sum(len(part) for part in kept)
     for view in work.views:
@@ -193,9 +196,16 @@ def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, p
             output |= number or {}
         view = gltf["bufferViews"][extension["bufferView"]]
         blob = binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
-        sizes = [element_size(gltf["accessors"][index], index, path) for index in accessors]
-        sizes = [size * output["count"] for size, output in zip(sizes, outputs, strict=True)]
-        new_views = work.add({"codec": "draco", "outputs": outputs}, blob, sizes)
+        for index, output in zip(accessors, outputs, strict=True):
+            size = element_size(gltf["accessors"][index], index, path)
+            # Elements of vertex attributes start at multiples of 4 bytes (3.6.2.4 Data Alignment).
+            output["padding"] = -size % 4 if "id" in output else 0
+            output["stride"] = size + output["padding"]
+        new_views = work.add(
+            {"codec": "draco", "outputs": outputs}, blob, [output["stride"] * output["count"] for output in outputs]
+        )
+        for new_view, output in zip(new_views, outputs, strict=True):
+            new_view |= {"byteStride": output["stride"]} if output["padding"] else {}
         for index, new_view in zip(accessors, new_views, strict=True):
             gltf["accessors"][index] = {
                 **gltf["accessors"][index], "bufferView": len(gltf["bufferViews"]), "byteOffset": 0

@@ -56,5 +56,6 @@ def _decode_draco(job: dict[str, Any], blob: bytes, source: Path) -> list[bytes]
                 f"{source}: expected {shape[0]} x {shape[1]} numbers in {name} of its Draco data, found "
                 f"{None if found is None else found.shape}; the file is damaged, export it again"
             )
-        results.append(found.astype(output["dtype"]).tobytes())
+        rows = np.ascontiguousarray(found.astype(output["dtype"])).view(np.uint8).reshape(len(found), -1)
+        results.append(np.pad(rows, ((0, 0), (0, output["padding"]))).tobytes())
     return results

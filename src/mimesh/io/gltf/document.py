@@ -10,8 +10,9 @@ import json
 import struct
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
@@ -127,6 +128,12 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
 def image_type(content: bytes) -> str | None:
     """Return the MIME type of an image from its first bytes; None where no glTF image starts like this."""
     return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
+
+
+def uri_file_name(entry: dict[str, Any]) -> str:
+    """Return the name, without folders, of the file that an image or buffer is in; an empty string for none."""
+    uri = entry.get("uri", "")
+    return "" if uri.startswith("data:") else PurePosixPath(unquote(uri).replace("\\", "/")).name
 
 
 def _used_accessors(gltf: dict[str, Any]) -> set[int]:

@@ -10,18 +10,17 @@ import shutil
 import struct
 import tempfile
 import weakref
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ...core.errors import InputError
+from .accessor_types import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
 from .check import is_supported
-from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type
+from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type, uri_file_name
 
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-"""Values of `bufferView.target`: vertex attributes and indices (glTF 2.0, 5.11 Buffer View)."""
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 """Accessor `type` by number of components."""
 LARGEST_GLB = 2**32 - 1
@@ -214,6 +213,8 @@ class AccessorCopier:
                 images.append(image)
                 continue
             properties = {key: value for key, value in image.items() if key != "uri"}
+            if file := uri_file_name(image):
+                properties.setdefault("name", PurePosixPath(file).stem)
             mime = image.get("mimeType") or image_type(content) or "image/png"
             images.append({**properties, "mimeType": mime, "bufferView": self.draft.add_view(content)})
         if images:

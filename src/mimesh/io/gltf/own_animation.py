@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...bodies.joint_names import with_named_neck
 from ...core.animated_rig import frames_around
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import PATH_WIDTHS, AnimationChannel, add_animation, frame_rate, slerp
@@ -212,9 +213,8 @@ def new_names(joints: Mapping[str, int], bones: Mapping[str, str], old: Sequence
     A trunk of fewer joints than ours gets the names from the hips up, because programs require the first of them. A
     joint that is called neck is one, even if it carries the arms, as in 3ds Max.
     """
+    joints = with_named_neck(joints, old)
     trunk = [joints[name] for name in TRUNK if name in joints]
-    if "Neck" not in joints and len(trunk) > 1 and "neck" in old[trunk[-1]].lower():
-        joints = {**joints, "Neck": trunk.pop()}
     names = {1: TRUNK[:1], 2: (TRUNK[0], TRUNK[-1])}.get(len(trunk), TRUNK)
     known = {name: node for name, node in joints.items() if name not in TRUNK} | dict(zip(names, trunk, strict=False))
     return {node: bones[name] for name, node in known.items() if name in bones}

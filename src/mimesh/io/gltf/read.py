@@ -263,7 +263,7 @@ def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.n
     The extension's matrix is translation * rotation * scale, and it may name another TEXCOORD set. glTF has v down
     (3.8.3 Images: the origin is the upper left corner), a Mesh has v up.
     """
-    texture = _get_base_texture(_get_material(document, primitive))
+    texture = base_texture_of(_get_material(document, primitive))
     uv_transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
     number = uv_transform.get("texCoord", texture.get("texCoord", 0))
     uv = read_attribute(document, primitive, f"TEXCOORD_{number}")
@@ -293,12 +293,8 @@ def _read_parts(document: Document, rest: RestScene) -> tuple[Part, ...]:
 def _read_material(document: Document, index: int) -> Material | None:
     """Read name, base colour and base colour texture of a material; None for the one that stands for no material."""
     entry = document.gltf["materials"][index]
-    gloss = entry.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
-    color = entry.get("pbrMetallicRoughness", {}).get("baseColorFactor") or gloss.get("diffuseFactor") or [1, 1, 1, 1]
-    r, g, b, a = (float(value) for value in color)
-    material = Material(
-        entry.get("name", f"material{index}"), (r, g, b, a), _read_texture(document, _get_base_texture(entry))
-    )
+    texture = _read_texture(document, base_texture_of(entry))
+    material = Material(entry.get("name", f"material{index}"), base_color_of(entry), texture)
     return None if material == DEFAULT_MATERIAL else material
 
 
@@ -306,7 +302,16 @@ def _get_material(document: Document, primitive: dict[str, Any]) -> dict[str, An
     return document.gltf["materials"][primitive["material"]] if "material" in primitive else {}
 
 
-def _get_base_texture(material: dict[str, Any]) -> dict[str, Any]:
+def base_color_of(material: dict[str, Any]) -> tuple[float, float, float, float]:
+    """Return the base colour of a material, linear RGBA; the diffuse colour of one with specular and glossiness."""
+    gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
+    color = material.get("pbrMetallicRoughness", {}).get("baseColorFactor") or gloss.get("diffuseFactor")
+    r, g, b, a = (float(value) for value in color or [1, 1, 1, 1])
+    return r, g, b, a
+
+
+def base_texture_of(material: dict[str, Any]) -> dict[str, Any]:
+    """Return the reference to the texture of the base or diffuse colour; an empty one where there is none."""
     gloss = material.get("extensions", {}).get("KHR_materials_pbrSpecularGlossiness", {})
     return material.get("pbrMetallicRoughness", {}).get("baseColorTexture") or gloss.get("diffuseTexture") or {}
 
