@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
     from ..pipeline.result import ClipResult
     from ..pipeline.run import MotionOptions
+    from ..tools.driving_clips import DrivingClip
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
@@ -28,18 +29,10 @@ def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
     return beside if len(driving) == 1 else identity.with_name(f"{identity.stem}-clips.glb")
 
 
-def clip_names(driving: Sequence[Path]) -> list[str]:
-    """Return the names of the animations in a file: those of the driving files, without suffixes."""
-    from ..pipeline.skinned import distinct_names
-
-    paths = [path.resolve() for path in driving]
-    return distinct_names([path.name if path.is_dir() else path.stem for path in paths])
-
-
 def check_clip_output(
-    output: Path, driving: Sequence[Path], skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
+    output: Path, clips: int, skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
 ) -> bool | None:
-    """Check that the format of the output can hold what is asked for.
+    """Check that the format of the output can hold what is asked for, of so many clips.
 
     Returns:
         Whether joints are written; None: if the model has any.
@@ -60,10 +53,10 @@ def check_clip_output(
         raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
     frames = morphs or blendshapes is not None
     jointed = (*JOINT_SUFFIXES, BONES_ONLY)
-    if len(driving) > 1 and (frames or output.suffix.lower() not in jointed):
+    if clips > 1 and (frames or output.suffix.lower() not in jointed):
         found = given[0] if frames else f"'{output.suffix}'"
         raise InputError(
-            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {len(driving)} clips, found {found}; "
+            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {clips} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
     held = MORPH_SUFFIXES if blendshapes is not None else JOINT_SUFFIXES if frames else jointed
@@ -77,7 +70,7 @@ def check_clip_output(
     if output.suffix.lower() == BONES_ONLY:
         check_bones_layout(layout, output)
         return True
-    if skinned or len(driving) > 1 or layout != Layout():
+    if skinned or clips > 1 or layout != Layout():
         return True
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
 
@@ -115,15 +108,13 @@ def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     check_writable(output)
 
 
-def check_single(driving: Sequence[Path], options: dict[str, object]) -> None:
-    """Check that options about one driving file are not given with several."""
+def check_single(clips: int, options: dict[str, object]) -> None:
+    """Check that options about one driving clip are not given with several."""
     from ..core.errors import InputError
 
     for option, value in options.items():
-        if value is not None and len(driving) > 1:
-            raise InputError(
-                f"{option}: expected one DRIVING with it, found {len(driving)}; animate one clip at a time"
-            )
+        if value is not None and clips > 1:
+            raise InputError(f"{option}: expected one clip with it, found {clips}; animate one clip at a time")
 
 
 def save_clips(
@@ -147,11 +138,12 @@ def save_clips(
         first.save(output, blendshapes, progress)
 
 
-def joined_facts(facts: Sequence[dict[str, Any]], names: Sequence[str], driving: Sequence[Path]) -> dict[str, Any]:
+def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:
     """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
+    kept = ("frames", "fps", "seconds", "report")
     clips = [
-        {"name": name, "driving": str(path), **{key: one[key] for key in ("frames", "fps", "seconds", "report")}}
-        for one, name, path in zip(facts, names, driving, strict=True)
+        {"name": clip.name, "driving": str(clip.path), **{key: one[key] for key in kept}}
+        for one, clip in zip(facts, driving, strict=True)
     ]
     rates = {one["fps"] for one in facts}
     reports = [one["report"] for one in facts]

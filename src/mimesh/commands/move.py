@@ -12,7 +12,6 @@ from .clips import (
     check_rig_layout,
     check_single,
     check_suffix,
-    clip_names,
     clip_output,
     joined_facts,
     moved_by,
@@ -21,7 +20,7 @@ from .clips import (
 )
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
-    Animation,
+    Animations,
     BlendShapes,
     Json,
     Model,
@@ -169,7 +168,7 @@ def animate(
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
-    animation: Animation = None,
+    animation: Animations = None,
     start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
@@ -210,29 +209,36 @@ def animate(
     """Make IDENTITY move as the clip DRIVING does.
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY, with joints if the model has them (mime); an output
-    without a suffix is a folder of meshes. Several clips become one .glb with an animation for each.
+    without a suffix is a folder of meshes. Several DRIVING, or several animations of one (--animation Walk --animation
+    Run, or --animation all), become one .glb with an animation for each.
     """
     from ..bodies.engine_rig import Layout
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
     from ..tools.convert import animations_note, taken_rate_note
+    from ..tools.driving_clips import choose_clips
 
     output = output or clip_output(identity, driving)
     layout = Layout(names, root_bone, rest, output_fps)
-    clips = clip_names(driving) if len(driving) > 1 else [None]
-    for name in clips:
-        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=name)
+    clips = choose_clips(driving, animation)
+    # The preview of a single clip has the name of the output alone.
+    titles = [clip.name if len(clips) > 1 else None for clip in clips]
+    for title in titles:
+        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=title)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
-    check_single(driving, {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
-    as_joints = check_clip_output(output, driving, skinned, morphs, blendshapes, layout)
+    check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
+    as_joints = check_clip_output(output, len(clips), skinned, morphs, blendshapes, layout)
     results, notes, corrections = [], [], []
-    for path, name in zip(driving, clips, strict=True):
+    for chosen, title in zip(clips, titles, strict=True):
+        path = chosen.path
         corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
-        (mesh, clip), seconds = _timed(lambda path=path: (load_mesh(identity), load_clip(path, fps, animation)))
+        (mesh, clip), seconds = _timed(
+            lambda chosen=chosen: (load_mesh(identity), load_clip(chosen.path, fps, chosen.animation))
+        )
         used = rig if corrected.identity is None else "mimesh"
         check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used), layout)
-        with progress(f"frames of {name}" if name else "frames", quiet or json) as advance:
+        with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
             result = run_animate(
                 mesh,
                 clip,
@@ -260,19 +266,19 @@ def animate(
             )
         result.seconds["load"] += seconds
         save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
-        of_clip = animations_note(clip.mesh, path) if animation is None else ()
+        of_clip = animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
         sampled = (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",) if output_fps else ()
         notes.append(of_clip + sampled)
         results.append(result)
         corrections.append(corrected.described())
     with progress("writing", quiet or json) as advance:
-        save_clips(results, output, clip_names(driving), as_joints, blendshapes, layout, advance)
+        save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
     facts = [
-        _facts(result, output, _write_preview(result, output, preview, open_it, name), *rest)
-        for result, name, *rest in zip(results, clips, notes, corrections, strict=True)
+        _facts(result, output, _write_preview(result, output, preview, open_it, title), *rest)
+        for result, title, *rest in zip(results, titles, notes, corrections, strict=True)
     ]
-    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clip_names(driving), driving), json, quiet)
+    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
 
 def _facts(

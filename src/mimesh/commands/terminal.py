@@ -22,7 +22,17 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to wr
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
-Animation = Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")]
+Animation = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Which animation of a GLB: its name or number.")
+]
+Animations = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--animation",
+        metavar="NAME",
+        help="Animation of a GLB, by name or number; several times for several clips; all for all of a file.",
+    ),
+]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 BlendShapes = Annotated[
     int | None,
@@ -69,6 +79,19 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
+
+
+def single(option: str, values: list[str] | None) -> str | None:
+    """Return the value of an option that takes one; Typer would take the last of several without a word.
+
+    Raises:
+        InputError: the option is given several times.
+    """
+    from ..core.errors import InputError
+
+    if values and len(values) > 1:
+        raise InputError(f"{option}: expected it once, found {', '.join(values)}; choose one of them")
+    return values[0] if values else None
 
 
 def output_beside(identity: Path, driving: Path, suffix: str) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,11 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
-from ..io import check_writable, clip_suffixes, load_clip, load_mesh, save_as_fbx, save_mesh
+from ..io import check_writable, clip_suffixes, list_animations, load_clip, load_mesh, save_as_fbx, save_mesh
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
+from .driving_clips import ALL
 
 RATELESS = (".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
@@ -108,7 +110,7 @@ def convert(
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
     notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if frame is None and animation is None:
-        notes += animations_note(clip.mesh, source)
+        notes += animations_note(list_animations(source), source)
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
 
@@ -206,15 +208,18 @@ def frames_at(frames: int, fps: float) -> str:
     return f"{frames} {'frame' if frames == 1 else 'frames'} at {fps:g} per second"
 
 
-def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return a note on which animation was taken, if a file has several."""
-    names = getattr(mesh.source, "animations", ())  # only glTF files have several
+def animations_note(names: Sequence[str], path: Path, several: bool = False) -> tuple[str, ...]:
+    """Return a note on which animation was taken, if a file has several.
+
+    Args:
+        names: of the animations of the file.
+        path: that of the file.
+        several: whether `--animation` takes more than one.
+    """
     if len(names) < 2:
         return ()
-    return (
-        f"{path.name} has {len(names)} animations: {names[0]} is taken, with those that move other nodes; "
-        "--animation takes another",
-    )
+    others = "--animation NAME takes another" + f", --animation {ALL} takes all of them" * several
+    return (f"{path.name} has {len(names)} animations: the first, {names[0]}, is taken; {others}",)
 
 
 def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
