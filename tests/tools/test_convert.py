@@ -181,5 +181,8 @@ def test_notes_tell_large_deviations_of_skinned_files():
     assert skinned_note({}) == skinned_note({"influence_deviation": 0.019, "skinned_deviation": 1e-5}) == ()
     (note,) = skinned_note({"influence_deviation": 0.031, "skinned_deviation": 1e-5})
     assert note.startswith("four weights a vertex, as files of joints have, move a vertex by up to 0.031")
-    (note,) = skinned_note({"influence_deviation": 0.0, "skinned_deviation": 0.012})
-    assert "up to 0.012 of the mesh's size from its frame: fingers" in note
+    for cause, text in (("fingers", "frame: fingers that only"), ("rest", "frame: the mesh is bound in another pose")):
+        (note,) = skinned_note({"skinned_deviation": 0.012, "deviation_cause": cause})
+        assert f"up to 0.012 of the mesh's size from its {text}" in note
+    (note,) = skinned_note({"skinned_deviation": 0.012})
+    assert note.endswith("from its frame")

@@ -216,7 +216,7 @@ def animate(
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import animations_note, taken_rate_note
+    from ..tools.convert import animations_note, resampled_note, taken_rate_note
     from ..tools.driving_clips import choose_clips
 
     output = output or clip_output(identity, driving)
@@ -268,14 +268,13 @@ def animate(
         save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
         of_clip = animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
-        sampled = (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",) if output_fps else ()
-        notes.append(of_clip + sampled)
+        notes.append(of_clip + resampled_note(result.clip, output_fps))
         results.append(result)
         corrections.append(corrected.described())
     with progress("writing", quiet or json) as advance:
         save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
     facts = [
-        _facts(result, output, _write_preview(result, output, preview, open_it, title), *rest)
+        _facts(result, output, _write_preview(result, output, preview, open_it, title), *rest, output_fps)
         for result, title, *rest in zip(results, titles, notes, corrections, strict=True)
     ]
     _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
@@ -287,13 +286,20 @@ def _facts(
     shown: dict[str, Any],
     driving_notes: tuple[str, ...] = (),
     joints: tuple[str, ...] = (),
+    output_fps: float | None = None,
 ) -> dict[str, Any]:
-    """Return the facts about a result and its file, with all notes; `shown` are the paths of the preview."""
+    """Return the facts about a result and its file, with all notes.
+
+    `shown` are the paths of the preview, `output_fps` is the rate of the file if it differs from the result's.
+    """
+    from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
     from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
     mesh = result.moved.mesh
-    fps = None if isinstance(result, Result) else result.fps
+    fps, frames = None if isinstance(result, Result) else result.fps, len(result.moved)
+    if fps is not None and output_fps is not None:
+        fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
@@ -302,7 +308,7 @@ def _facts(
         "output": str(output),
         "model": result.model,
         "vertices": len(mesh.vertices),
-        "frames": len(result.moved),
+        "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": {**result.report, "notes": notes, **shown},

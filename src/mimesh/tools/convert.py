@@ -27,6 +27,12 @@ NOTED_LIMITING = 0.02
 characters of the pool (train and val) is below, 0.002 to 0.013; means over all vertices are below 0.001 for all."""
 NOTED_DEVIATION = 1e-3
 """Distance over the mesh's size of a skinned file's vertex from its frame, from which on a note tells it."""
+DEVIATION_CAUSES = {
+    "rest": ": the mesh is bound in another pose than the file's; --rest file is exact",
+    "fingers": ": fingers that only other clips move follow the hand",
+    "weights": ": files of joints have four weights a vertex",
+}
+"""What a note says about the `deviation_cause` of a report."""
 POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
@@ -147,10 +153,8 @@ def skinned_note(report: dict[str, Any]) -> tuple[str, ...]:
             "--morphs writes frames of all weights",
         )
     if written >= NOTED_DEVIATION:
-        notes += (
-            f"a vertex of the file is up to {written:.2g} of the mesh's size from its frame: fingers that only other "
-            "clips move follow the hand",
-        )
+        cause = DEVIATION_CAUSES.get(report.get("deviation_cause", ""), "")
+        notes += (f"a vertex of the file is up to {written:.2g} of the mesh's size from its frame{cause}",)
     return notes
 
 
@@ -201,6 +205,13 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
+
+
+def resampled_note(clip: Clip, output_fps: float | None) -> tuple[str, ...]:
+    """Return a note that a file has another frame rate than the clip that is written; None keeps the clip's."""
+    if output_fps is None or output_fps == clip.fps:
+        return ()
+    return (f"sampled from {frames_at(len(clip), clip.fps)}",)
 
 
 def frames_at(frames: int, fps: float) -> str:
