@@ -58,7 +58,7 @@ def test_transfer_prints_its_output_and_the_next_command(files, capsys):
     output = files / "hero-pose.obj"
     text = capsys.readouterr()
     assert str(output) in text.out
-    assert f"next: mimesh look {output}" in text.out
+    assert f"next: open {files / 'hero-pose.preview.html'} in a browser" in text.out
     assert text.err == ""
     assert len(load_mesh(output).vertices) == 8
     assert (files / "hero-pose.preview.png").stat().st_size > 1000
@@ -141,6 +141,21 @@ def test_inputs_are_not_overwritten(files, output, capsys):
     assert run(args) == 2
     assert "apart from the inputs" in capsys.readouterr().err
     assert (files / output).read_bytes() == before
+
+
+def test_outputs_of_other_formats_have_previews_of_their_own(files):
+    for name in ("both.obj", "both.ply"):
+        args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / name)]
+        assert run([*args, "-q"]) == 0
+    assert (files / "both.preview.png").exists()
+    assert (files / "both.ply.preview.html").exists()
+
+
+def test_an_empty_path_and_a_mesh_for_a_clip_are_refused_with_the_way(files, capsys):
+    assert run(["animate", str(files / "hero.obj"), ""]) == 2
+    assert "expected a path, found an empty text" in capsys.readouterr().err
+    assert run(["animate", str(files / "hero.obj"), str(files / "pose.ply"), "-o", str(files / "x.obj")]) == 2
+    assert f"name it without a suffix: -o {files / 'x'}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("given", ["--reference", "--markers"])

@@ -68,6 +68,7 @@ def test_a_copied_animation_has_a_preview(files, capsys):
     assert run(["animate", path, path, "-o", str(files / "i.glb"), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)["report"]
     assert report["copied"]
+    assert [report[which]["up_from"] for which in ("identity", "driving")] == ["joints", "file"]
     assert report["identity"]["up"] == report["driving"]["up"] == "+y"
     assert (files / "i.preview.html").exists()
 
@@ -131,6 +132,10 @@ def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves,
     assert [clip["name"] for clip in json.loads(capsys.readouterr().out)["clips"]] == ["Walk", "Run"]
     assert load_mesh(tmp_path / "a.glb").source.animations[:2] == ("Walk", "Run")
     assert (tmp_path / "a-Run.preview.html").exists()
+    assert run([*words[:-1], "--animation", "Walk", "--animation", "Run"]) == 0
+    text = capsys.readouterr().out
+    assert f"picture: {tmp_path / 'a-Walk.preview.png'}\npage: {tmp_path / 'a-Walk.preview.html'}\n" in text
+    assert f"next: open {tmp_path / 'a-Walk.preview.html'} in a browser" in text
 
 
 @pytest.mark.parametrize(

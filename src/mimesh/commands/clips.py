@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
-BONES_ONLY = ".vrma"
-"""Format that holds the motion of bones and no mesh."""
 MORPH_SUFFIXES = (".glb", ".gltf")
 """Those of them to which a number of morph targets can be given."""
 
@@ -43,8 +41,10 @@ def check_clip_output(
     from ..bodies.engine_rig import Layout
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
+    from ..io.formats import FRAME_SUFFIXES
     from ..pipeline.vrma import check_bones_layout
     from ..render.movie import MOVIES
+    from ..tools.convert import BONES_ONLY
 
     refuse_vrm(output)
     options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
@@ -60,6 +60,11 @@ def check_clip_output(
             "animate one clip at a time, or change the output"
         )
     held = MORPH_SUFFIXES if blendshapes is not None else JOINT_SUFFIXES if frames else jointed
+    if not given and output.suffix.lower() in FRAME_SUFFIXES:
+        raise InputError(
+            f"{output}: expected a format for a clip, found '{output.suffix}', which holds one mesh; for a folder of "
+            f"them name it without a suffix: -o {output.with_suffix('')}"
+        )
     check_suffix(output, held if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
     layout.check()
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
@@ -182,7 +187,26 @@ def print_clips(facts: dict[str, Any]) -> None:
         about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
         print(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
     for clip in clips:
-        for path in (*clip["report"]["pictures"], clip["report"]["page"]):
-            if path:
-                print(f"preview: {path}")
-    print_next("look", facts["output"])
+        print_previews(clip["report"])
+    print_viewing(facts)
+
+
+def print_previews(report: dict[str, Any]) -> None:
+    """Print the paths of the picture and the page of a result, if they were written."""
+    for path in report["pictures"]:
+        print(f"picture: {path}")
+    if report["page"]:
+        print(f"page: {report['page']}")
+
+
+def print_viewing(facts: dict[str, Any]) -> None:
+    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
+    output = Path(facts["output"])
+    if facts["report"]["page"]:
+        print(f"next: open {facts['report']['page']} in a browser")
+    elif facts["fps"] is None and "clips" not in facts:
+        print_next("render", output, "-o", output.with_suffix(".png"))
+    elif output.suffix.lower() == ".vrma":
+        print_next("look", output)
+    else:
+        print_next("render", output, "-o", output.with_suffix(".html"))

@@ -16,6 +16,8 @@ from .clips import (
     joined_facts,
     moved_by,
     print_clips,
+    print_previews,
+    print_viewing,
     save_clips,
 )
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
@@ -28,10 +30,10 @@ from .terminal import (
     Output,
     Quiet,
     Seed,
+    given_path,
     open_page,
     output_beside,
     print_json,
-    print_next,
     progress,
     refuse_inputs,
 )
@@ -39,7 +41,9 @@ from .terminal import (
 if TYPE_CHECKING:
     from ..pipeline.result import ClipResult, Result
 
-Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
+Identity = Annotated[
+    Path, typer.Argument(metavar="IDENTITY", parser=given_path, help="The mesh to move: GLB, USD, OBJ, PLY ...")
+]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
 Refine = Annotated[
@@ -99,7 +103,7 @@ Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a p
 
 def transfer(
     identity: Identity,
-    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="The mesh in the wanted pose.")],
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", parser=given_path, help="The mesh in the wanted pose.")],
     output: Output = None,
     model: Model = "mime",
     up: Axis = None,
@@ -132,7 +136,7 @@ def transfer(
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
     output = output or output_beside(identity, driving, suffix)
-    _check_outputs(output, preview, open_it, identity, driving, reference, markers)
+    _check_outputs(output, preview, open_it, identity, driving, reference, markers, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
@@ -156,14 +160,15 @@ def transfer(
     result.seconds["load"] += seconds
     result.save(output)
     save_joint_files(result, identity, driving, save_joints, save_driving_joints)
-    shown = _write_preview(result, output, preview, open_it)
+    shown = _write_preview(result, output, preview, open_it, usual=suffix)
     _print_facts(_facts(result, output, shown, joints=corrected.described()), json, quiet)
 
 
 def animate(
     identity: Identity,
     driving: Annotated[
-        list[Path], typer.Argument(metavar="DRIVING...", help="Clips (GLB, USD, PC2 ...), folders, BVH files.")
+        list[Path],
+        typer.Argument(metavar="DRIVING...", parser=given_path, help="Clips (GLB, USD, PC2 ...), folders, BVH files."),
     ],
     output: Output = None,
     model: Model = "mime",
@@ -216,7 +221,7 @@ def animate(
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import animations_note, resampled_note, taken_rate_note
+    from ..tools.convert import animations_note, first_frame_note, resampled_note, taken_rate_note
     from ..tools.driving_clips import choose_clips
 
     output = output or clip_output(identity, driving)
@@ -268,6 +273,7 @@ def animate(
         save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
         of_clip = animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
+        of_clip += first_frame_note(clip, start, path)
         notes.append(of_clip + resampled_note(result.clip, output_fps))
         results.append(result)
         corrections.append(corrected.described())
@@ -342,41 +348,41 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print(f"joints: {line}")
     for note in facts["report"]["notes"]:
         print(f"note: {note}")
-    for path in facts["report"]["pictures"]:
-        print(f"picture: {path}")
-    if facts["report"]["page"]:
-        print(f"page: {facts['report']['page']}")
-    if Path(facts["output"]).suffix.lower() in MOVIES:
-        return
-    if facts["report"]["pictures"] or facts["fps"] is not None:
-        print_next("look", facts["output"])
-    else:
-        print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
+    print_previews(facts["report"])
+    if Path(facts["output"]).suffix.lower() not in MOVIES:
+        print_viewing(facts)
 
 
 def _write_preview(
-    result: Result | ClipResult, output: Path, preview: bool, open_it: bool, clip: str | None = None
+    result: Result | ClipResult,
+    output: Path,
+    preview: bool,
+    open_it: bool,
+    clip: str | None = None,
+    usual: str = ".glb",
 ) -> dict[str, Any]:
     """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths.
 
-    `clip` is the name of the result's animation where the output has several.
+    `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
     from ..tools.preview import write_preview
 
     if not preview:
         return {"pictures": [], "page": None}
-    picture, page = write_preview(result, output, clip)
+    picture, page = write_preview(result, output, clip, usual)
     if open_it:
         open_page(page)
     return {"pictures": [str(picture)], "page": str(page)}
 
 
-def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None) -> None:
+def _check_outputs(
+    output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
+) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
     from ..tools.preview import names_beside
 
-    for written in (output, *(names_beside(output, clip) if preview else ())):
+    for written in (output, *(names_beside(output, clip, usual) if preview else ())):
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")

@@ -109,6 +109,17 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     return identity.with_name(f"{identity.stem}-{resolved.name if resolved.is_dir() else resolved.stem}{suffix}")
 
 
+def given_path(text: str) -> Path:
+    """Return the path of an argument; an empty one, as of an unset variable, would be the current folder.
+
+    Raises:
+        typer.BadParameter: it is empty.
+    """
+    if not text.strip():
+        raise typer.BadParameter("expected a path, found an empty text; check variables and quotes")
+    return Path(text)
+
+
 def refuse_inputs(output: Path, *inputs: Path | None) -> None:
     """Check that an output would not overwrite an input file or a file in a folder of input frames; None is no input.
 
@@ -122,8 +133,13 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
         source = path.resolve()
         # On file systems that ignore case one file has several names: compare the files too.
         same = target == source or (target.exists() and source.exists() and target.samefile(source))
-        if same or (source.is_dir() and source in target.parents):
+        if same:
             raise InputError(f"{output}: expected an output apart from the inputs, found {path}; give another with -o")
+        if source.is_dir() and source in target.parents:
+            raise InputError(
+                f"{output}: expected an output apart from the inputs, found it in the folder {source}, which is one; "
+                "give another with -o"
+            )
 
 
 def require(extra: str, *modules: str) -> None:

@@ -18,6 +18,8 @@ from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
 from .driving_clips import ALL
 
+BONES_ONLY = ".vrma"
+"""Format that holds the motion of bones and no mesh."""
 RATELESS = (".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
@@ -33,6 +35,15 @@ DEVIATION_CAUSES = {
     "weights": ": files of joints have four weights a vertex",
 }
 """What a note says about the `deviation_cause` of a report."""
+LONE_FRAMES = 12
+"""First frames of a clip that are compared to tell whether frame 0 belongs to the motion."""
+LONE_VERTICES = 200
+"""Vertices, evenly spread over their indices, by which they are compared."""
+LONE_STEP = 0.05
+"""Mean distance of a vertex from frame 0 to frame 1, over the size, from which on frame 0 may be a pose of its own. In
+two captures of CMU, which begin with a T-pose, it was 0.17 and 0.25, and at most 0.003 between the frames after it."""
+LONE_RATIO = 10.0
+"""That distance over the largest one between two later frames; in 17 animations of a game character at most 3."""
 POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
@@ -90,6 +101,11 @@ def convert(
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
+    if suffix == BONES_ONLY:
+        raise InputError(
+            f"{target}: expected a mesh or a clip to write, found {suffix}, which has bones alone; write it with "
+            f"mimesh animate CHARACTER {source.name} -o {target.name}"
+        )
     holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
@@ -205,6 +221,25 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     if len(clip) == 1 or not (path.is_dir() or path.suffix.lower() in RATELESS):
         return ()
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
+
+
+def first_frame_note(clip: Clip, start: int, path: Path) -> tuple[str, ...]:
+    """Return a note on a first frame far from all others, as the T-pose before many captured motions.
+
+    Args:
+        clip: the whole clip.
+        start: first frame that is taken.
+        path: that of its file.
+    """
+    if start > 0 or len(clip) < LONE_FRAMES:
+        return ()
+    every = max(1, len(clip.mesh.vertices) // LONE_VERTICES)
+    frames = np.asarray(clip.vertices[:LONE_FRAMES, ::every], np.float64)
+    steps = np.linalg.norm(np.diff(frames - frames.mean(axis=1, keepdims=True), axis=0), axis=-1).mean(axis=1)
+    size = np.ptp(frames[0], axis=0).max()
+    if steps[0] < LONE_STEP * size or steps[0] < LONE_RATIO * steps[1:].max():
+        return ()
+    return (f"{path.name}: frame 0 differs from the others (a calibration pose?): --start 1 leaves it out",)
 
 
 def resampled_note(clip: Clip, output_fps: float | None) -> tuple[str, ...]:
