@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -239,6 +240,24 @@ def test_doctor_passes_on_this_installation(capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["ok"]
     assert {check["name"] for check in facts["checks"]} >= {"shipped body", "shipped networks", "self check"}
+
+
+def test_doctor_lists_what_is_optional(capsys, monkeypatch):
+    def version(package):
+        if package in ("ufbx", "DracoPy", "av"):
+            raise metadata.PackageNotFoundError(package)
+        return "1.0"
+
+    monkeypatch.setattr("mimesh.tools.doctor.metadata.version", version)
+    monkeypatch.setattr("mimesh.tools.doctor._transfer", lambda: "skipped")
+    monkeypatch.setenv("BLENDER", "nowhere")
+    assert run(["doctor", "--json"]) == 0
+    found = {check["name"]: check["found"] for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert found["ufbx"] == "not installed (pip install 'mimesh[fbx]' to read FBX)"
+    assert found["DracoPy"] == "not installed (pip install 'mimesh[compressed]' for Draco and meshopt glTF)"
+    assert found["usd-core"] == found["alembic3d"] == "1.0"
+    assert "mimesh[video]" in found["av"]
+    assert "blender" in found
 
 
 def test_doctor_reports_a_failed_check(capsys, monkeypatch):
