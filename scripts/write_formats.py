@@ -65,8 +65,9 @@ RULES = """## What to expect
 * **Point caches** (.pc2 .mdd .npy) contain points only. Faces and materials come from the mesh of the same name next
   to them (walk.obj for walk.pc2), which is written with the cache unless it exists. In Blender: import the mesh, add
   a *Mesh Cache* modifier.
-* **Several animations** in a glTF file: the first one is read, together with those that move other nodes (Blender
-  writes one for each object). `--animation NAME` reads one only.
+* **Several animations** in a glTF file: the first one is read, and every later one that moves only objects which no
+  earlier one has moved: Blender writes one for each object. `--animation` reads one alone, by its name or number, as
+  `mimesh look` prints them; case is ignored where no name is equal. `animate` takes the option several times, or `all`.
 * **VRM** characters (0.x and 1.0) are glTF files. They keep all their extensions (expressions, spring bones, MToon) in
   results of `transfer` and in the .glb of `animate`; with that suffix three-vrm takes both. A .vrm holds no animation:
   the specification of VRM 1.0 lists `animations` among the unused items, that of 0.x does not list them among what is

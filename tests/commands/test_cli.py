@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ def test_transfer_prints_its_output_and_the_next_command(files, capsys):
     output = files / "hero-pose.obj"
     text = capsys.readouterr()
     assert str(output) in text.out
-    assert f"next: mimesh look {output}" in text.out
+    assert f"next: open {files / 'hero-pose.preview.html'} in a browser" in text.out
     assert text.err == ""
     assert len(load_mesh(output).vertices) == 8
     assert (files / "hero-pose.preview.png").stat().st_size > 1000
@@ -143,6 +144,21 @@ def test_inputs_are_not_overwritten(files, output, capsys):
     assert (files / output).read_bytes() == before
 
 
+def test_outputs_of_other_formats_have_previews_of_their_own(files):
+    for name in ("both.obj", "both.ply"):
+        args = ["transfer", str(files / "hero.obj"), str(files / "pose.ply"), "-m", "copy", "-o", str(files / name)]
+        assert run([*args, "-q"]) == 0
+    assert (files / "both.preview.png").exists()
+    assert (files / "both.ply.preview.html").exists()
+
+
+def test_an_empty_path_and_a_mesh_for_a_clip_are_refused_with_the_way(files, capsys):
+    assert run(["animate", str(files / "hero.obj"), ""]) == 2
+    assert "expected a path, found an empty text" in capsys.readouterr().err
+    assert run(["animate", str(files / "hero.obj"), str(files / "pose.ply"), "-o", str(files / "x.obj")]) == 2
+    assert f"name it without a suffix: -o {files / 'x'}" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("given", ["--reference", "--markers"])
 @pytest.mark.parametrize("name", ["x.obj", "x.preview.png", "x.preview.html"])
 def test_reference_and_markers_are_not_overwritten(files, given, name, capsys):
@@ -224,6 +240,24 @@ def test_doctor_passes_on_this_installation(capsys):
     facts = json.loads(capsys.readouterr().out)
     assert facts["ok"]
     assert {check["name"] for check in facts["checks"]} >= {"shipped body", "shipped networks", "self check"}
+
+
+def test_doctor_lists_what_is_optional(capsys, monkeypatch):
+    def version(package):
+        if package in ("ufbx", "DracoPy", "av"):
+            raise metadata.PackageNotFoundError(package)
+        return "1.0"
+
+    monkeypatch.setattr("mimesh.tools.doctor.metadata.version", version)
+    monkeypatch.setattr("mimesh.tools.doctor._transfer", lambda: "skipped")
+    monkeypatch.setenv("BLENDER", "nowhere")
+    assert run(["doctor", "--json"]) == 0
+    found = {check["name"]: check["found"] for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert found["ufbx"] == "not installed (pip install 'mimesh[fbx]' to read FBX)"
+    assert found["DracoPy"] == "not installed (pip install 'mimesh[compressed]' for Draco and meshopt glTF)"
+    assert found["usd-core"] == found["alembic3d"] == "1.0"
+    assert "mimesh[video]" in found["av"]
+    assert "blender" in found
 
 
 def test_doctor_reports_a_failed_check(capsys, monkeypatch):

@@ -9,9 +9,12 @@ from networks import write_mime_network
 from people import person, walk
 from vrm_files import bone_positions, vrm, vrma
 
+import mimesh
 from mimesh.cli import run
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
+from mimesh.pipeline.skinned import save_skinned
+from mimesh.tools.driving_clips import choose_clips
 
 pytest.importorskip("onnx")
 
@@ -65,6 +68,7 @@ def test_a_copied_animation_has_a_preview(files, capsys):
     assert run(["animate", path, path, "-o", str(files / "i.glb"), "--json"]) == 0
     report = json.loads(capsys.readouterr().out)["report"]
     assert report["copied"]
+    assert [report[which]["up_from"] for which in ("identity", "driving")] == ["joints", "file"]
     assert report["identity"]["up"] == report["driving"]["up"] == "+y"
     assert (files / "i.preview.html").exists()
 
@@ -95,6 +99,68 @@ def test_several_clips_become_animations_of_one_file(files, capsys):
     assert "note: run: " not in text
 
 
+@pytest.fixture(scope="module")
+def moves(files):
+    """A rigged file with the animations Rig|Walk, Rig|Run and one without a name."""
+    path = rigs.of_kind(files / "rigged-mover.glb", "T-pose")[0]
+    result = mimesh.animate(path, path)
+    save_skinned([result] * 3, files / "moves.glb", ["Rig|Walk", "Rig|Run", "2"])
+    return files / "moves.glb"
+
+
+@pytest.mark.parametrize(
+    ("words", "names"),
+    [
+        (["moves.glb", "--animation", "Walk", "--animation", "run"], ["Walk", "Run"]),
+        (["moves.glb", "moves.glb", "--animation", "1", "--animation", "RIG|walk"], ["Run", "Walk"]),
+        (["moves.glb", "--animation", "all"], ["Walk", "Run", "moves", "move"]),
+        (["moves.glb", "walk.glb", "--animation", "all"], ["Walk", "Run", "moves", "move", "walk"]),
+        (["moves.glb", "walk.glb"], ["Walk", "walk"]),
+        (["moves.glb", "--animation", "Run"], ["Run"]),
+        (["walk.glb", "--animation", "0"], ["walk"]),
+    ],
+)
+def test_animations_of_driving_files_are_chosen_and_named(moves, words, names):
+    start = words.index("--animation") if "--animation" in words else len(words)
+    clips = choose_clips([moves.parent / word for word in words[:start]], words[start + 1 :: 2])
+    assert [clip.name for clip in clips] == names
+
+
+def test_one_file_of_several_animations_becomes_one_file_of_several_clips(moves, tmp_path, capsys):
+    words = ["animate", str(moves), str(moves), "-o", str(tmp_path / "a.glb"), "--json"]
+    assert run([*words, "--animation", "Walk", "--animation", "Run"]) == 0
+    assert [clip["name"] for clip in json.loads(capsys.readouterr().out)["clips"]] == ["Walk", "Run"]
+    assert load_mesh(tmp_path / "a.glb").source.animations[:2] == ("Walk", "Run")
+    assert (tmp_path / "a-Run.preview.html").exists()
+    assert run([*words[:-1], "--animation", "Walk", "--animation", "Run"]) == 0
+    text = capsys.readouterr().out
+    assert f"picture: {tmp_path / 'a-Walk.preview.png'}\npage: {tmp_path / 'a-Walk.preview.html'}\n" in text
+    assert f"next: open {tmp_path / 'a-Walk.preview.html'} in a browser" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["moves.glb", "walk.glb", "--animation", "Walk"], "expected one for each of 2 DRIVING, found 1"),
+        (["moves.glb", "--animation", "Walk", "--animation", "Fly"], "Rig|Walk, Rig|Run, 2, move), found 'Fly'"),
+        (
+            ["walk.glb", "--animation", "0", "--save-driving-joints", "x.json", "--animation", "0"],
+            "clip with it, found 2",
+        ),
+    ],
+)
+def test_other_animations_are_refused(moves, files, words, expected, capsys):
+    assert animate(files, *words) == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_an_animation_is_chosen_once_where_one_clip_is_taken(moves, tmp_path, capsys):
+    words = ["--animation", "Walk", "--animation", "Run"]
+    assert run(["convert", str(moves), str(tmp_path / "a.npz"), *words]) == 2
+    assert run(["render", str(moves), "-o", str(tmp_path / "a.png"), *words]) == 2
+    assert capsys.readouterr().err.count("--animation: expected it once, found Walk, Run; choose one of them") == 2
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
@@ -103,7 +169,7 @@ def test_several_clips_become_animations_of_one_file(files, capsys):
             ".fbx or .vrma for 2 clips, found '.abc'",
         ),
         (["walk.glb", "run.npz", "--morphs"], "for 2 clips, found --morphs"),
-        (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one DRIVING with it, found 2"),
+        (["walk.glb", "run.npz", "--save-driving-joints", "x.json"], "expected one clip with it, found 2"),
         (["walk.glb", "--morphs", "--skinned"], "--morphs: expected it without --skinned"),
         (["walk.glb", "--morphs", "-o", "x.abc"], "expected an output in one of .fbx .glb .gltf, found '.abc'"),
         (["walk.glb", "run.npz", "-o", "walk.glb"], "expected an output apart from the inputs"),

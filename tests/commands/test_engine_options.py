@@ -24,12 +24,21 @@ def animate(files, *more):
 def test_engine_names_root_bone_rest_and_rate(files, capsys):
     options = ("--names", "unreal", "--root-bone", "--rest", "A", "--output-fps", "60")
     assert animate(files, *options) == 0
-    assert "60 frames a second, sampled from 10" in capsys.readouterr().out
+    text = capsys.readouterr().out
+    assert ", 13 frames at 60 per second, " in text
+    assert "note: sampled from 3 frames at 10 per second\n" in text
     gltf = open_document(files / "out.glb").gltf
     names = [gltf["nodes"][joint]["name"] for joint in gltf["skins"][0]["joints"]]
     assert names[:3] == ["root", "pelvis", "spine_01"]
     times = [gltf["accessors"][sampler["input"]] for sampler in gltf["animations"][0]["samplers"]]
     assert max((entry["count"], round(entry["max"][0], 6)) for entry in times) == (13, 0.2)
+
+
+def test_no_sampling_is_noted_at_the_rate_of_the_frames_that_are_taken(files, capsys):
+    assert animate(files, "--step", "2", "--output-fps", "5") == 0
+    text = capsys.readouterr().out
+    assert ", 2 frames at 5 per second, " in text
+    assert "sampled from" not in text
 
 
 @pytest.mark.parametrize(

@@ -89,7 +89,7 @@ def test_folder_is_refused_as_a_mesh(tmp_path):
 
 def test_folder_without_meshes_is_refused(tmp_path):
     (tmp_path / "notes.txt").write_text("x")
-    assert "found 0 meshes without a number" in input_error_of(load_clip, tmp_path)
+    assert "found no mesh in the folder" in input_error_of(load_clip, tmp_path)
     save_mesh(zoo.cube(), tmp_path / "hero.obj")
     assert "found 1 meshes without a number" in input_error_of(load_clip, tmp_path)
 

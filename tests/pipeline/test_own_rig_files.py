@@ -64,7 +64,7 @@ def test_a_result_on_the_rig_and_one_on_the_surface_are_refused(model, driving, 
 @pytest.mark.parametrize(
     ("person", "options", "message"),
     [
-        (True, ("--rest", "T"), "--rest T: expected file"),
+        (True, ("--rest", "T"), "expected `--rest file` for"),
         (False, ("--names", "unreal"), "--names, --root-bone: expected the bones of a person in"),
         (False, ("--root-bone",), "--names, --root-bone: expected the bones of a person in"),
     ],

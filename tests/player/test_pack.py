@@ -14,7 +14,7 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.player.pack import Panel, pack_scene
+from mimesh.player.pack import MotionLimits, Panel, pack_scene
 from mimesh.player.split_vertices import split_vertices
 from mimesh.player.thinning import DENSE_VERTICES, simplify_clip
 
@@ -44,6 +44,8 @@ def decode_frames(panel):
     steps = np.stack([decode_differences(frame, "<u2") for frame in coded])
     steps[0] = np.cumsum(steps[0], dtype=np.uint16)
     steps = np.cumsum(steps, axis=0, dtype=np.uint16).reshape(panel["frames"], 3, -1).transpose(0, 2, 1)
+    if panel["index"] is not None:
+        steps = steps[:, unpack(panel["index"])]
     centre = np.reshape(panel["centre"], (-1, 1, 3))
     return centre + np.array(panel["low"]) + panel["unit"] * steps
 
@@ -147,6 +149,29 @@ def test_frames_of_long_clips_are_dropped_to_meet_the_budget_with_a_message():
     assert small["left_out"][0].startswith(f"every {step}")
     assert "of 301 frames" in small["left_out"][0]
     assert np.abs(decode_frames(panel) - clip.vertices[::step]).max() <= 0.501 * panel["unit"]
+
+
+def test_frames_beyond_a_largest_number_are_dropped():
+    clip = random_clip(zoo.cube(), 301)
+    scene = pack_scene([Panel("mesh", clip)], motion=MotionLimits(frames=100))
+    panel = scene["panels"][0]
+    assert panel["frames"] == 76
+    assert scene["left_out"] == ["every 4th of 301 frames is shown, to keep this page small"]
+    small = pack_scene([Panel("mesh", clip)], motion=MotionLimits(frames=100, characters=2000))["panels"][0]
+    assert len(small["stream"]) < 2500
+    assert np.isclose(clip.fps / small["fps"] % 4, 0)
+
+
+def test_vertices_that_move_alike_are_stored_once():
+    mesh = zoo.cube()
+    clip = random_clip(mesh, 20)
+    twice = np.concatenate([clip.vertices, clip.vertices], axis=1)
+    twice[9, 8] += 1.0  # equal to the first vertex in all frames but one
+    double = dataclasses.replace(mesh, vertices=twice[0], faces=np.concatenate([mesh.faces, mesh.faces + 8]))
+    panel = pack_scene([Panel("mesh", Clip(double, twice, 24.0))])["panels"][0]
+    assert panel["index"]["shape"] == [16]
+    assert len(np.unique(unpack(panel["index"]))) == 9
+    assert np.abs(decode_frames(panel) - twice).max() <= 0.501 * panel["unit"]
 
 
 def test_a_simplified_clip_has_vertices_of_the_original():

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import CLIP_WRITERS, MESH_WRITERS, load_clip, load_mesh, save_clip, save_mesh
 from mimesh.render.movie import MOVIES
-from mimesh.tools.convert import LARGE, convert, size_note, skinned_note, taken_rate_note
+from mimesh.tools.convert import LARGE, convert, first_frame_note, size_note, skinned_note, taken_rate_note
 
 CLIPS = sorted({*CLIP_WRITERS, ""} - {".fbx"})  # FBX needs Blender: tests/clients
 MESHES = sorted(MESH_WRITERS.keys() - {".fbx"})
@@ -177,9 +178,30 @@ def test_impossible_frame_rates_are_refused(fps, tmp_path):
         load_clip(tmp_path / "a.glb", fps=fps)
 
 
+def test_a_first_frame_far_from_all_others_is_noted():
+    rest = zoo.cube()
+    shift = np.zeros((20, len(rest.vertices), 3))
+    shift[:, :4, 0] = 0.01 * np.arange(20)[:, None]
+    moving = Clip(rest, rest.vertices + shift, 30.0)
+    assert first_frame_note(moving, 0, Path("a.bvh")) == ()
+    shift[0, :4, 0] = 1.0
+    posed = Clip(rest, rest.vertices + shift, 30.0)
+    (note,) = first_frame_note(posed, 0, Path("a.bvh"))
+    assert note.startswith("a.bvh: frame 0 differs from the others")
+    assert first_frame_note(posed, 1, Path("a.bvh")) == ()
+
+
+def test_bones_alone_are_written_by_another_command(tmp_path):
+    with pytest.raises(InputError, match=r"bones alone; write it with mimesh animate CHARACTER a.bvh -o b.vrma"):
+        convert(tmp_path / "a.bvh", tmp_path / "b.vrma")
+
+
 def test_notes_tell_large_deviations_of_skinned_files():
     assert skinned_note({}) == skinned_note({"influence_deviation": 0.019, "skinned_deviation": 1e-5}) == ()
     (note,) = skinned_note({"influence_deviation": 0.031, "skinned_deviation": 1e-5})
     assert note.startswith("four weights a vertex, as files of joints have, move a vertex by up to 0.031")
-    (note,) = skinned_note({"influence_deviation": 0.0, "skinned_deviation": 0.012})
-    assert "up to 0.012 of the mesh's size from its frame: fingers" in note
+    for cause, text in (("fingers", "frame: fingers that only"), ("rest", "frame: the mesh is bound in another pose")):
+        (note,) = skinned_note({"skinned_deviation": 0.012, "deviation_cause": cause})
+        assert f"up to 0.012 of the mesh's size from its {text}" in note
+    (note,) = skinned_note({"skinned_deviation": 0.012})
+    assert note.endswith("from its frame")

@@ -10,7 +10,8 @@
 //
 // Packed fields of a panel: role, name, vertices, triangles, frames and fps (after dropping frames), surface (its index),
 // turn (rotation with rows right, up, front of the subject), anchor (point on the floor below it), size (length that is 1
-// on the stage), centre (3 numbers per frame), low, unit and stream (positions, see `Panel`).
+// on the stage), centre (3 numbers per frame), low, unit, index (position of each vertex among those of the stream, which
+// has one of equal vertices; null: it has all) and stream (positions, see `Panel`).
 
 /** Decode base64 to bytes. */
 export function fromBase64(text) {
@@ -64,7 +65,11 @@ async function decodeSurface({ corners, origin, smooth, uv, colors, groups }) {
 /** A clip in one panel: 16-bit positions of every frame, as planes x, y, z. */
 export class Panel {
   static async decode(packed) {
-    return new Panel(packed, decodeFrames(await inflate(fromBase64(packed.stream)), packed.vertices));
+    const bytes = await inflate(fromBase64(packed.stream));
+    if (!packed.index) return new Panel(packed, decodeFrames(bytes, packed.vertices));
+    const index = await unpack(packed.index);
+    const count = bytes.length / 6 / packed.frames;
+    return new Panel(packed, expand(decodeFrames(bytes, count), count, index));
   }
 
   constructor(packed, frames) {
@@ -130,6 +135,16 @@ function mean(points, axis) {
   let sum = 0;
   for (let k = axis; k < points.length; k += 3) sum += points[k];
   return (3 * sum) / points.length;
+}
+
+/** Copy planes of `count` numbers to planes of one number for each vertex. */
+function expand(values, count, index) {
+  const planes = values.length / count;
+  const out = new Uint16Array(planes * index.length);
+  for (let plane = 0; plane < planes; plane++) {
+    for (let k = 0; k < index.length; k++) out[plane * index.length + k] = values[plane * count + index[k]];
+  }
+  return out;
 }
 
 /**

@@ -13,11 +13,10 @@ if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
     from ..pipeline.result import ClipResult
     from ..pipeline.run import MotionOptions
+    from ..tools.driving_clips import DrivingClip
 
 JOINT_SUFFIXES = (".glb", ".gltf", ".fbx")
 """Formats that hold joints and morph targets."""
-BONES_ONLY = ".vrma"
-"""Format that holds the motion of bones and no mesh."""
 MORPH_SUFFIXES = (".glb", ".gltf")
 """Those of them to which a number of morph targets can be given."""
 
@@ -28,18 +27,10 @@ def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
     return beside if len(driving) == 1 else identity.with_name(f"{identity.stem}-clips.glb")
 
 
-def clip_names(driving: Sequence[Path]) -> list[str]:
-    """Return the names of the animations in a file: those of the driving files, without suffixes."""
-    from ..pipeline.skinned import distinct_names
-
-    paths = [path.resolve() for path in driving]
-    return distinct_names([path.name if path.is_dir() else path.stem for path in paths])
-
-
 def check_clip_output(
-    output: Path, driving: Sequence[Path], skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
+    output: Path, clips: int, skinned: bool, morphs: bool, blendshapes: int | None, layout: Layout
 ) -> bool | None:
-    """Check that the format of the output can hold what is asked for.
+    """Check that the format of the output can hold what is asked for, of so many clips.
 
     Returns:
         Whether joints are written; None: if the model has any.
@@ -50,8 +41,10 @@ def check_clip_output(
     from ..bodies.engine_rig import Layout
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
+    from ..io.formats import FRAME_SUFFIXES
     from ..pipeline.vrma import check_bones_layout
     from ..render.movie import MOVIES
+    from ..tools.convert import BONES_ONLY
 
     refuse_vrm(output)
     options = {"--skinned": skinned, "--morphs": morphs, "--blendshapes": blendshapes is not None}
@@ -60,13 +53,18 @@ def check_clip_output(
         raise InputError(f"{given[1]}: expected it without {given[0]}, found both; choose one of them")
     frames = morphs or blendshapes is not None
     jointed = (*JOINT_SUFFIXES, BONES_ONLY)
-    if len(driving) > 1 and (frames or output.suffix.lower() not in jointed):
+    if clips > 1 and (frames or output.suffix.lower() not in jointed):
         found = given[0] if frames else f"'{output.suffix}'"
         raise InputError(
-            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {len(driving)} clips, found {found}; "
+            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {clips} clips, found {found}; "
             "animate one clip at a time, or change the output"
         )
     held = MORPH_SUFFIXES if blendshapes is not None else JOINT_SUFFIXES if frames else jointed
+    if not given and output.suffix.lower() in FRAME_SUFFIXES:
+        raise InputError(
+            f"{output}: expected a format for a clip, found '{output.suffix}', which holds one mesh; for a folder of "
+            f"them name it without a suffix: -o {output.with_suffix('')}"
+        )
     check_suffix(output, held if given else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
     layout.check()
     if layout != Layout() and (frames or output.suffix.lower() not in jointed):
@@ -77,7 +75,7 @@ def check_clip_output(
     if output.suffix.lower() == BONES_ONLY:
         check_bones_layout(layout, output)
         return True
-    if skinned or len(driving) > 1 or layout != Layout():
+    if skinned or clips > 1 or layout != Layout():
         return True
     return False if frames or output.suffix.lower() not in JOINT_SUFFIXES else None
 
@@ -115,15 +113,13 @@ def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
     check_writable(output)
 
 
-def check_single(driving: Sequence[Path], options: dict[str, object]) -> None:
-    """Check that options about one driving file are not given with several."""
+def check_single(clips: int, options: dict[str, object]) -> None:
+    """Check that options about one driving clip are not given with several."""
     from ..core.errors import InputError
 
     for option, value in options.items():
-        if value is not None and len(driving) > 1:
-            raise InputError(
-                f"{option}: expected one DRIVING with it, found {len(driving)}; animate one clip at a time"
-            )
+        if value is not None and clips > 1:
+            raise InputError(f"{option}: expected one clip with it, found {clips}; animate one clip at a time")
 
 
 def save_clips(
@@ -147,11 +143,12 @@ def save_clips(
         first.save(output, blendshapes, progress)
 
 
-def joined_facts(facts: Sequence[dict[str, Any]], names: Sequence[str], driving: Sequence[Path]) -> dict[str, Any]:
+def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]) -> dict[str, Any]:
     """Return the facts about one file of several clips: sums and unions, and under "clips" those of each."""
+    kept = ("frames", "fps", "seconds", "report")
     clips = [
-        {"name": name, "driving": str(path), **{key: one[key] for key in ("frames", "fps", "seconds", "report")}}
-        for one, name, path in zip(facts, names, driving, strict=True)
+        {"name": clip.name, "driving": str(clip.path), **{key: one[key] for key in kept}}
+        for one, clip in zip(facts, driving, strict=True)
     ]
     rates = {one["fps"] for one in facts}
     reports = [one["report"] for one in facts]
@@ -190,7 +187,26 @@ def print_clips(facts: dict[str, Any]) -> None:
         about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
         print(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
     for clip in clips:
-        for path in (*clip["report"]["pictures"], clip["report"]["page"]):
-            if path:
-                print(f"preview: {path}")
-    print_next("look", facts["output"])
+        print_previews(clip["report"])
+    print_viewing(facts)
+
+
+def print_previews(report: dict[str, Any]) -> None:
+    """Print the paths of the picture and the page of a result, if they were written."""
+    for path in report["pictures"]:
+        print(f"picture: {path}")
+    if report["page"]:
+        print(f"page: {report['page']}")
+
+
+def print_viewing(facts: dict[str, Any]) -> None:
+    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
+    output = Path(facts["output"])
+    if facts["report"]["page"]:
+        print(f"next: open {facts['report']['page']} in a browser")
+    elif facts["fps"] is None and "clips" not in facts:
+        print_next("render", output, "-o", output.with_suffix(".png"))
+    elif output.suffix.lower() == ".vrma":
+        print_next("look", output)
+    else:
+        print_next("render", output, "-o", output.with_suffix(".html"))

@@ -12,16 +12,17 @@ from .clips import (
     check_rig_layout,
     check_single,
     check_suffix,
-    clip_names,
     clip_output,
     joined_facts,
     moved_by,
     print_clips,
+    print_previews,
+    print_viewing,
     save_clips,
 )
 from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
-    Animation,
+    Animations,
     BlendShapes,
     Json,
     Model,
@@ -29,10 +30,10 @@ from .terminal import (
     Output,
     Quiet,
     Seed,
+    given_path,
     open_page,
     output_beside,
     print_json,
-    print_next,
     progress,
     refuse_inputs,
 )
@@ -40,7 +41,9 @@ from .terminal import (
 if TYPE_CHECKING:
     from ..pipeline.result import ClipResult, Result
 
-Identity = Annotated[Path, typer.Argument(metavar="IDENTITY", help="The mesh to move: GLB, USD, OBJ, PLY ...")]
+Identity = Annotated[
+    Path, typer.Argument(metavar="IDENTITY", parser=given_path, help="The mesh to move: GLB, USD, OBJ, PLY ...")
+]
 Axis = Annotated[str | None, typer.Option(metavar="AXIS", help="x, y, z, -x, -y or -z, instead of the one found.")]
 Ensemble = Annotated[int, typer.Option(help="Average over this many random pairings (npt, aniformer).")]
 Refine = Annotated[
@@ -107,7 +110,7 @@ Preview = Annotated[bool, typer.Option("--preview/--no-preview", help="Write a p
 
 def transfer(
     identity: Identity,
-    driving: Annotated[Path, typer.Argument(metavar="DRIVING", help="The mesh in the wanted pose.")],
+    driving: Annotated[Path, typer.Argument(metavar="DRIVING", parser=given_path, help="The mesh in the wanted pose.")],
     output: Output = None,
     model: Model = "mime",
     up: Axis = None,
@@ -140,7 +143,7 @@ def transfer(
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
     output = output or output_beside(identity, driving, suffix)
-    _check_outputs(output, preview, open_it, identity, driving, reference, markers)
+    _check_outputs(output, preview, open_it, identity, driving, reference, markers, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
@@ -164,19 +167,20 @@ def transfer(
     result.seconds["load"] += seconds
     result.save(output)
     save_joint_files(result, identity, driving, save_joints, save_driving_joints)
-    shown = _write_preview(result, output, preview, open_it)
+    shown = _write_preview(result, output, preview, open_it, usual=suffix)
     _print_facts(_facts(result, output, shown, joints=corrected.described()), json, quiet)
 
 
 def animate(
     identity: Identity,
     driving: Annotated[
-        list[Path], typer.Argument(metavar="DRIVING...", help="Clips (GLB, USD, PC2 ...), folders, BVH files.")
+        list[Path],
+        typer.Argument(metavar="DRIVING...", parser=given_path, help="Clips (GLB, USD, PC2 ...), folders, BVH files."),
     ],
     output: Output = None,
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
-    animation: Animation = None,
+    animation: Animations = None,
     start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
@@ -218,29 +222,36 @@ def animate(
     """Make IDENTITY move as the clip DRIVING does.
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY, with joints if the model has them (mime); an output
-    without a suffix is a folder of meshes. Several clips become one .glb with an animation for each.
+    without a suffix is a folder of meshes. Several DRIVING, or several animations of one (--animation Walk --animation
+    Run, or --animation all), become one .glb with an animation for each.
     """
     from ..bodies.engine_rig import Layout
     from ..io import load_clip, load_mesh
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import animations_note, taken_rate_note
+    from ..tools.convert import animations_note, first_frame_note, resampled_note, taken_rate_note
+    from ..tools.driving_clips import choose_clips
 
     output = output or clip_output(identity, driving)
     layout = Layout(names, root_bone, rest, output_fps)
-    clips = clip_names(driving) if len(driving) > 1 else [None]
-    for name in clips:
-        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=name)
+    clips = choose_clips(driving, animation)
+    # The preview of a single clip has the name of the output alone.
+    titles = [clip.name if len(clips) > 1 else None for clip in clips]
+    for title in titles:
+        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=title)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
-    check_single(driving, {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
-    as_joints = check_clip_output(output, driving, skinned, morphs, blendshapes, layout)
+    check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
+    as_joints = check_clip_output(output, len(clips), skinned, morphs, blendshapes, layout)
     results, notes, corrections = [], [], []
-    for path, name in zip(driving, clips, strict=True):
+    for chosen, title in zip(clips, titles, strict=True):
+        path = chosen.path
         corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
-        (mesh, clip), seconds = _timed(lambda path=path: (load_mesh(identity), load_clip(path, fps, animation)))
+        (mesh, clip), seconds = _timed(
+            lambda chosen=chosen: (load_mesh(identity), load_clip(chosen.path, fps, chosen.animation))
+        )
         used = rig if corrected.identity is None else "mimesh"
         check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used), layout)
-        with progress(f"frames of {name}" if name else "frames", quiet or json) as advance:
+        with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
             result = run_animate(
                 mesh,
                 clip,
@@ -268,19 +279,19 @@ def animate(
             )
         result.seconds["load"] += seconds
         save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
-        of_clip = animations_note(clip.mesh, path) if animation is None else ()
+        of_clip = animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
-        sampled = (f"{output} has {output_fps:g} frames a second, sampled from {clip.fps:g}",) if output_fps else ()
-        notes.append(of_clip + sampled)
+        of_clip += first_frame_note(clip, start, path)
+        notes.append(of_clip + resampled_note(result.clip, output_fps))
         results.append(result)
         corrections.append(corrected.described())
     with progress("writing", quiet or json) as advance:
-        save_clips(results, output, clip_names(driving), as_joints, blendshapes, layout, advance)
+        save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
     facts = [
-        _facts(result, output, _write_preview(result, output, preview, open_it, name), *rest)
-        for result, name, *rest in zip(results, clips, notes, corrections, strict=True)
+        _facts(result, output, _write_preview(result, output, preview, open_it, title), *rest, output_fps)
+        for result, title, *rest in zip(results, titles, notes, corrections, strict=True)
     ]
-    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clip_names(driving), driving), json, quiet)
+    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
 
 def _facts(
@@ -289,13 +300,20 @@ def _facts(
     shown: dict[str, Any],
     driving_notes: tuple[str, ...] = (),
     joints: tuple[str, ...] = (),
+    output_fps: float | None = None,
 ) -> dict[str, Any]:
-    """Return the facts about a result and its file, with all notes; `shown` are the paths of the preview."""
+    """Return the facts about a result and its file, with all notes.
+
+    `shown` are the paths of the preview, `output_fps` is the rate of the file if it differs from the result's.
+    """
+    from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
     from ..tools.convert import blend_note, not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
     mesh = result.moved.mesh
-    fps = None if isinstance(result, Result) else result.fps
+    fps, frames = None if isinstance(result, Result) else result.fps, len(result.moved)
+    if fps is not None and output_fps is not None:
+        fps, frames = output_fps, len(frames_around(frames, fps, output_fps)[0])
     rate = () if fps is None else (*rate_note(fps, output), *size_note(output))
     blended = blend_note(result.report.get("blendshapes_deviation"))
     kept = (*not_kept(mesh, output), *posed_vrm_note(output))
@@ -304,7 +322,7 @@ def _facts(
         "output": str(output),
         "model": result.model,
         "vertices": len(mesh.vertices),
-        "frames": len(result.moved),
+        "frames": frames,
         "fps": fps,
         "seconds": {step: round(value, 4) for step, value in result.seconds.items()},
         "report": {**result.report, "notes": notes, **shown},
@@ -338,41 +356,41 @@ def _print_summary(facts: dict[str, Any]) -> None:
         print(f"joints: {line}")
     for note in facts["report"]["notes"]:
         print(f"note: {note}")
-    for path in facts["report"]["pictures"]:
-        print(f"picture: {path}")
-    if facts["report"]["page"]:
-        print(f"page: {facts['report']['page']}")
-    if Path(facts["output"]).suffix.lower() in MOVIES:
-        return
-    if facts["report"]["pictures"] or facts["fps"] is not None:
-        print_next("look", facts["output"])
-    else:
-        print_next("render", facts["output"], "-o", Path(facts["output"]).with_suffix(".png"))
+    print_previews(facts["report"])
+    if Path(facts["output"]).suffix.lower() not in MOVIES:
+        print_viewing(facts)
 
 
 def _write_preview(
-    result: Result | ClipResult, output: Path, preview: bool, open_it: bool, clip: str | None = None
+    result: Result | ClipResult,
+    output: Path,
+    preview: bool,
+    open_it: bool,
+    clip: str | None = None,
+    usual: str = ".glb",
 ) -> dict[str, Any]:
     """Write the picture and the page beside the output with `preview`, open the page with `open_it`; return paths.
 
-    `clip` is the name of the result's animation where the output has several.
+    `clip` is the name of the result's animation where the output has several; `usual` is the default suffix of outputs.
     """
     from ..tools.preview import write_preview
 
     if not preview:
         return {"pictures": [], "page": None}
-    picture, page = write_preview(result, output, clip)
+    picture, page = write_preview(result, output, clip, usual)
     if open_it:
         open_page(page)
     return {"pictures": [str(picture)], "page": str(page)}
 
 
-def _check_outputs(output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None) -> None:
+def _check_outputs(
+    output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
+) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""
     from ..core.errors import InputError
     from ..tools.preview import names_beside
 
-    for written in (output, *(names_beside(output, clip) if preview else ())):
+    for written in (output, *(names_beside(output, clip, usual) if preview else ())):
         refuse_inputs(written, *inputs)
     if open_it and not preview:
         raise InputError("--open: expected a page to open, found --no-preview; leave one of them out")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import Animation, BlendShapes, Json, Quiet, print_json, print_next, progress, refuse_inputs
+from .terminal import Animation, BlendShapes, Json, Quiet, print_json, print_next, progress, refuse_inputs, single
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip
@@ -84,7 +84,7 @@ def render(
     )
     options.check(output)
     refuse_inputs(output, *files, truth, stretch)
-    clips = _cut(files, fps, animation, start, stop, step)
+    clips = _cut(files, fps, single("--animation", animation), start, stop, step)
     names = [path.name for path in files]
     with progress("frames", quiet or json) as advance:
         kind = draw(options, names, clips, output, advance)
@@ -135,7 +135,7 @@ def convert(
             source,
             target,
             fps=fps,
-            animation=animation,
+            animation=single("--animation", animation),
             frame=frame,
             start=start,
             stop=stop,

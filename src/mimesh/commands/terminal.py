@@ -22,7 +22,17 @@ Output = Annotated[Path | None, typer.Option("--output", "-o", help="Where to wr
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and nothing else, on stdout.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
-Animation = Annotated[str | None, typer.Option(help="Which animation of a GLB: its name or number.")]
+Animation = Annotated[
+    list[str] | None, typer.Option(metavar="NAME", help="Which animation of a GLB: its name or number.")
+]
+Animations = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--animation",
+        metavar="NAME",
+        help="Animation of a GLB, by name or number; several times for several clips; all for all of a file.",
+    ),
+]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
 BlendShapes = Annotated[
     int | None,
@@ -71,6 +81,19 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[int, int], None] | No
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+def single(option: str, values: list[str] | None) -> str | None:
+    """Return the value of an option that takes one; Typer would take the last of several without a word.
+
+    Raises:
+        InputError: the option is given several times.
+    """
+    from ..core.errors import InputError
+
+    if values and len(values) > 1:
+        raise InputError(f"{option}: expected it once, found {', '.join(values)}; choose one of them")
+    return values[0] if values else None
+
+
 def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     """Return the default output, `<identity>-<driving><suffix>` in the identity's folder.
 
@@ -86,6 +109,17 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     return identity.with_name(f"{identity.stem}-{resolved.name if resolved.is_dir() else resolved.stem}{suffix}")
 
 
+def given_path(text: str) -> Path:
+    """Return the path of an argument; an empty one, as of an unset variable, would be the current folder.
+
+    Raises:
+        typer.BadParameter: it is empty.
+    """
+    if not text.strip():
+        raise typer.BadParameter("expected a path, found an empty text; check variables and quotes")
+    return Path(text)
+
+
 def refuse_inputs(output: Path, *inputs: Path | None) -> None:
     """Check that an output would not overwrite an input file or a file in a folder of input frames; None is no input.
 
@@ -99,8 +133,13 @@ def refuse_inputs(output: Path, *inputs: Path | None) -> None:
         source = path.resolve()
         # On file systems that ignore case one file has several names: compare the files too.
         same = target == source or (target.exists() and source.exists() and target.samefile(source))
-        if same or (source.is_dir() and source in target.parents):
+        if same:
             raise InputError(f"{output}: expected an output apart from the inputs, found {path}; give another with -o")
+        if source.is_dir() and source in target.parents:
+            raise InputError(
+                f"{output}: expected an output apart from the inputs, found it in the folder {source}, which is one; "
+                "give another with -o"
+            )
 
 
 def require(extra: str, *modules: str) -> None:

@@ -103,6 +103,25 @@ def load_clip(
     return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
 
 
+def list_animations(path: str | Path) -> tuple[str, ...]:
+    """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
+
+    Empty for other formats, which have one clip at most, and for folders.
+
+    Raises:
+        InputError: no such file, or a damaged one.
+    """
+    path = Path(path)
+    _must_exist(path)
+    if path.is_dir() or path.suffix.lower() not in ANIMATED:
+        return ()
+    from .gltf.animation import animation_names
+    from .gltf.document import open_document
+
+    with _reading(path):
+        return animation_names(open_document(path))
+
+
 def save_mesh(mesh: Mesh, path: str | Path) -> None:
     """Write a mesh atomically; with the suffix of the file it was read from, as that file with other points.
 

@@ -64,10 +64,11 @@ def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
     series = Counter(_series(path) for path in visible if _NUMBER.search(path.stem))
     ranked = series.most_common(2)
     if not ranked:
-        raise InputError(
-            f"{folder}: expected numbered meshes such as 0001.obj, found {len(visible)} meshes without a number; "
-            f"number the files (one of {' '.join(sorted(suffixes))})"
-        )
+        known = f"(one of {' '.join(sorted(suffixes))})"
+        found = f"{len(visible)} meshes without a number; number the files {known}"
+        if not visible:
+            found = f"no mesh in the folder {known}; check the path"
+        raise InputError(f"{folder}: expected numbered meshes such as 0001.obj, found {found}")
     if len(ranked) == 2 and ranked[0][1] == ranked[1][1]:
         both = " and ".join(name for name, _ in ranked)
         raise InputError(

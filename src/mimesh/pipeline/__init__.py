@@ -78,6 +78,7 @@ def transfer(
     corrections = Corrections.read(joints, driving_joints, clip)
     options = MotionOptions(rig=_usable_rig(rig, model))
     moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
+    _name_axis_sources(moved.report, up, driving_up)
     mesh = identity.with_vertices(moved.vertices[0])
     return Result(
         mesh,
@@ -162,6 +163,7 @@ def animate(
     choice = _choice(model, ensemble, seed, reference, markers)
     options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model))
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
+    _name_axis_sources(moved.report, up, driving_up)
     notes = moved.notes
     if len(clip) == 1:
         notes += (f"{clip.mesh.name} has one frame, a pose: give an animated .glb or a folder of frames",)
@@ -179,6 +181,16 @@ def animate(
         moved.driving_joints,
         moved.own,
     )
+
+
+def _name_axis_sources(report: dict, up: str | None, driving_up: str | None) -> None:
+    """Write "joints" as the source of an up axis that the caller did not give: a rig's or a motion's joints define it.
+
+    The normalisation gets such axes as it gets those of the caller.
+    """
+    for which, given in (("identity", up), ("driving", driving_up)):
+        if report[which]["up_from"] == "given" and given is None:
+            report[which]["up_from"] = "joints"
 
 
 def _choice(model: str | Method, ensemble: int, seed: int, reference, markers) -> Choice:

@@ -23,7 +23,7 @@ from ..io.formats import JOINTED
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
-    from ..player.pack import Panel
+    from ..player.pack import MotionLimits, Panel
     from ..player.page import Download
 
 LARGEST_DOWNLOAD = 32 * 2**20
@@ -91,17 +91,26 @@ class _Playable(Protocol):
             Panel("result", self.moved, **identity_axes),
         ]
 
-    def player(self, path: str | Path, *, output: Path | None = None, title: str | None = None) -> Path:
+    def player(
+        self,
+        path: str | Path,
+        *,
+        output: Path | None = None,
+        title: str | None = None,
+        motion: MotionLimits | None = None,
+    ) -> Path:
         """Write an HTML page that plays identity, driving and result; it needs no other file and no network.
 
         Args:
             path: the page to write.
             output: the file this result was saved to; a button of the page downloads it, as .glb where possible.
             title: title of the page; by default the name of the path up to its first dot.
+            motion: largest number of frames and size of the motion; None: as the size of the page allows.
 
         Raises:
             InputError: the result has no identity and driving, or the path cannot be written.
         """
+        from ..player.pack import ANY_LENGTH
         from ..player.page import write_player
 
         path, shown = Path(path), self.panels()
@@ -111,7 +120,15 @@ class _Playable(Protocol):
             )
         title = title or path.name.split(".")[0]
         download = None if output is None else self._download(output)
-        return write_player(path, shown, title=title, download=download, model=self.model, notes=self.notes)
+        return write_player(
+            path,
+            shown,
+            title=title,
+            download=download,
+            model=self.model,
+            notes=self.notes,
+            motion=motion or ANY_LENGTH,
+        )
 
     def _repr_html_(self) -> str | None:
         """Show the player in a notebook."""

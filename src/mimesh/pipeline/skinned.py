@@ -42,7 +42,8 @@ def save_skinned(
     four weights a vertex and their rotations as keys, thinned where interpolation gives the others. A .vrma has the
     motion alone: the humanoid bones of VRM in a T-pose, their rotations and the path of the hips. The deviation of a
     file with a mesh from the frames of a result is then in its `report`: "skinned_deviation", largest distance of a
-    vertex over the mesh's size, and "keys_deviation", the part of it that thinned keys cause.
+    vertex over the mesh's size, "keys_deviation", the part of it that thinned keys cause, and "deviation_cause" (see
+    `_deviation_cause`).
 
     Args:
         results: of `animate` with one identity and the same options of the identity. Fingers that only some of them
@@ -75,21 +76,44 @@ def save_skinned(
         skeletons.append(result.skeleton)
     with results[0].seconds.step("write"):
         facing = results[0].report["identity"]
+        common = on_common_rig(skeletons)
         moved = [
             engine_rig(skeleton, layout.names, layout.root_bone, layout.rest, up=facing["up"], front=facing["front"])
-            for skeleton in on_common_rig(skeletons)
+            for skeleton in common
         ]
         animations = [
             RigAnimation(name, skeleton, result.fps).resampled(layout.fps)
             for name, skeleton, result in zip(distinct_names(found), moved, results, strict=True)
         ]
         written = save_rig_animations(animations, path)
-    for result, skeleton, animation, thinned in zip(results, moved, animations, written, strict=True):
+    for k, (result, animation, thinned) in enumerate(zip(results, animations, written, strict=True)):
         # Frames at another rate have no counterpart: the thinned keys are then left out of the deviation.
-        checked = thinned if layout.fps is None else skeleton
+        checked = thinned if layout.fps is None else moved[k]
         result.report["skinned_deviation"] = checked.deviation(result.clip.vertices)
         result.report["keys_deviation"] = thinned.motion_deviation(animation.skeleton)
+        result.report["deviation_cause"] = _deviation_cause(result, skeletons[k], common[k], layout)
     return Path(path)
+
+
+def _deviation_cause(result: ClipResult, skeleton: AnimatedRig, common: AnimatedRig, layout: Layout) -> str:
+    """Tell which step adds most to the deviation of a skinned file from the frames of its result.
+
+    Args:
+        result: with the deviation of the file in its report.
+        skeleton: the rig of the result, with all weights.
+        common: the same motion on the rig that all results share.
+        layout: names and arrangement of the bones.
+
+    Returns:
+        "weights", four of them a vertex; "fingers", which only other results move; or "rest", another rest pose.
+    """
+    steps = {"weights": skeleton} | ({"fingers": common} if common.names != skeleton.names else {})
+    after = [rig.deviation(result.clip.vertices) for rig in steps.values()] if len(steps) > 1 else []
+    if layout.rest != "file":
+        after = after or [skeleton.deviation(result.clip.vertices)]
+        steps["rest"], after = common, [*after, result.report["skinned_deviation"]]
+    added = np.diff(after, prepend=0.0)
+    return list(steps)[int(added.argmax())] if len(added) else "weights"
 
 
 def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> None:
@@ -104,8 +128,8 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
     """
     if layout.rest != "file":
         raise InputError(
-            f"--rest {layout.rest}: expected file, because the identity's own rig stays as it is bound; "
-            "leave it out, or choose --rig mimesh"
+            f"--rest: expected `--rest file` for {name}, whose own rig stays as it is bound, found {layout.rest}; "
+            "set the pose in the engine (its retarget pose), or give up the rig with --rig mimesh"
         )
     if (SCHEMES[layout.names].bones or layout.root is not None) and "Hips" not in person:
         raise InputError(

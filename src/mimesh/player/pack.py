@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from jaxtyping import Int
 
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame
@@ -43,6 +44,21 @@ class Panel:
     """Axis of the clip that points to the front; see `camera.fit`."""
 
 
+@dataclass(frozen=True)
+class MotionLimits:
+    """What the motion of all panels may take; None: what is left of the budget."""
+
+    frames: int | None = None
+    """Largest number of frames of a clip."""
+    characters: int | None = None
+    """Largest size in characters of JSON, about."""
+    driving_vertices: int = DENSE_VERTICES
+    """Vertices to which a driving clip without materials is simplified if it takes a third of the characters."""
+
+
+ANY_LENGTH = MotionLimits()
+
+
 def pack_scene(
     panels: Sequence[Panel],
     *,
@@ -50,6 +66,7 @@ def pack_scene(
     model: str = "",
     notes: Sequence[str] = (),
     budget: int = BUDGET,
+    motion: MotionLimits = ANY_LENGTH,
 ) -> dict[str, Any]:
     """Pack panels, side by side in the order given, in about `budget` characters of JSON.
 
@@ -65,17 +82,17 @@ def pack_scene(
         if panel.role not in ROLES:
             raise InputError(f"player: expected a role of {', '.join(ROLES)}, found {panel.role}; choose one of them")
     left_out: list[str] = []
-    panels = [_simplify_driving(panel, budget, left_out) for panel in panels]
+    panels = [_simplify_driving(panel, budget, motion, left_out) for panel in panels]
     # A third of the budget each for textures and for a dense driving clip; frames share what is left.
     textures, surfaces, surface_indices = TextureStore(), [], []
     for panel in panels:
         surface_indices.append(_surface_index(panel, surface_indices, panels, surfaces, textures))
     images = textures.pack(budget // 3, left_out)
     frame_budget = budget - sum(_json_size(value) for value in (*surfaces, *images))
-    clips, quantizations = drop_frames([panel.clip for panel in panels], frame_budget, left_out)
+    frame_budget = frame_budget if motion.characters is None else min(frame_budget, motion.characters)
+    moving = drop_frames([panel.clip for panel in panels], frame_budget, left_out, motion.frames)
     packed_panels = [
-        _pack_panel(*fields)
-        for fields in zip(panels, clips, quantizations, _placements(panels), surface_indices, strict=True)
+        _pack_panel(*fields) for fields in zip(panels, *moving, _placements(panels), surface_indices, strict=True)
     ]
     return {
         "format": "mimesh-scene",
@@ -92,9 +109,14 @@ def pack_scene(
 
 
 def _pack_panel(
-    panel: Panel, clip: Clip, quantization: Quantization, placement: dict[str, Any], surface: int
+    panel: Panel,
+    clip: Clip,
+    quantization: Quantization,
+    index: Int[np.ndarray, " V"] | None,
+    placement: dict[str, Any],
+    surface: int,
 ) -> dict[str, Any]:
-    """Pack one panel; `clip` has the remaining frames of its clip."""
+    """Pack one panel; `clip` has the remaining frames, and `index` the vertex in them of each vertex of the mesh."""
     return {
         "role": panel.role,
         "name": panel.name or clip.mesh.name,
@@ -107,18 +129,28 @@ def _pack_panel(
         "centre": [float(x) for x in quantization.centre.ravel()],
         "low": [float(x) for x in quantization.low],
         "unit": quantization.step,
+        "index": None if index is None else pack_array(index),
         "stream": encode_frames(clip.vertices, quantization),
     }
 
 
-def _simplify_driving(panel: Panel, budget: int, left_out: list[str]) -> Panel:
-    """Simplify a dense driving clip that would take more than a third of the budget; other panels are not changed."""
-    if panel.role != "driving" or not too_dense(panel.clip, budget // 3):
+def _simplify_driving(panel: Panel, budget: int, motion: MotionLimits, left_out: list[str]) -> Panel:
+    """Simplify a dense driving clip that would take more than a third of the budget; other panels are not changed.
+
+    The limits of the motion apply to clips without materials only, because a simplified clip has none.
+    """
+    if panel.role != "driving":
         return panel
-    left_out.append(
-        f"the driving mesh is shown with {DENSE_VERTICES:,} of its {len(panel.clip.mesh.vertices):,} vertices"
-    )
-    return dataclasses.replace(panel, clip=simplify_clip(panel.clip, DENSE_VERTICES))
+    plain = not any(part.material for part in panel.clip.mesh.parts)
+    for characters, count in (
+        (motion.characters if plain else None, motion.driving_vertices),
+        (budget, DENSE_VERTICES),
+    ):
+        if characters is not None and too_dense(panel.clip, characters // 3, count):
+            whole = len(panel.clip.mesh.vertices)
+            left_out.append(f"the driving mesh is shown with {count:,} of its {whole:,} vertices")
+            return dataclasses.replace(panel, clip=simplify_clip(panel.clip, count))
+    return panel
 
 
 def _json_size(value: Any) -> int:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 from ..core.errors import InputError
 from ..io.atomic import whole_file, writing
 from .encoding import LEVEL, to_base64
-from .pack import BUDGET, Panel, pack_scene
+from .pack import ANY_LENGTH, BUDGET, MotionLimits, Panel, pack_scene
 
 NOTEBOOK_BUDGET = 3 * 2**20
 """Size of a page in a notebook in bytes; notebooks store it in every output."""
@@ -58,6 +58,7 @@ def player_page(
     notes: Sequence[str] = (),
     download: Download | None = None,
     budget: int = BUDGET,
+    motion: MotionLimits = ANY_LENGTH,
 ) -> str:
     """Build the page as HTML text; same input, same text.
 
@@ -66,6 +67,7 @@ def player_page(
         notes: messages shown below the panels.
         download: a file that the page offers; it may take half of the budget.
         budget: size of the page in bytes; see `pack_scene` for what is reduced.
+        motion: limits of the motion alone.
 
     Raises:
         InputError: no panel, or a role that is not one of ROLES.
@@ -75,7 +77,7 @@ def player_page(
     available = budget - len(script) - len(style) - len(PAGE)
     packed_download = _pack_download(download, available // 2)
     scene_budget = available - len(packed_download.get("data") or "")
-    scene = pack_scene(panels, title=title, model=model, notes=notes, budget=scene_budget)
+    scene = pack_scene(panels, title=title, model=model, notes=notes, budget=scene_budget, motion=motion)
     scene["download"] = packed_download or None
     # File names may contain bytes that are not valid text (surrogate escapes).
     escaped_title = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Int
 
 from ..core.frame_buffer import each_frame, store_frames
 from ..core.mesh import Clip, Mesh
@@ -13,34 +14,75 @@ from .encoding import Quantization, estimate_size, fit_quantization
 
 DENSE_VERTICES = 20_000
 """A driving clip with more vertices is simplified to this number if it is too large."""
+COMPARED_FRAMES = 3
+"""Frames in which vertices must be equal to be compared in all others."""
 MAX_STEP_RATIO = 8
 """Factor by which the frame step may grow between two estimates of the size, which are coarse."""
 CHARACTERS = 5
 """Characters of a vertex in a frame, a first estimate of the encoded size."""
 
 
-def drop_frames(clips: Sequence[Clip], budget: int, left_out: list[str]) -> tuple[list[Clip], list[Quantization]]:
+def drop_frames(
+    clips: Sequence[Clip], budget: int, left_out: list[str], most: int | None = None
+) -> tuple[list[Clip], list[Quantization], list[Int[np.ndarray, " V"] | None]]:
     """Keep every n-th frame of all clips, with an n for which they fit into `budget` characters, and quantize them.
 
     n grows in proportion to the excess, by one at least, until the estimate fits: one or two rounds as a rule. Frame
     rates are divided by n, so that durations stay. A message about it is appended to `left_out`.
+
+    Args:
+        most: largest number of frames; None allows any.
+
+    Returns:
+        The clips with the vertices that move differently, their quantizations, and for each vertex of a mesh its index
+        among these (None: all of them do).
     """
-    longest, step = max(map(len, clips)), 1
+    longest = max(map(len, clips))
+    first = step = 1 if most is None else -(-longest // most)
+    every = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in clips]
+    merged, indices = zip(*map(merge_equal_vertices, every), strict=True)
     while True:
-        thinned = [dataclasses.replace(clip, vertices=clip.vertices[::step], fps=clip.fps / step) for clip in clips]
+        more = step // first
+        thinned = [dataclasses.replace(clip, vertices=clip.vertices[::more], fps=clip.fps / more) for clip in merged]
         quantizations = [fit_quantization(clip.vertices) for clip in thinned]
         size = sum(estimate_size(clip.vertices, q) for clip, q in zip(thinned, quantizations, strict=True))
         if size <= budget or step >= longest:
             break
-        step = min(longest, max(step + 1, int(step * min(size / max(budget, 1), MAX_STEP_RATIO))))
+        step = first * min(-(-longest // first), max(more + 1, int(more * min(size / max(budget, 1), MAX_STEP_RATIO))))
     if step > 1:
         left_out.append(f"every {_ordinal(step)} of {longest:,} frames is shown, to keep this page small")
-    return thinned, quantizations
+    return thinned, quantizations, list(indices)
 
 
-def too_dense(clip: Clip, budget: int) -> bool:
-    """Whether a clip has more than DENSE_VERTICES vertices and is estimated to exceed `budget` characters."""
-    many = len(clip.mesh.vertices) > DENSE_VERTICES and len(clip.mesh.faces) > 0
+def merge_equal_vertices(clip: Clip) -> tuple[Clip, Int[np.ndarray, " V"] | None]:
+    """Keep one of the vertices that are at one position in every frame, as files have them at seams.
+
+    Returns:
+        The clip with fewer vertices, and for each vertex of the mesh its index among them; None where all are kept.
+    """
+    chosen = np.unique(np.linspace(0, len(clip) - 1, COMPARED_FRAMES).round().astype(int))
+    keys = np.concatenate([clip.vertices[t] for t in chosen], axis=1)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    index = index.reshape(-1)
+    apart = np.zeros(len(index), bool)
+    for points in each_frame(clip.vertices):
+        apart |= (points != points[first[index]]).any(axis=1)
+    index[apart] = len(first) + np.arange(apart.sum())
+    kept = np.concatenate([first, np.flatnonzero(apart)])
+    if len(kept) == len(index):
+        return clip, None
+    order = np.argsort(kept)  # neighbours of the file stay neighbours, which compresses better
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    frames = (points[kept[order]] for points in each_frame(clip.vertices))
+    dtype = clip.vertices.dtype
+    vertices = store_frames(frames, len(clip), len(kept), dtype.type)
+    return dataclasses.replace(clip, vertices=vertices), place[index]
+
+
+def too_dense(clip: Clip, budget: int, count: int = DENSE_VERTICES) -> bool:
+    """Whether a clip has more than `count` vertices and is estimated to exceed `budget` characters."""
+    many = len(clip.mesh.vertices) > count and len(clip.mesh.faces) > 0
     return many and len(clip) * len(clip.mesh.vertices) * CHARACTERS > budget
 
 

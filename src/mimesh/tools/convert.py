@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,11 +12,14 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
-from ..io import check_writable, clip_suffixes, load_clip, load_mesh, save_as_fbx, save_mesh
+from ..io import check_writable, clip_suffixes, list_animations, load_clip, load_mesh, save_as_fbx, save_mesh
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
+from .driving_clips import ALL
 
+BONES_ONLY = ".vrma"
+"""Format that holds the motion of bones and no mesh."""
 RATELESS = (".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
@@ -25,6 +29,21 @@ NOTED_LIMITING = 0.02
 characters of the pool (train and val) is below, 0.002 to 0.013; means over all vertices are below 0.001 for all."""
 NOTED_DEVIATION = 1e-3
 """Distance over the mesh's size of a skinned file's vertex from its frame, from which on a note tells it."""
+DEVIATION_CAUSES = {
+    "rest": ": the mesh is bound in another pose than the file's; --rest file is exact",
+    "fingers": ": fingers that only other clips move follow the hand",
+    "weights": ": files of joints have four weights a vertex",
+}
+"""What a note says about the `deviation_cause` of a report."""
+LONE_FRAMES = 12
+"""First frames of a clip that are compared to tell whether frame 0 belongs to the motion."""
+LONE_VERTICES = 200
+"""Vertices, evenly spread over their indices, by which they are compared."""
+LONE_STEP = 0.05
+"""Mean distance of a vertex from frame 0 to frame 1, over the size, from which on frame 0 may be a pose of its own. In
+two captures of CMU, which begin with a T-pose, it was 0.17 and 0.25, and at most 0.003 between the frames after it."""
+LONE_RATIO = 10.0
+"""That distance over the largest one between two later frames; in 17 animations of a game character at most 3."""
 POINT_ATTRIBUTES = ("materials", "texture coordinates", "normals", "vertex colours")
 LACKS = {suffix: POINT_ATTRIBUTES for suffix in (".npz", ".off", ".stl")}
 LACKS |= {".ply": ("materials", "texture coordinates", "normals")}
@@ -82,6 +101,11 @@ def convert(
     """
     source, target = Path(source), Path(target)
     suffix = target.suffix.lower()
+    if suffix == BONES_ONLY:
+        raise InputError(
+            f"{target}: expected a mesh or a clip to write, found {suffix}, which has bones alone; write it with "
+            f"mimesh animate CHARACTER {source.name} -o {target.name}"
+        )
     holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
@@ -108,7 +132,7 @@ def convert(
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
     notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if frame is None and animation is None:
-        notes += animations_note(clip.mesh, source)
+        notes += animations_note(list_animations(source), source)
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
 
@@ -145,10 +169,8 @@ def skinned_note(report: dict[str, Any]) -> tuple[str, ...]:
             "--morphs writes frames of all weights",
         )
     if written >= NOTED_DEVIATION:
-        notes += (
-            f"a vertex of the file is up to {written:.2g} of the mesh's size from its frame: fingers that only other "
-            "clips move follow the hand",
-        )
+        cause = DEVIATION_CAUSES.get(report.get("deviation_cause", ""), "")
+        notes += (f"a vertex of the file is up to {written:.2g} of the mesh's size from its frame{cause}",)
     return notes
 
 
@@ -201,20 +223,49 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
 
+def first_frame_note(clip: Clip, start: int, path: Path) -> tuple[str, ...]:
+    """Return a note on a first frame far from all others, as the T-pose before many captured motions.
+
+    Args:
+        clip: the whole clip.
+        start: first frame that is taken.
+        path: that of its file.
+    """
+    if start > 0 or len(clip) < LONE_FRAMES:
+        return ()
+    every = max(1, len(clip.mesh.vertices) // LONE_VERTICES)
+    frames = np.asarray(clip.vertices[:LONE_FRAMES, ::every], np.float64)
+    steps = np.linalg.norm(np.diff(frames - frames.mean(axis=1, keepdims=True), axis=0), axis=-1).mean(axis=1)
+    size = np.ptp(frames[0], axis=0).max()
+    if steps[0] < LONE_STEP * size or steps[0] < LONE_RATIO * steps[1:].max():
+        return ()
+    return (f"{path.name}: frame 0 differs from the others (a calibration pose?): --start 1 leaves it out",)
+
+
+def resampled_note(clip: Clip, output_fps: float | None) -> tuple[str, ...]:
+    """Return a note that a file has another frame rate than the clip that is written; None keeps the clip's."""
+    if output_fps is None or output_fps == clip.fps:
+        return ()
+    return (f"sampled from {frames_at(len(clip), clip.fps)}",)
+
+
 def frames_at(frames: int, fps: float) -> str:
     """Return the length of a clip in words."""
     return f"{frames} {'frame' if frames == 1 else 'frames'} at {fps:g} per second"
 
 
-def animations_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
-    """Return a note on which animation was taken, if a file has several."""
-    names = getattr(mesh.source, "animations", ())  # only glTF files have several
+def animations_note(names: Sequence[str], path: Path, several: bool = False) -> tuple[str, ...]:
+    """Return a note on which animation was taken, if a file has several.
+
+    Args:
+        names: of the animations of the file.
+        path: that of the file.
+        several: whether `--animation` takes more than one.
+    """
     if len(names) < 2:
         return ()
-    return (
-        f"{path.name} has {len(names)} animations: {names[0]} is taken, with those that move other nodes; "
-        "--animation takes another",
-    )
+    others = "--animation NAME takes another" + f", --animation {ALL} takes all of them" * several
+    return (f"{path.name} has {len(names)} animations: the first, {names[0]}, is taken; {others}",)
 
 
 def part(progress: Progress | None, number: int, parts: int) -> Progress | None:

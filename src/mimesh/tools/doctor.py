@@ -11,8 +11,16 @@ from importlib import metadata
 from pathlib import Path
 
 REQUIRED = ("numpy", "scipy", "onnxruntime", "pillow", "typer", "rich", "jaxtyping", "fast-simplification")
-OPTIONAL = ("torch", "onnx", "safetensors")
-"""Packages of the extra "train"."""
+EXTRAS = {
+    "fbx": (("ufbx",), "to read FBX"),
+    "compressed": (("DracoPy", "meshopt"), "for Draco and meshopt glTF"),
+    "usd": (("usd-core",), "for USD"),
+    "alembic": (("alembic3d",), "for Alembic"),
+    "video": (("av",), "for MP4"),
+    "viewer": (("starlette", "uvicorn"), "for the studio"),
+    "train": (("torch", "onnx", "safetensors"), "for training"),
+}
+"""Extra -> its packages, and what they are for."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +38,11 @@ def examine() -> list[Check]:
     from .. import __version__
 
     checks = [Check("mimesh", True, f"{__version__}, Python {platform.python_version()}, {platform.platform()}")]
-    checks += [_version(package, required=True) for package in REQUIRED]
-    checks += [_version(package, required=False) for package in OPTIONAL]
+    checks += [_version(package) for package in REQUIRED]
+    checks += [
+        _version(package, extra, purpose) for extra, (packages, purpose) in EXTRAS.items() for package in packages
+    ]
+    checks.append(_blender())
     checks.append(
         Check("threads", True, f"{os.cpu_count()} cores, OMP_NUM_THREADS={os.environ.get('OMP_NUM_THREADS', 'unset')}")
     )
@@ -45,13 +56,27 @@ def examine() -> list[Check]:
     return checks + [_probe(name, probe) for name, probe in probes.items()]
 
 
-def _version(package: str, *, required: bool) -> Check:
+def _version(package: str, extra: str | None = None, purpose: str = "") -> Check:
+    """Look up the version of a package; one of an extra may be missing."""
     try:
         return Check(package, True, metadata.version(package))
     except metadata.PackageNotFoundError:
-        return Check(
-            package, not required, "missing" if required else "not installed (pip install 'mimesh[train]' for training)"
-        )
+        if extra is None:
+            return Check(package, False, "missing")
+        return Check(package, True, f"not installed (pip install 'mimesh[{extra}]' {purpose})")
+
+
+def _blender() -> Check:
+    """Look for the Blender that writes FBX, which may be missing."""
+    from ..core.errors import InputError
+    from ..io.fbx.write import PACKAGE, VARIABLE, find_blender
+
+    try:
+        return Check("blender", True, find_blender(Path("result.fbx"))[0])
+    except InputError:
+        if os.environ.get(VARIABLE):
+            return Check("blender", True, f"not found at {VARIABLE}={os.environ[VARIABLE]} (correct it to write FBX)")
+        return Check("blender", True, f"not installed (pip install {PACKAGE}, or the program, to write FBX)")
 
 
 def _probe(name: str, probe: Callable[[], str]) -> Check:

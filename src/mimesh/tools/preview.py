@@ -2,37 +2,50 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.mesh import Clip, Mesh
 from ..io.atomic import whole_file, writing
 from ..pipeline.result import ClipResult, Result
+from ..player.pack import MotionLimits
 from ..render.movie import clip_frames
 from ..render.sheet import DRIVING_TINT, page, stack, strip
 
 if TYPE_CHECKING:
     from PIL import Image
 
+FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]')
+"""Characters that names of animations may have, and names of files on some system may not."""
+MOTION = MotionLimits(frames=250, characters=4 * 2**20, driving_vertices=2000)
+"""Of a page beside a result: seconds to write, and 5 MB with the script, a small .glb and no textures."""
 TILE = (360, 440)
 """Width and height of one picture in pixels."""
 
 
-def write_preview(result: Result | ClipResult, output: Path, clip: str | None = None) -> tuple[Path, Path]:
+def write_preview(
+    result: Result | ClipResult, output: Path, clip: str | None = None, usual: str = ".glb"
+) -> tuple[Path, Path]:
     """Write OUTPUT.preview.png and OUTPUT.preview.html, the page that plays the result; return their paths.
 
-    `clip` is the name of the result's animation where the output has several.
+    `clip` is the name of the result's animation where the output has several; for `usual` see `names_beside`.
     """
-    picture, page = names_beside(output, clip)
+    picture, page = names_beside(output, clip, usual)
     save_picture(result_picture(result), picture)
-    return picture, result.player(page, output=output)
+    return picture, result.player(page, output=output, motion=MOTION)
 
 
-def names_beside(output: Path, clip: str | None = None) -> tuple[Path, Path]:
-    """Return the paths of the picture and of the page beside an output, or beside it for one of its clips."""
-    base = output.with_suffix("") if output.suffix else output
-    name = base.name if clip is None else f"{base.name}-{clip}"
-    return base.with_name(f"{name}.preview.png"), base.with_name(f"{name}.preview.html")
+def names_beside(output: Path, clip: str | None = None, usual: str = ".glb") -> tuple[Path, Path]:
+    """Return the paths of the picture and of the page beside an output, or beside it for one of its clips.
+
+    They have the name of the output, without its suffix if that is the `usual` one: hero.glb and hero.ply in one folder
+    have previews of their own.
+    """
+    name = output.stem if output.suffix.lower() == usual.lower() else output.name
+    if clip is not None:
+        name = f"{name}-{FORBIDDEN.sub('_', clip)}"
+    return output.with_name(f"{name}.preview.png"), output.with_name(f"{name}.preview.html")
 
 
 def result_picture(result: Result | ClipResult) -> Image.Image:

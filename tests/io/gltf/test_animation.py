@@ -122,7 +122,10 @@ def hero_with_three_animations(tmp_path):
     return sample.glb(tmp_path / "named.glb")
 
 
-@pytest.mark.parametrize(("selector", "frames"), [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6)])
+@pytest.mark.parametrize(
+    ("selector", "frames"),
+    [(None, 11), ("turn", 11), ("rig|short", 6), ("short", 6), ("2", 6), ("Turn", 11), ("SHORT", 6)],
+)
 def test_animation_is_selected_by_name_or_index(tmp_path, selector, frames):
     assert len(load_clip(hero_with_three_animations(tmp_path), fps=10.0, animation=selector)) == frames
 

@@ -122,10 +122,14 @@ def test_a_result_is_saved_with_engine_names(tmp_path):
 
     from mimesh.pipeline import animate
 
+    limited = animate(person(0), walk(frames=3), skinned=True)
+    limited.save_skinned(tmp_path / "posed.glb", rest="A")
+    assert limited.report["deviation_cause"] == "rest"
     result = animate(person(0), walk(frames=3))
     before = result.report | {}
     result.save_skinned(tmp_path / "plain.glb")
     plain = result.report["skinned_deviation"]
+    assert result.report["deviation_cause"] == "weights"
     result.save_skinned(tmp_path / "a.glb", names="unreal", root_bone=True, fps=60.0)
     assert np.isclose(result.report["skinned_deviation"], plain, atol=1e-6)
     gltf = open_document(tmp_path / "a.glb").gltf

@@ -226,7 +226,7 @@ def test_motion_is_selected_by_animation_name(rigged, tmp_path):
     facts = inspect_file(path)
     assert facts.animations == ("Rig|Leap", "Rig|Lean")
     assert facts.details[0] == ("motion", "31 joints, played on the shipped body, which these facts describe")
-    assert ("animation", "Rig|Lean, 0.67 s") in facts.details
+    assert ("animation 1", "Rig|Lean, 0.67 s") in facts.details
 
 
 def test_motion_of_other_joints_than_a_persons_is_refused(rigged, tmp_path):

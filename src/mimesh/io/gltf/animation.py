@@ -6,8 +6,9 @@ channel keeps the value of that key. KHR_animation_pointer is not read.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -123,7 +124,7 @@ def document_details(document: Document) -> tuple[tuple[str, str], ...]:
         details.append(("blend shapes", ", ".join(str(count) for count in target_counts if count)))
     for number, name in enumerate(animation_names(document)):
         times = [channel.times[-1] for channel in read_channels(document, number)]
-        details.append(("animation", f"{name}, {max(times, default=0.0):.2f} s"))
+        details.append((f"animation {number}", f"{name}, {max(times, default=0.0):.2f} s"))
     return tuple(details)
 
 
@@ -136,24 +137,32 @@ def fbx_facts(document: Document) -> dict[str, Any]:
     return document.gltf["asset"]["extras"]["fbx"] if is_fbx else {}
 
 
-def find_animation(document: Document, selector: str) -> int:
+def find_animation(names: Sequence[str], selector: str, path: Path) -> int:
     """Return the index of an animation by its name, the part of its name after the last "|", or its index.
 
-    Blender exports names such as "Armature|Walk".
+    Blender exports names such as "Armature|Walk". Case is ignored where no name is equal.
+
+    Args:
+        names: those of the animations of a file.
+        selector: what is looked for.
+        path: that of the file, for errors.
 
     Raises:
-        InputError: no animation matches; the message lists their names.
+        InputError: no animation matches, or several do; the message lists their names.
     """
-    names = animation_names(document)
     if selector in names:
         return names.index(selector)
-    by_last_part = [i for i, name in enumerate(names) if name.rpartition("|")[2] == selector]
-    if len(by_last_part) == 1:
-        return by_last_part[0]
+    last_parts = [name.rpartition("|")[2] for name in names]
+    folded, folded_parts = ([name.casefold() for name in some] for some in (names, last_parts))
+    if last_parts.count(selector) == 1:
+        return last_parts.index(selector)
     if selector.isdecimal() and int(selector) < len(names):
         return int(selector)
+    for candidates in (folded, folded_parts):
+        if candidates.count(selector.casefold()) == 1:
+            return candidates.index(selector.casefold())
     raise InputError(
-        f"{document.path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {selector!r}; "
+        f"{path}: expected one of its animations ({', '.join(names) or 'it has none'}), found {selector!r}; "
         "check --animation"
     )
 
@@ -216,7 +225,7 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
         InputError: as `find_animation` and `read_channels`.
     """
     if selector is not None:
-        return read_channels(document, find_animation(document, selector))
+        return read_channels(document, find_animation(animation_names(document), selector, document.path))
     selected: list[AnimationChannel] = []
     for number in range(len(document.gltf.get("animations", []))):
         targets = {(channel.node, channel.path) for channel in selected}
