@@ -280,8 +280,8 @@ def animate(
     with progress("writing", quiet or json) as advance:
         save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
     facts = [
-        _facts(result, output, _write_preview(result, output, preview, open_it, title), *rest, output_fps)
-        for result, title, *rest in zip(results, titles, notes, corrections, strict=True)
+        _facts(result, output, _write_preview(result, output, preview, open_it, title), about, corrected, output_fps)
+        for result, title, about, corrected in zip(results, titles, notes, corrections, strict=True)
     ]
     _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
