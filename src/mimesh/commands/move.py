@@ -287,10 +287,10 @@ def animate(
         corrections.append(corrected.described())
     with progress("writing", quiet or json) as advance:
         save_clips(results, output, [clip.name for clip in clips], as_joints, blendshapes, layout, advance)
-    facts = []
-    for result, title, of_clip, described in zip(results, titles, notes, corrections, strict=True):
-        shown = _write_preview(result, output, preview, open_it, title)
-        facts.append(_facts(result, output, shown, of_clip, described, output_fps))
+    facts = [
+        _facts(result, output, _write_preview(result, output, preview, open_it, title), about, corrected, output_fps)
+        for result, title, about, corrected in zip(results, titles, notes, corrections, strict=True)
+    ]
     _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
 
