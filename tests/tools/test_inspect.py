@@ -3,12 +3,17 @@
 import dataclasses
 import json
 
+import gltf_samples as samples
 import numpy as np
 import pytest
+import rigs
 import zoo
+from people import walk
 
+import mimesh
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.tools.convert import convert
 from mimesh.tools.inspect import facts_of, inspect_file
 
 GOLDEN = {
@@ -178,3 +183,27 @@ def test_notes_of_the_file_are_passed_on():
     facts = facts_of(dataclasses.replace(zoo.cube(), source=Source()))
     assert facts.notes == ("dropped 1 skin",)
     assert "on writing" in facts.text()
+
+
+def test_missing_images_are_a_warning_also_with_a_rig(tmp_path):
+    sample = samples.hero()
+    sample.gltf["images"] = [{"uri": f"maps/{name}.png"} for name in ("a%20b", "c", "c", "d", "e")]
+    sample.glb(tmp_path / "hero.glb")
+    texts = inspect_file(tmp_path / "hero.glb").warnings()
+    assert texts[0].startswith("maps/a b.png, maps/c.png, maps/d.png and 1 more, which the file names, are not beside")
+    (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n")
+    (tmp_path / "a.mtl").write_text("newmtl red\nmap_Kd -s 1 1 1 C:\\maps\\red wall.png\nbump\n")
+    texts = inspect_file(tmp_path / "a.obj").warnings()
+    assert texts[0].startswith("red wall.png, which the file names, is not beside it: ")
+    notes = convert(tmp_path / "a.obj", tmp_path / "a.ply").notes
+    assert any(note.startswith("red wall.png, which the file names") for note in notes)
+
+
+def test_animate_says_which_images_are_missing(tmp_path):
+    def lose_image(draft):
+        draft.gltf["images"] = [{"uri": "skin.png"}]
+
+    for clip in (walk(1, frames=2, faces=900), None):
+        path = rigs.character(tmp_path / "hero.glb", frames=1, change=lose_image)
+        notes = mimesh.animate(path, clip or path).notes
+        assert any(note.startswith("skin.png, which the file names, is not beside it") for note in notes)

@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextvars import ContextVar
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:
+    from ..core.mesh import Mesh
+
+SHOWN = 3
+"""Largest number of missing files that a note lists."""
 _FOLDER: ContextVar[Path | None] = ContextVar("folder", default=None)
 
 
@@ -51,3 +57,20 @@ def may_be_read(path: str | Path) -> bool:
 def is_there(path: str | Path) -> bool:
     """Return whether a referenced file exists and may be read."""
     return may_be_read(path) and os.path.isfile(path)
+
+
+def missing_images(mesh: Mesh) -> tuple[str, ...]:
+    """List the images that the file of a mesh names and that do not exist, if its format says so."""
+    return tuple(dict.fromkeys(getattr(mesh.source, "missing_images", ())))
+
+
+def missing_images_notes(names: Sequence[str]) -> tuple[str, ...]:
+    """Return a note on images that a file names and that do not exist; none where there are none."""
+    if not names:
+        return ()
+    one = len(names) == 1
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return (
+        f"{', '.join(name[:80] for name in names[:SHOWN])}{more}, which the file names, {'is' if one else 'are'} not "
+        f"beside it: the surface is shown without; copy {'it' if one else 'them'} there",
+    )

@@ -21,8 +21,8 @@ _MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
 
 
-def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Material], list[str]]:
-    """Read material libraries; return the materials by name, and the library and image files found.
+def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Material], list[str], list[str]]:
+    """Read material libraries; return the materials by name, the library and image files found, and images not found.
 
     File names are relative to `folder`. Read are the diffuse colour (Kd, taken as linear RGB), the opacity (d, or
     1 - Tr) and the diffuse image (map_Kd). Images of other statements (bump, gloss, reflection) are listed too. Missing
@@ -30,16 +30,18 @@ def read_libraries(folder: Path, names: Iterable[str]) -> tuple[dict[str, Materi
     """
     materials: dict[str, Material] = {}
     found: list[str] = []
+    missing: list[str] = []
     for name in names:
         if not is_there(folder / name):
             continue
         found.append(name)
         text = "\n".join(decoded(line) for line in (folder / name).read_bytes().splitlines())
         for block in _NEW_MATERIAL.split(text)[1:]:
-            material, images = _read_material(block, folder, Path(name).parent)
+            material, images, lost = _read_material(block, folder, Path(name).parent)
             materials[material.name] = material
             found += images
-    return materials, list(dict.fromkeys(found))
+            missing += lost
+    return materials, list(dict.fromkeys(found)), list(dict.fromkeys(missing))
 
 
 def read_image(path: Path) -> bytes | None:
@@ -128,8 +130,9 @@ def _material_text(name: str, material: Material, path: Path) -> str:
     return text + f"map_Kd {image.name}\n\n"
 
 
-def _read_material(block: str, folder: Path, library_folder: Path) -> tuple[Material, list[str]]:
-    """Read the statements after one `newmtl`; return the material and all image files found, relative to `folder`."""
+def _read_material(block: str, folder: Path, library_folder: Path) -> tuple[Material, list[str], list[str]]:
+    """Read the statements after one `newmtl`; return the material, all image files found, relative to `folder`, and
+    the names of those not found."""
     lines = block.splitlines()
     pairs = [line.split(None, 1) for line in lines[1:]]
     values = {pair[0].lower(): pair[1].strip() for pair in pairs if len(pair) == 2}
@@ -138,8 +141,11 @@ def _read_material(block: str, folder: Path, library_folder: Path) -> tuple[Mate
     opacity = _numbers(values.get("d", ""), 1) or [1.0 - t for t in _numbers(values.get("tr", ""), 1)] or [1.0]
     texture = read_image(folder / image) if image else None
     name = lines[0].strip() if lines else ""
-    images = [_find_image(text, folder, library_folder) for word, text in values.items() if word.startswith(_MAPS)]
-    return Material(name, (color[0], color[1], color[2], opacity[0]), texture), [name for name in images if name]
+    maps = [text for word, text in values.items() if word.startswith(_MAPS)]
+    images = [_find_image(text, folder, library_folder) for text in maps]
+    missing = [_image_names(text)[-1] for text, found in zip(maps, images, strict=True) if not found]
+    material = Material(name, (color[0], color[1], color[2], opacity[0]), texture)
+    return material, [name for name in images if name], [name for name in missing if name]
 
 
 def _numbers(text: str, count: int) -> list[float]:
@@ -156,6 +162,14 @@ def _find_image(text: str, folder: Path, library_folder: Path) -> str:
 
     Exporters write paths of their own machine, so the bare file name is also looked up beside the library.
     """
+    for candidate in _image_names(text):
+        if candidate and is_there(folder / library_folder / candidate):
+            return (library_folder / candidate).as_posix()
+    return ""
+
+
+def _image_names(text: str) -> list[str]:
+    """List the names that the argument of a map statement may mean; the last is the file's, without folders."""
     words = text.split()
     # Options come before the name, each with one argument or up to three numbers: "-s 1 1 1", "-bm 0.5", "-clamp on".
     while words and words[0].startswith("-"):
@@ -163,9 +177,5 @@ def _find_image(text: str, folder: Path, library_folder: Path) -> str:
         while words and _numbers(words[0], 1):
             words = words[1:]
     # The text as a whole is tried first: the name itself may begin with "-" or contain spaces.
-    for statement in (text, " ".join(words)):
-        name = statement.replace("\\", "/")
-        for candidate in (name, name.rpartition("/")[2]):
-            if candidate and is_there(folder / library_folder / candidate):
-                return (library_folder / candidate).as_posix()
-    return ""
+    names = [statement.replace("\\", "/") for statement in (text, " ".join(words))]
+    return [candidate for name in names for candidate in (name, name.rpartition("/")[2])]

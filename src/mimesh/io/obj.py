@@ -112,7 +112,8 @@ def _read_source(path: Path) -> ObjSource:
         raise InputError(
             f"{path}: expected vertex indices from 1, found 0 in line {line_number(lines, bad)}; export again"
         )
-    materials, companions = mtl.read_libraries(path.parent, _library_names(lines, line_index[b"mtllib"], path.parent))
+    libraries = _library_names(lines, line_index[b"mtllib"], path.parent)
+    materials, companions, missing = mtl.read_libraries(path.parent, libraries)
     return ObjSource(
         path=path,
         lines=lines,
@@ -128,6 +129,7 @@ def _read_source(path: Path) -> ObjSource:
         relative_normals=raw[:, 2] < 0,
         materials=materials,
         companions=companions,
+        missing_images=missing,
     )
 
 

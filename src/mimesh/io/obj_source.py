@@ -47,6 +47,8 @@ class ObjSource:
     """Materials of the libraries that were found, by name."""
     companions: list[str] = field(default_factory=list)
     """Material libraries and images that the file refers to and that exist, relative to its folder."""
+    missing_images: list[str] = field(default_factory=list)
+    """Names of images that the libraries refer to and that do not exist."""
     suffix = ".obj"
 
     def write(self, mesh: Mesh, path: Path) -> None:

@@ -23,6 +23,7 @@ from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.rig import Rig
+from ..io.beside import missing_images, missing_images_notes
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
@@ -300,7 +301,7 @@ def copy_animation(
                 progress(t + 1, len(clip))
     report = _report(identity, clip, moved, _fitted(identity, _first_frame(clip), rigs.axes(axes)))
     report |= {"rig": "own", "copied": True, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
-    return MovedIdentity(moved, None, own, report, ())
+    return MovedIdentity(moved, None, own, report, missing_images_notes(missing_images(identity)))
 
 
 def play(
@@ -359,6 +360,7 @@ def play(
             report["foot_skate"] = report["foot_skate_driving"] = None  # in place, feet slide as they should
     notes += prepared.rigs.notes
     notes += () if own is not None else tuple(getattr(identity.source, "notes", ()))
+    notes += missing_images_notes(missing_images(identity))
     return MovedIdentity(moved, skeleton, own, report, notes, driving_joints)
 
 

@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
 from ..io import check_writable, clip_suffixes, list_animations, load_clip, load_mesh, save_as_fbx, save_mesh
+from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
 from ..render.movie import MOVIES, write_clip
@@ -133,6 +134,7 @@ def convert(
     notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if frame is None and animation is None:
         notes += animations_note(list_animations(source), source)
+    notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
 
@@ -142,6 +144,7 @@ def _whole_as_fbx(source: Path, target: Path) -> Converted:
     save_as_fbx(source, target)
     names = getattr(mesh.source, "animations", ())
     notes = (f"{target.name} has the animations {', '.join(names)}",) if len(names) > 1 else ()
+    notes += missing_images_notes(missing_images(mesh))
     return Converted(len(mesh.vertices), 1, None, notes)
 
 
@@ -297,4 +300,5 @@ def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():
         notes += tuple(getattr(mesh.source, "notes", ()))
+    notes += missing_images_notes(missing_images(mesh))
     return Converted(len(mesh.vertices), 1, None, notes)

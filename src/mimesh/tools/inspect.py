@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..io.beside import missing_images, missing_images_notes
 from ..pipeline.rigs import rig_facts
 
 PERSON = (1.4, 2.1)
@@ -75,6 +76,8 @@ class FileFacts:
     """Axes up and front, detected from the shape as if it were a person; None for a point cloud."""
     notes: tuple[str, ...]
     """Contents of the file that a result in its format will not have, one line each."""
+    missing_images: tuple[str, ...]
+    """Images that the file names and that do not exist."""
 
     @property
     def size(self) -> tuple[float, float, float]:
@@ -160,6 +163,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(*rig)),) if rig else ()),
         stands=_stands(mesh) if len(mesh.faces) else None,
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig[0] else (),
+        missing_images=missing_images(mesh),
     )
 
 
@@ -194,6 +198,7 @@ def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
 
 
 def _warnings(facts: FileFacts) -> Iterator[str]:
+    yield from missing_images_notes(facts.missing_images)
     if facts.inside_out:
         yield "the faces look inwards; flip them"
     if not facts.consistent_winding:

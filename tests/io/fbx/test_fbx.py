@@ -258,7 +258,7 @@ def test_texture_in_another_format_becomes_png(tmp_path):
 def test_missing_texture_is_noted_and_not_written(tmp_path):
     mesh = load_mesh(looks(tmp_path))
     assert mesh.parts[1].material.texture is None
-    assert "left out texture 'skin.png', which is not there" in mesh.source.notes
+    assert mesh.source.missing_images == ("skin.png",)
     save_mesh(mesh, tmp_path / "b.glb")
     assert "textures" not in open_document(tmp_path / "b.glb").gltf
 

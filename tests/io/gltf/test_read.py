@@ -217,12 +217,12 @@ def test_notes_list_what_a_written_file_lacks(tmp_path):
     sample = samples.hero()
     sample.gltf["animations"] *= 3
     sample.gltf["extensionsUsed"] += ["ACME_fur"]
-    sample.gltf["images"][1] = {"uri": "lost.png"}
+    sample.gltf["images"][1] = {"uri": "not%20here/lost.png"}
     source = read_gltf(sample.glb(tmp_path / "a.glb")).source
     assert isinstance(source, GltfSource)
+    assert source.missing_images == ("not here/lost.png",)
     assert source.notes == (
         "dropped the skin and 3 animations that the file had",
-        "kept the reference to image 'lost.png', which is not there",
         "kept the data of extension ACME_fur as it is: it does not follow the new shape",
     )
     assert read_gltf(samples.props().glb(tmp_path / "a.glb")).source.notes == (

@@ -23,7 +23,7 @@ import numpy as np
 from ...core.frame_buffer import Progress, store_frames
 from ...core.mesh import Clip, Mesh, check_mesh
 from ..timing import DEFAULT_FPS
-from .animation import fbx_facts, frame_rate, select_channels
+from .animation import frame_rate, select_channels
 from .bake import bake_frames
 from .blend_shapes import fit_blend_shapes
 from .build import build_document
@@ -172,11 +172,6 @@ def _list_notes(document: Document, rest: RestScene) -> tuple[str, ...]:
         notes.append(
             f"gave each of {len(nodes)} nodes a mesh of its own, {len(meshes)} were shared: they now move apart"
         )
-    for image, content in zip(gltf.get("images", []), document.images, strict=True):
-        if content is None:
-            notes.append(f"kept the reference to image {image.get('uri', '')[:80]!r}, which is not there")
-    missing = fbx_facts(document).get("missingTextures", [])
-    notes += [f"left out texture {name[:80]!r}, which is not there" for name in missing]
     for name in gltf.get("extensionsUsed", []):
         if not is_supported(str(name)):
             notes.append(f"kept the data of extension {name} as it is: it does not follow the new shape")

@@ -12,16 +12,17 @@ import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 import numpy as np
 from jaxtyping import Float
 
 from ...core.geometry import vertex_normals, weld
 from ...core.mesh import Mesh
-from .animation import animation_names, document_details
+from .animation import animation_names, document_details, fbx_facts
 from .check import ANIMATION_POINTER
 from .deformed_attributes import needs_rotations, surface_rotations
-from .document import Document, without_extensions
+from .document import Document, uri_file_name, without_extensions
 from .draft import AccessorCopier, Draft
 from .primitives import EditContext, PrimitiveGroup, copy_primitive, edit_primitives
 from .read import RestScene, VertexRange
@@ -55,6 +56,13 @@ class GltfSource:
     def animations(self) -> tuple[str, ...]:
         """Return the names of the file's animations."""
         return animation_names(self.document)
+
+    @property
+    def missing_images(self) -> tuple[str, ...]:
+        """List the images that the file names and that do not exist, or are no images."""
+        images = zip(self.document.gltf.get("images", []), self.document.images, strict=True)
+        missing = [unquote(image["uri"]) for image, content in images if content is None and uri_file_name(image)]
+        return (*missing, *fbx_facts(self.document).get("missingTextures", []))
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the file again with the vertices of `mesh`, as .gltf or .glb by the suffix of `path`."""
