@@ -29,6 +29,7 @@ from .draft import ARRAY_BUFFER, Draft
 from .edit import GltfSource, edit_document, with_normals
 from .keys import KEY_LIMIT, choose_keys, played_values, rotation_tolerances, without_costly_times
 from .primitives import PrimitiveGroup
+from .scene import DEFAULT_TRS
 
 UNSIGNED_BYTE, UNSIGNED_SHORT = 5121, 5123
 """Component types (glTF 2.0, 3.6.2.2 Accessor Data Types)."""
@@ -155,11 +156,18 @@ def _add_skin(
 
 
 def _attach_skinned_mesh(draft: Draft, node: int, skin: int, groups: list[PrimitiveGroup]) -> None:
-    """Move the skinned primitives of a node to a new node at the root of the scene; lines and points stay with it."""
+    """Move the skinned primitives of a node to a new node at the root of the scene; lines and points stay with it.
+
+    A node that is there already, with nothing else, gets the skin itself.
+    """
     old = draft.gltf["nodes"][node]
     mesh = draft.gltf["meshes"][old["mesh"]]
     skinned = [primitive for group in groups for primitive in group.primitives]
     others = [primitive for primitive in mesh["primitives"] if not any(primitive is other for other in skinned)]
+    roots = _default_scene(draft).setdefault("nodes", [])
+    if node in roots and not others and not {"matrix", *DEFAULT_TRS}.intersection(old):
+        old["skin"] = skin
+        return
     new = {"name": old.get("name", "mesh"), "skin": skin, "mesh": old["mesh"]}
     if others:
         draft.gltf["meshes"].append({**mesh, "primitives": skinned})
@@ -168,7 +176,7 @@ def _attach_skinned_mesh(draft: Draft, node: int, skin: int, groups: list[Primit
     else:
         del old["mesh"]
     draft.gltf["nodes"].append(new)
-    _default_scene(draft).setdefault("nodes", []).append(len(draft.gltf["nodes"]) - 1)
+    roots.append(len(draft.gltf["nodes"]) - 1)
 
 
 def _default_scene(draft: Draft) -> dict[str, Any]:
