@@ -44,11 +44,12 @@ COMMANDS = (
     measure.generate,
     learn.train,
     learn.export,
+    learn.import_checkpoint,
 )
 STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 for _command in COMMANDS:
-    app.command(_command.__name__)(_command)
+    app.command(_command.__name__.replace("_", "-"))(_command)
 
 
 def _version(requested: bool) -> bool:
