@@ -47,7 +47,7 @@ LISTED = 3
 
 
 @dataclass(frozen=True)
-class Layout:
+class PublishedNetwork:
     """A published network: ours with the same arithmetic, and how its tensors are called."""
 
     kind: Kind
@@ -70,41 +70,41 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
         InputError: the file is not that of one of the networks, or `out` or `bits` are not possible.
     """
     check_output(out, bits, (FULL_BITS, *STORED_BITS))
-    layout = load_published(path, maxpool)
-    network = "aniformer" if layout.kind == "aniformer" else "npt"
+    published = load_published(path, maxpool)
+    model, network = published.model, "aniformer" if published.kind == "aniformer" else "npt"
     # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.02 m in the mean (standard
     # deviation 0.15, shipped body), so an identity of radius 1 has about the size that the network was trained on; the
     # result has the unit of the identity. The size of the driving mesh does not matter: InstanceNorm removes it.
-    save_network(layout.model, network, {"target_scale": "identity"}, layout.model.config, out, bits)
+    save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
     card = {
         "name": out.stem,
         "file": out.name,
         "license": "that of the imported file",
-        "imported": {"kind": layout.kind, "file": path.name, "sha256": checksum, "unused": sorted(layout.unused)},
-        "config": {"network": network, "model": dataclasses.asdict(layout.model.config)},
-        "parameters": sum(p.numel() for p in layout.model.parameters()),
+        "imported": {"kind": published.kind, "file": path.name, "sha256": checksum, "unused": sorted(published.unused)},
+        "config": {"network": network, "model": dataclasses.asdict(model.config)},
+        "parameters": sum(p.numel() for p in model.parameters()),
         "bits": bits,
     }
     save_card(card, out)
     return card
 
 
-def load_published(path: Path, maxpool: bool = False) -> Layout:
+def load_published(path: Path, maxpool: bool = False) -> PublishedNetwork:
     """Load a published network into our layout; every tensor of the file must belong to it, with its shape.
 
     Raises:
         InputError: the file is no state dict of the networks.
     """
     state = read_state(path)
-    layout = find_layout(state, maxpool, path)
-    check_state(state, layout, path)
-    own = layout.model.state_dict()
-    tensors = {ours: in_our_layout(state[name], own[ours]).float() for name, ours in layout.names.items()}
-    layout.model.load_state_dict(tensors, assign=True)  # refuses if one of ours is missing
-    layout.model.eval()
-    return layout
+    network = find_network(state, maxpool, path)
+    check_state(state, network, path)
+    own = network.model.state_dict()
+    tensors = {ours: in_our_layout(state[name], own[ours]).float() for name, ours in network.names.items()}
+    network.model.load_state_dict(tensors, assign=True)  # refuses if one of ours is missing
+    network.model.eval()
+    return network
 
 
 def read_state(path: Path) -> dict[str, Tensor]:
@@ -141,7 +141,7 @@ def _is_dense(value: Any) -> bool:
     return isinstance(value, Tensor) and value.layout == torch.strided and value.is_contiguous()
 
 
-def find_layout(state: dict[str, Tensor], maxpool: bool, path: Path) -> Layout:
+def find_network(state: dict[str, Tensor], maxpool: bool, path: Path) -> PublishedNetwork:
     """Recognise the network by its names.
 
     Raises:
@@ -156,16 +156,16 @@ def find_layout(state: dict[str, Tensor], maxpool: bool, path: Path) -> Layout:
                 f"{path}: expected {EMBEDDING} of 1 x frames (1 to {MAX_WINDOW}) x channels x vertices, "
                 f"found {shape_text(shape)}"
             )
-        return aniformer_layout(shape[1], shape[3])
+        return published_aniformer(shape[1], shape[3])
     if NPT_TENSOR in state:
-        return npt_layout(maxpool)
+        return published_npt(maxpool)
     raise InputError(
         f"{path}: expected the weights of NPT or AniFormer as their public code names them ({NPT_TENSOR}), "
         f"found {', '.join(sorted(state)[:LISTED])} ..."
     )
 
 
-def npt_layout(maxpool: bool = False) -> Layout:
+def published_npt(maxpool: bool = False) -> PublishedNetwork:
     """Describe the published NPT, or its max-pool variant, whose weights are of the same names and shapes."""
     config = NPTConfig(
         order="norm-relu-conv",
@@ -179,10 +179,10 @@ def npt_layout(maxpool: bool = False) -> Layout:
     parts |= {f"decoder.conv{i + 1}": f"convs.{i}" for i in range(3)} | {"decoder.conv4": "head"}
     for i in range(3):
         parts |= block_parts(f"decoder.spadain_block{i + 1}", f"blocks.{i}")
-    return Layout("npt-maxpool" if maxpool else "npt", model, convolution_names(parts), {})
+    return PublishedNetwork("npt-maxpool" if maxpool else "npt", model, convolution_names(parts), {})
 
 
-def aniformer_layout(frames: int, vertices: int) -> Layout:
+def published_aniformer(frames: int, vertices: int) -> PublishedNetwork:
     """Describe the published AniFormer for windows of so many frames of so many vertices."""
     config = AniFormerConfig(
         frames=frames,
@@ -207,7 +207,7 @@ def aniformer_layout(frames: int, vertices: int) -> Layout:
     for i in range(3):
         names |= {f"encoder.norm{i + 1}.weight": f"affine.{i}.scale", f"encoder.norm{i + 1}.bias": f"affine.{i}.shift"}
     unused = {f"decoder.norm{i + 1}.{end}": (vertices,) for i in range(3) for end in ("weight", "bias")}
-    return Layout("aniformer", model, names | convolution_names(parts), unused)
+    return PublishedNetwork("aniformer", model, names | convolution_names(parts), unused)
 
 
 def block_parts(published: str, ours: str) -> dict[str, str]:
@@ -238,22 +238,22 @@ def in_our_layout(published: Tensor, own: Tensor) -> Tensor:
     return published.permute(2, 0, 1, 3).contiguous() if own.ndim == 4 else published.reshape(own.shape)
 
 
-def check_state(state: dict[str, Tensor], layout: Layout, path: Path) -> None:
+def check_state(state: dict[str, Tensor], network: PublishedNetwork, path: Path) -> None:
     """Check that a file has exactly the tensors of a network, in their shapes, with finite numbers.
 
     Raises:
         InputError: it has not.
     """
-    expected = layout.shapes()
+    expected = network.shapes()
     missing, further = sorted(set(expected) - set(state)), sorted(set(state) - set(expected))
     if missing or further:
         found = f"{', '.join(missing[:LISTED])} missing" if missing else f"also {', '.join(further[:LISTED])}"
-        raise InputError(f"{path}: expected the {len(expected)} tensors of {layout.kind}, found {found}")
+        raise InputError(f"{path}: expected the {len(expected)} tensors of {network.kind}, found {found}")
     for name, shape in expected.items():
         tensor = state[name]
         if tuple(tensor.shape) != shape:
             raise InputError(
-                f"{path}: expected {name} of {shape_text(shape)} as {layout.kind} has it, "
+                f"{path}: expected {name} of {shape_text(shape)} as {network.kind} has it, "
                 f"found {shape_text(tensor.shape)}"
             )
         if not tensor.is_floating_point() or not bool(tensor.isfinite().all()):
