@@ -19,7 +19,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import save_mesh
 from mimesh.learn.export import infer_onnx
-from mimesh.learn.published_weights import import_command, load_published, read_state
+from mimesh.learn.published_weights import load_published, read_state
 from mimesh.methods.find import find_method
 
 VERTICES = 60
@@ -41,8 +41,11 @@ def weights(state, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def imported(weights) -> Path:
-    """The same as an .onnx file."""
-    import_command(weights, out := weights.with_name("authors.onnx"))
+    """The same as an .onnx file, and beside it what the command printed."""
+    out = weights.with_name("authors.onnx")
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        assert run(["import-checkpoint", str(weights), "-o", str(out), "--json"]) == 0
+    weights.with_name("printed.json").write_text(printed.getvalue())
     return out
 
 
@@ -77,6 +80,18 @@ def test_card_says_what_was_imported(imported, weights):
     assert card["parameters"] == NPT_PARAMETERS
     assert card["config"]["model"]["output"] == "2tanh"
     assert len(card["imported"]["sha256"]) == 64
+
+
+def test_json_says_which_network_it_is(imported):
+    printed = json.loads(imported.with_name("printed.json").read_text())
+    assert printed == {
+        "output": str(imported),
+        "vertices": 0,
+        "bytes": imported.stat().st_size,
+        "kind": "npt",
+        "parameters": NPT_PARAMETERS,
+        "unused": [],
+    }
 
 
 def test_command_says_which_network_it_is(weights, tmp_path, capsys):

@@ -72,8 +72,8 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
     check_output(out, bits, (FULL_BITS, *STORED_BITS))
     published = load_published(path, maxpool)
     model, network = published.model, "aniformer" if published.kind == "aniformer" else "npt"
-    # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.02 m in the mean (standard
-    # deviation 0.15, shipped body), so an identity of radius 1 has about the size that the network was trained on; the
+    # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.00 m in the mean (standard
+    # deviation 0.15, shipped body, `val`), so an identity of radius 1 has about the size that the network was trained on; the
     # result has the unit of the identity. The size of the driving mesh does not matter: InstanceNorm removes it.
     save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
     with path.open("rb") as file:
