@@ -10,6 +10,7 @@ import io
 import os
 import signal
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -44,11 +45,19 @@ COMMANDS = (
     measure.generate,
     learn.train,
     learn.export,
+    learn.import_checkpoint,
 )
 STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
+
+
+def command_name(command: Callable[..., None]) -> str:
+    """Give the name of a command by its function: `import_checkpoint` is import-checkpoint."""
+    return command.__name__.replace("_", "-")
+
+
 for _command in COMMANDS:
-    app.command(_command.__name__)(_command)
+    app.command(command_name(_command))(_command)
 
 
 def _version(requested: bool) -> bool:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from mimesh.cli import COMMANDS
+from mimesh.cli import COMMANDS, command_name
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -33,9 +33,9 @@ def test_readme_has_at_most_150_lines():
 
 
 def test_commands_of_the_readme_exist():
-    used = set(re.findall(r"^    (?:\.venv/bin/)?mimesh (\w+)", README, re.MULTILINE))
+    used = set(re.findall(r"^    (?:\.venv/bin/)?mimesh ([\w-]+)", README, re.MULTILINE))
     assert used
-    assert used <= {command.__name__ for command in COMMANDS}
+    assert used <= {command_name(command) for command in COMMANDS}
     targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     assert set(re.findall(r"(?:^    |`)make (\w+)", README, re.MULTILINE)) <= targets
 

@@ -64,6 +64,12 @@ def canonical_order(vertices: Float[np.ndarray, "V 3"]) -> CanonicalOrder:
     return CanonicalOrder(group, order, np.searchsorted(group[order], np.arange(len(merged))))
 
 
+def file_order(count: int) -> CanonicalOrder:
+    """Rank so many vertices as they are numbered, and weld none."""
+    index = np.arange(count)
+    return CanonicalOrder(index, index, index)
+
+
 def canonical_faces(faces: Int[np.ndarray, "F 3"], *ranks: Int[np.ndarray, " V"]) -> Int[np.ndarray, "F 3"]:
     """Rotate each face to begin at its corner of lowest rank, and sort the faces by the ranks of their corners.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import onnx
 import torch
 from jaxtyping import Float
+from torch import nn
 
 from ..core.errors import InputError
 from ..io.atomic import whole_file
@@ -39,6 +41,10 @@ MIME_DATA = (
 """Description of `wide` where `mime` is trained on it."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
+STORED_BITS = (16, 8)
+"""Of a weight, as `mimesh export` writes it."""
+FULL_BITS = 32
+"""Of a weight as it was trained."""
 INT8_STEPS = 127
 """Steps from zero to the largest weight of a row."""
 
@@ -51,21 +57,43 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     Args:
         bits: that each weight is stored in, 16 or 8.
     """
+    check_output(out, bits, STORED_BITS)
+    model, trained = checkpoint.load_model(path)
+    config = trained.config
+    save_network(model, config.network, {"target_scale": config.data.target_scale}, config.model, out, bits)
+    card = make_card(out, path, trained)
+    save_card(card, out)
+    return card
+
+
+def check_output(out: Path, bits: int, allowed: Sequence[int]) -> None:
+    """Check where a network is to be written and in how many bits a weight.
+
+    Raises:
+        InputError: the name does not end in .onnx, or `bits` is not one of those allowed, of which the first is usual.
+    """
     if out.suffix != ".onnx":
         raise InputError(f"{out}: expected an output that ends in .onnx, found {out.suffix or 'none'}; rename it")
-    if bits not in (8, 16):
-        raise InputError(f"--bits: expected 16 or 8, found {bits}; leave it out for 16")
-    model, trained = checkpoint.load_model(path)
-    config, task = trained.config, find_task(trained.config.network)
-    network = compress(to_onnx(task.onnx_interface(model)), bits)
-    facts = task.onnx_facts(model) | {"target_scale": config.data.target_scale}
-    onnx.helper.set_model_props(network, {"mimesh": json.dumps(facts | {"config": dataclasses.asdict(config.model)})})
+    if bits not in allowed:
+        named = f"{', '.join(map(str, allowed[:-1]))} or {allowed[-1]}"
+        raise InputError(f"--bits: expected {named}, found {bits}; leave it out for {allowed[0]}")
+
+
+def save_network(model: nn.Module, network: str, facts: dict[str, Any], config: Any, out: Path, bits: int) -> None:
+    """Write a network as ONNX, with what `-m` must know of it and its configuration in the metadata."""
+    task = find_task(network)
+    graph = to_onnx(task.onnx_interface(model))
+    graph = graph if bits == FULL_BITS else compress(graph, bits)
+    facts = task.onnx_facts(model) | facts
+    onnx.helper.set_model_props(graph, {"mimesh": json.dumps(facts | {"config": dataclasses.asdict(config)})})
     with whole_file(out) as temporary:
-        onnx.save(network, str(temporary))
-    card = make_card(out, path, trained)
+        onnx.save(graph, str(temporary))
+
+
+def save_card(card: dict[str, Any], out: Path) -> None:
+    """Write a network's card beside it."""
     with whole_file(out.with_suffix(".json")) as temporary:
         temporary.write_text(json.dumps(card, indent=2) + "\n")
-    return card
 
 
 def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:

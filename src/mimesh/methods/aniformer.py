@@ -2,7 +2,8 @@
 
 Inputs "identity" (1, V, 3) and "driving" (1, T, V, 3); output "result" (1, T, V, 3), or (1, 1, V, 3), the window's
 middle frame, with the regression head. Each input mesh is centred on its bounding box and divided by its largest
-distance from there, each driving frame by its own; every frame of the result is centred on its own bounding box.
+distance from there, each driving frame by its own; every frame of the result is centred on its own bounding box. A
+network with weights for each vertex (metadata `vertices`) gets all vertices of both meshes in the order of their files.
 The result of a frame is the mean over all windows that contain it: at most two windows of driving frames are in memory.
 """
 
@@ -17,11 +18,12 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.canonical_order import canonical_order
+from ..core.canonical_order import CanonicalOrder, canonical_order, file_order
+from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import bbox_centre, radius
-from ..core.surface_points import padded_vertices
+from ..core.surface_points import PaddedVertices, padded_vertices
 from .base import Drive
 from .npt import PatchDistances, batch_of_one, generator
 from .root_motion import check_size, with_root_motion
@@ -55,13 +57,18 @@ class AniFormerMethod:
     ensemble: int = 1
     """Random pairings over which results are averaged."""
     seed: int = 0
+    vertices: int = 0
+    """Vertices that both meshes must have, in the order of the network's training; 0: any two meshes."""
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
-        """Rank both meshes and choose the driving points and their pairings, once for all frames."""
-        ranked = canonical_order(identity.vertices)
+        """Rank both meshes and choose the driving points and their pairings, once for all frames.
+
+        Raises:
+            InputError: the network needs a vertex count that one of the meshes has not.
+        """
+        match = self._in_file_order if self.vertices else self._paired
+        ranked, points, pairings = match(identity, driving.mesh)
         rest = ranked.merge(identity.vertices)
-        points = padded_vertices(driving.mesh, len(ranked), generator(self.seed, 0))
-        pairings = [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
         lengths = PatchDistances.of(rest, edges(ranked.group[identity.faces]))
 
         def points_of(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "N 3"]:
@@ -87,6 +94,24 @@ class AniFormerMethod:
             return with_root_motion(current, pose, driving.mesh.name)
 
         return drive
+
+    def _paired(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
+        """Weld both meshes, and pair their points at random."""
+        ranked = canonical_order(identity.vertices)
+        points = padded_vertices(driving, len(ranked), generator(self.seed, 0))
+        return ranked, points, [self._pairing(k, len(ranked), len(points)) for k in range(self.ensemble)]
+
+    def _in_file_order(self, identity: Mesh, driving: Mesh) -> tuple[CanonicalOrder, PaddedVertices, list[Pairing]]:
+        """Take all vertices of both meshes as they are numbered; only their count can be checked."""
+        for mesh in (identity, driving):
+            if len(mesh.vertices) != self.vertices:
+                raise InputError(
+                    f"{mesh.name}: expected the {self.vertices} vertices that {self.name} was trained on, in their "
+                    f"order, found {len(mesh.vertices)}; choose another model"
+                )
+        order = file_order(self.vertices)
+        none = PaddedVertices(order, np.zeros((0, 3), np.int64), np.zeros((0, 3)))
+        return order, none, [(order.order, order.order)]
 
     def _pairing(self, k: int, points: int, driving_points: int) -> Pairing:
         """Return random orders of both meshes' points.

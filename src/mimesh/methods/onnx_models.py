@@ -68,7 +68,8 @@ def load_network(
     session = _open_session(path, threads)
     card = _metadata(session, path)
     if card["model"] == "aniformer":
-        return AniFormerMethod(name, session, card["frames"], card["head"], card["target_scale"], ensemble, seed)
+        facts = (card["frames"], card["head"], card["target_scale"])
+        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0))
     if card["model"] == "limp":
         return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "hands":

@@ -54,6 +54,21 @@ class AniFormerConfig:
     """Of a ResBlock's units: as NPT's Table 3, or as the public code."""
     output: Literal["tanh", "2tanh"] = "tanh"
     """`2tanh` is the public code's, whose results may leave the unit sphere."""
+    vertices: int = 0
+    """As in the public code, the encoder's norms and the embedding have weights for each of so many vertices, which
+    every mesh then has in one order; 0: any meshes. For imported weights; our training draws vertices at random."""
+
+
+class VertexAffine(nn.Module):
+    """Scale and shift each vertex by its own numbers, the same in all channels: the public code's LayerNorm."""
+
+    def __init__(self, vertices: int) -> None:
+        super().__init__()
+        self.scale = nn.Parameter(torch.ones(vertices))
+        self.shift = nn.Parameter(torch.zeros(vertices))
+
+    def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
+        return self.scale * h + self.shift
 
 
 class Attention(nn.Module):
@@ -132,9 +147,12 @@ class AniFormer(nn.Module):
         self.config = config
         a, b, code = config.encoder
         self.encoder = nn.ModuleList([PointConv(3, a), PointConv(a, b), PointConv(b, code)])
+        self.affine = nn.ModuleList(VertexAffine(config.vertices) for _ in self.encoder if config.vertices)
         # 0.5 is about the standard deviation of the features that it is added to.
         learned = config.embedding == "learned"
-        self.embedding = nn.Parameter(0.5 * torch.randn(code, 1, config.frames, 1)) if learned else None
+        self.embedding = (
+            nn.Parameter(0.5 * torch.randn(code, 1, config.frames, config.vertices or 1)) if learned else None
+        )
         widths = itertools.pairwise((code, *config.layers))
         self.layers = nn.ModuleList(Layer(i, o, config) for i, o in widths)
         last = config.layers[-1]
@@ -144,8 +162,9 @@ class AniFormer(nn.Module):
     def encode(self, driving: Float[Tensor, "3 B T V"]) -> Float[Tensor, "C B T V"]:
         """Compute the pose features Z_t of every frame, without the embedding."""
         h = driving
-        for conv in self.encoder:
-            h = instance_norm(conv(h)).relu()
+        for i, conv in enumerate(self.encoder):
+            h = instance_norm(conv(h))
+            h = self.affine[i](h).relu() if len(self.affine) else h.relu()
         return h
 
     def forward(self, identity: Float[Tensor, "B V 3"], driving: Float[Tensor, "B T V 3"]) -> Float[Tensor, "B R V 3"]:

@@ -72,6 +72,10 @@ class AniFormerTrainConfig(TrainConfig):
             )
         if not 1 <= model.frames <= FRAMES:
             raise InputError(f"{where}, frames: expected 1 to {FRAMES}, found {model.frames}")
+        if model.vertices:
+            raise InputError(
+                f"{where}: expected model.vertices 0, found {model.vertices}; training shuffles and draws vertices"
+            )
         undivided = [width for width in model.layers if model.heads < 1 or width % model.heads]
         if undivided and model.attention != "off":
             raise InputError(f"{where}: expected heads that divide every layer, found {model.heads} for {undivided[0]}")
@@ -330,13 +334,16 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
     def onnx_interface(model: AniFormer) -> OnnxInterface:
         """Map identity (1, V, 3) and driving (1, T, V, 3) to result (1, T, V, 3), or (1, 1, V, 3) by regression.
 
-        One window at a time, so that memory stays small.
+        One window at a time, so that memory stays small. V is a number where the weights are for so many vertices.
         """
+        count = model.config.vertices or 300
+        example = (torch.randn(1, count, 3), torch.randn(1, model.config.frames, count, 3))
         v = torch.export.Dim("vertices", min=2)
-        example = (torch.randn(1, 300, 3), torch.randn(1, model.config.frames, 300, 3))
-        return OnnxInterface(model, ("identity", "driving"), ("result",), example, ({1: v}, {2: v}))
+        dynamic = ({}, {}) if model.config.vertices else ({1: v}, {2: v})
+        return OnnxInterface(model, ("identity", "driving"), ("result",), example, dynamic)
 
     @staticmethod
     def onnx_facts(model: AniFormer) -> dict[str, Any]:
-        """Give the frames of a window and the kind of head."""
-        return {"model": "aniformer", "frames": model.config.frames, "head": model.config.head}
+        """Give the frames of a window, the kind of head, and the vertices that all meshes must have, or 0."""
+        config = model.config
+        return {"model": "aniformer", "frames": config.frames, "head": config.head, "vertices": config.vertices}
