@@ -47,7 +47,7 @@ from mimesh.io.atomic import whole_file
 from mimesh.io.gltf.animation import animated_nodes, animation_names
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.motion import PLAYED_PATHS, gltf_joints, is_motion
-from mimesh.pipeline.rigs import rig_facts
+from mimesh.pipeline.rigs import UNNAMED, rig_facts
 
 MOST_FRAMES = 150
 """Longer motions are cut to so many frames, in the middle."""
@@ -127,10 +127,11 @@ def _own_row(path: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"file": path.name, "clips": len(names), "error": None, "failed": []}
     if is_motion(document):
         return row | {"joints": gltf_joints(document), "person": False, "reason": "animations without a mesh"}
-    facts = rig_facts(load_mesh(path))
+    used, text = rig_facts(load_mesh(path)) or (False, "")
+    named = used and text != UNNAMED
     joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
-    row |= {"joints": len(joints or animated_nodes(document, PLAYED_PATHS)), "person": facts is not None and facts[0]}
-    row["reason"] = "" if facts is None or facts[0] else facts[1].removeprefix(f"{path}: ")
+    row |= {"joints": len(joints or animated_nodes(document, PLAYED_PATHS)), "person": named}
+    row["reason"] = "" if named else text.removeprefix(f"{path}: ")
     errors, lost, is_fbx = [], set(), path.suffix.lower() == ".fbx"
     with tempfile.TemporaryDirectory() as folder:
         written = Path(folder) / "written.glb"

@@ -164,7 +164,7 @@ def own_clips() -> str:
     """Return the table of files whose own clips were played through the command, from docs/rigs.json."""
     report = json.loads((DOCS / "rigs.json").read_text())["own"]
     rows = [_own_row(row) for row in report["files"]]
-    head = ["file", "joints", "clips", "a person's rig", "largest error", "all else unchanged"]
+    head = ["file", "joints", "clips", "a person's rig by name", "largest error", "all else unchanged"]
     return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
@@ -184,7 +184,7 @@ def _own_row(row: dict) -> list[str]:
     error = "-" if row["error"] is None else f"{row['error']:.0e}" if row["error"] else "0"
     changed = "no: " + ", ".join(row["lost"]) if row.get("lost") else "yes"
     changed = "-" if "lost" not in row else f"{changed}, uncompressed" if row["compressed"] else changed
-    person = "yes" if row["person"] else "no: " + row["reason"].partition(" by name,")[0].partition(";")[0]
+    person = "yes" if row["person"] else "no: " + row["reason"].partition(":")[0].partition(";")[0]
     return [f"`{row['file']}`", str(row["joints"]), str(row["clips"]), person, error, changed]
 
 
