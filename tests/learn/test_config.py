@@ -51,7 +51,7 @@ def test_mime_refuses_what_it_cannot_train_on(change, message):
 
 
 def test_aniformer_is_not_trained_with_weights_for_each_vertex():
-    with pytest.raises(InputError, match="expected model.vertices 0, found 6890"):
+    with pytest.raises(InputError, match=r"expected model\.vertices 0, found 6890"):
         load_config("small", "aniformer", ["model.vertices=6890"])
 
 
