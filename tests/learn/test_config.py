@@ -50,6 +50,11 @@ def test_mime_refuses_what_it_cannot_train_on(change, message):
         load_config("small", "mime", [change])
 
 
+def test_aniformer_is_not_trained_with_weights_for_each_vertex():
+    with pytest.raises(InputError, match=r"expected model\.vertices 0, found 6890"):
+        load_config("small", "aniformer", ["model.vertices=6890"])
+
+
 @pytest.mark.parametrize("name", ["paper", "small", "maxpool-small", "table", "full"])
 def test_shipped_configurations_load(name):
     assert load_config(name).pairs > 0

@@ -73,8 +73,8 @@ def import_command(path: Path, out: Path, maxpool: bool = False, bits: int = FUL
     published = load_published(path, maxpool)
     model, network = published.model, "aniformer" if published.kind == "aniformer" else "npt"
     # Published meshes are in metres. People in the poses of Table 6 have a radius of 1.00 m in the mean (standard
-    # deviation 0.15, shipped body, `val`), so an identity of radius 1 has about the size that the network was trained
-    # on; the result has the unit of the identity. InstanceNorm removes the size of the driving mesh.
+    # deviation 0.15; shipped body, `val`), so an identity of radius 1 has about the size that the network was trained
+    # on; the result has the unit of the identity. The driving's size does not matter: InstanceNorm removes it.
     save_network(model, network, {"target_scale": "identity"}, model.config, out, bits)
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
