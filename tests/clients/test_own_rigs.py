@@ -8,17 +8,10 @@ import pytest
 import rigs
 from client_programs import three, validator
 from foreign_names import renamed
-from networks import write_mime_network
 
 from mimesh.pipeline import animate, transfer
 
 pytestmark = pytest.mark.client
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

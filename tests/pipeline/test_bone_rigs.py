@@ -10,7 +10,7 @@ import pytest
 import rigs
 from foreign_names import SCHEMES, renamed
 from motion_files import write_bvh
-from networks import write_mime_network, write_network
+from networks import write_network
 
 from mimesh.bodies import load_body
 from mimesh.bodies.joint_names import person_joints
@@ -28,12 +28,6 @@ EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh."""
 Z_UP = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """From y up to z up, as Blender imports glTF: what faces +z then faces -y."""
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

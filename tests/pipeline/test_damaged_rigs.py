@@ -11,7 +11,6 @@ import pytest
 import rigs
 from foreign_names import renamed
 from gltf_samples import props
-from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.errors import InputError
@@ -24,12 +23,6 @@ from mimesh.pipeline import animate
 PERSON = rigs.figure()
 FIRST = 2
 """Node of the first joint."""
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

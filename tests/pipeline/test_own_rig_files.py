@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
-from networks import write_mime_network
 
 from mimesh import pipeline
 from mimesh.cli import run
@@ -17,12 +16,6 @@ from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
 from mimesh.pipeline import animate
 from mimesh.pipeline.skinned import save_skinned
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import rigs
 from foreign_names import SCHEMES, renamed
 from motion_files import write_bvh
-from networks import write_mime_network, write_network
+from networks import write_network
 from people import person as person_mesh
 from people import walk
 from scipy.spatial.transform import Rotation
@@ -33,12 +33,6 @@ LOOSE = {"A-pose": 2e-3, "no hands": 0.05}
 """The same for kinds of rigs whose rest pose has to be estimated: limbs are aligned by their directions, which does not
 show their twist, and a forearm without a hand joint by its surface."""
 QUARTER = Rotation.from_euler("y", 90, degrees=True).as_matrix()
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

@@ -5,17 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import rigs
-from networks import write_mime_network
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
 from mimesh.pipeline import animate
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import renamed
-from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.mesh import cut_clip
@@ -26,12 +25,6 @@ EXACT = 1e-5
 PERSON = rigs.figure()
 FIRST = 2
 """Node of the first joint."""
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import rigs
 from foreign_names import SCHEMES, renamed
-from networks import write_mime_network
 
 from mimesh.io import load_clip
 from mimesh.io.gltf.document import Document, open_document
@@ -20,12 +19,6 @@ from mimesh.pipeline import animate
 EXACT = 1e-5
 """Largest distance of a vertex, over the size of the mesh, that counts as exact."""
 APPENDED = ("animations", "accessors", "bufferViews")
-
-
-@pytest.fixture(scope="module")
-def model(tmp_path_factory):
-    pytest.importorskip("onnx")
-    return str(write_mime_network(tmp_path_factory.mktemp("network") / "mime.onnx"))
 
 
 def furnish(draft: Draft) -> None:
