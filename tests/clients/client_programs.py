@@ -20,6 +20,17 @@ def blender() -> Path:
     return python
 
 
+def run_in_blender(script: str, archive: Path, folder: Path, user: Path) -> None:
+    """Run a script of this folder in Blender, with the extension's archive and a folder for its results.
+
+    Args:
+        user: empty folder for Blender's settings.
+    """
+    environment = os.environ | {"BLENDER_USER_RESOURCES": str(user)}
+    path = Path(__file__).with_name(script)
+    subprocess.run([blender(), "-I", path, archive, folder], check=True, env=environment)
+
+
 def validator() -> list[str]:
     """Return the command that prints the Khronos validator's report on a glTF file as JSON; its path is to be added."""
     folder, node = Path(os.environ.get("MIMESH_VALIDATOR", CLIENTS / "validator")), shutil.which("node")

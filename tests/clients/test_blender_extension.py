@@ -4,14 +4,11 @@ Blender is the module `bpy` in an environment of its own: `make clients` makes o
 """
 
 import json
-import os
-import subprocess
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
-from client_programs import blender
+from client_programs import run_in_blender
 from people import person, walk
 
 import mimesh
@@ -39,9 +36,7 @@ def outcome(archive, tmp_path_factory):
         driving_faces=clip.mesh.faces,
     )
     mimesh.animate(person(2, faces=2000), clip).save_skinned(folder / "driving.glb")
-    script = Path(__file__).with_name("blender_scene.py")
-    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
-    subprocess.run([blender(), "-I", script, archive, folder], check=True, env=environment)
+    run_in_blender("blender_scene.py", archive, folder, tmp_path_factory.mktemp("blender"))
     return folder
 
 

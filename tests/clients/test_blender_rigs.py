@@ -5,14 +5,11 @@ Blender is the module `bpy` in an environment of its own: `make clients` makes o
 
 import dataclasses
 import json
-import os
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
 import rigs
-from client_programs import blender
+from client_programs import run_in_blender
 from foreign_names import renamed
 from motion_files import write_bvh
 
@@ -40,9 +37,7 @@ def folder(archive, tmp_path_factory):
         rigs.of_kind(folder / f"{name}.glb", faces=2000, **options)
     rigs.of_kind(folder / "driving.glb", "A-pose", shape=2, faces=2000, name=renamed("biped"))
     write_bvh(folder / "walk.bvh", load_body(), window(load_motion("walk"), 0.0, 0.3))
-    script = Path(__file__).with_name("blender_rigs.py")
-    environment = os.environ | {"BLENDER_USER_RESOURCES": str(tmp_path_factory.mktemp("blender"))}
-    subprocess.run([blender(), "-I", script, archive, folder], check=True, env=environment)
+    run_in_blender("blender_rigs.py", archive, folder, tmp_path_factory.mktemp("blender"))
     return folder
 
 

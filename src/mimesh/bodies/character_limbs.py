@@ -103,13 +103,17 @@ def name_sided_joints(rig: SkinnedCharacter, path: object, known: Mapping[str, i
     for name in [f"{side}{part}" for side in SIDES for part in TAILS]:
         if name in found and not moving[found[name]]:
             del found[name]
-    missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
-    if missing:
+    if missing := missing_limbs(found):
         raise UnnamedJoints(
             f"{path}: expected a thigh and an upper arm on both sides by name, each with weights, found none for "
             f"{', '.join(missing)}; rename the joints, for example LeftUpLeg, LeftArm"
         )
     return found
+
+
+def missing_limbs(found: Mapping[str, int]) -> list[str]:
+    """List the thighs and upper arms, which every rig of a person needs, that are not among joints by name."""
+    return [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
 
 
 def attach_feet(

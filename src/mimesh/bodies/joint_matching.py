@@ -15,7 +15,7 @@ from ..core.errors import InputError
 from ..core.geometry import vertex_areas
 from ..core.rig import Rig, descendant_matrix
 from .body_model import load_body
-from .character_limbs import SIDES, moves_vertices
+from .character_limbs import SIDES, missing_limbs, moves_vertices
 from .joint_names import common_ancestors, trunk_joints
 from .skinned_character import SkinnedCharacter
 
@@ -53,8 +53,7 @@ def match_joints(rig: SkinnedCharacter, body: Rig, path: object) -> dict[str, in
     """
     overlap = carried_overlap(rig, body)
     found = _match_limbs(overlap, rig, body)
-    missing = [name for part in ("UpLeg", "Arm") for side in SIDES if (name := f"{side}{part}") not in found]
-    if missing:
+    if missing := missing_limbs(found):
         raise InputError(
             f"{path}: expected joints that carry both arms and both legs, found none for {', '.join(missing)}; "
             "name the joints, for example LeftUpLeg, LeftArm"

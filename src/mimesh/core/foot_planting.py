@@ -247,9 +247,9 @@ def _solve(
     gap = CLOSED * (unit[-1:] - unit[:1]).T @ (unit[-1:] - unit[:1])
     smooth = bend.T @ bend
     leg = unit / (stiffness.leg_size * fps) ** 2 + (stiffness.leg_bend * fps) ** 2 * smooth + closed[0] * gap
-    told = np.minimum(weight.sum(axis=1), 1)
-    told = np.minimum(told[1:], told[:-1]) if len(told) == frames else told
-    speed = sparse.diags_array(stiffness.root_speed + stiffness.root_hold * (1 - told))
+    standing = np.minimum(weight.sum(axis=1), 1)
+    standing = np.minimum(standing[1:], standing[:-1]) if len(standing) == frames else standing
+    speed = sparse.diags_array(stiffness.root_speed + stiffness.root_hold * (1 - standing))
     root = step.T @ speed @ step + (stiffness.root_bend * fps) ** 2 * smooth + closed[1] * gap
     # A root whose correction costs too much stays; else a tiny cost fixes what has no influence: where all of it is.
     root = root + (TINY if free_root else 1 / TINY) * unit
