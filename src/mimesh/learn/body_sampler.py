@@ -56,6 +56,9 @@ class DataConfig:
     """`mime`, `wide`: share of driving meshes that are scans from one camera: hidden points missing, holes, noise."""
     reflect: float = 0.0
     """`npt` and `aniformer`: share of every batch whose meshes are all mirrored, left to right."""
+    between: float = 0.0
+    """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
+    instead of in one of the 80 motions."""
 
 
 TABLE_KINDS = ("table6", "clips80")
@@ -67,6 +70,9 @@ DRIVING_MIX = (0.05, 0.50, 0.62)
 """The same for driving meshes."""
 REST_NOISE = 0.05
 """`wide`: standard deviation of joint rotations at rest (radians)."""
+MAX_STEP = 0.15
+"""Windows on a straight way between two poses: the largest share of it that one frame covers. Where a frame
+covers none, the window is still."""
 SHAPE_LIMIT = 2.5
 """Shape coefficients are clipped to so many standard deviations."""
 
@@ -97,6 +103,7 @@ class BodySampler:
             self.table_poses = self._tensor(numpy_rotmat(HUMAN_NPT.train_poses(body)))
             # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
             self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body)) if clips else self.table_poses[:, None]
+            self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
         else:
             self.table6 = self._tensor(limits_rotvec(body, TABLE_6))
             self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
@@ -124,7 +131,23 @@ class BodySampler:
         frames = self.motions.flatten(0, 1)
         driving = self._random_index(len(frames), (size,), rng)
         nobody = torch.zeros(2, size, dtype=torch.bool, device=self.device)
-        return self.table_shapes[who], torch.stack([self.table_poses[identity], frames[driving]]), nobody
+        pose = self._replace_by_straight(frames[driving][:, None], rng)[:, 0]
+        return self.table_shapes[who], torch.stack([self.table_poses[identity], pose]), nobody
+
+    def _replace_by_straight(self, window: Float[Tensor, "B T J 3 3"], rng: torch.Generator):
+        """Replace the configured share of the windows by straight ways between two poses."""
+        if not self.config.between:
+            return window
+        straight = self._straight_windows(len(window), window.shape[1], rng)
+        some = torch.rand(len(window), generator=rng, device=self.device) < self.config.between
+        return torch.where(some[:, None, None, None, None], straight, window)
+
+    def _straight_windows(self, size: int, frames: int, rng: torch.Generator) -> Float[Tensor, "B T J 3 3"]:
+        """Draw windows on straight ways from one pose within the joint limits towards another."""
+        start, stop = (self._random_between(self.limits, size, rng)[:, None] for _ in range(2))
+        step = MAX_STEP * torch.rand(size, 1, 1, 1, generator=rng, device=self.device)
+        frame = torch.arange(frames, device=self.device)
+        return rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
 
     def _sample_people(self, size: int, rng: torch.Generator):
         """Draw new people: identities mostly near a rest pose, driving meshes in all poses.

@@ -14,7 +14,6 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.utils.tensorboard import SummaryWriter
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
@@ -23,6 +22,7 @@ from .character_surfaces import TrainingCharacters
 from .config import changed_config, load_config
 from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
+from .processes import Processes, joined_processes
 from .stop_request import StopRequest
 from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
 from .tasks.find import NETWORKS, find_task
@@ -32,7 +32,8 @@ from .validation import Validation
 
 ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
 """Makes a progress bar with a title."""
-SCHEDULE, MIXTURE = ("seed", "pairs", "decay", "learning_rate"), ("characters", "contacts", "low_poly", "scans")
+SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate")
+MIXTURE = ("vertices", "characters", "contacts", "low_poly", "scans", "between")
 RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
 """Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
 that go on from one checkpoint with two seeds see other batches and can be averaged."""
@@ -73,18 +74,34 @@ def train_command(
     """
     if model not in NETWORKS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
-    if resume is not None:
-        fixed = [f"--set {change}" for change in changes if change.partition("=")[0] not in RESUMABLE]
-        fixed += [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
-        if fixed:
-            raise InputError(
-                f"{fixed[0]}: expected no changes with --resume but --set {', '.join(RESUMABLE)} and --clips, found "
-                "some; leave them out"
-            )
-        settings = resumed_config(resume, changes)
-        return train(settings, resume, max_minutes, read_characters(settings, characters, clips, bar))
+    with joined_processes() as processes:
+        if resume is not None:
+            fixed = [f"--set {change}" for change in changes if change.partition("=")[0] not in RESUMABLE]
+            fixed += [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
+            if fixed:
+                raise InputError(
+                    f"{fixed[0]}: expected no changes with --resume but --set {', '.join(RESUMABLE)} and --clips, "
+                    "found some; leave them out"
+                )
+            settings, folder = resumed_config(resume, changes), resume
+        else:
+            settings, folder = new_config(model, config, out, changes, characters is not None, leave_out)
+        pool = read_characters(settings, characters, clips, bar)
+        if weights is not None:
+            processes.of_first(lambda: begin_with(settings, weights, folder, pool))
+        return train(settings, folder, max_minutes, pool, processes)
+
+
+def new_config(
+    model: str, config: str, out: Path | None, changes: Sequence[str], characters: bool, leave_out: Sequence[str]
+) -> tuple[TrainConfig, Path]:
+    """Read the configuration of a new training, and name its folder.
+
+    Raises:
+        InputError: the folder holds a training.
+    """
     settings = load_config(config, model, changes)
-    share = [f"data.characters={CHARACTER_SHARE}"] if characters is not None and not settings.data.characters else []
+    share = [f"data.characters={CHARACTER_SHARE}"] if characters and not settings.data.characters else []
     packs = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
     settings = load_config(config, model, [*changes, *share, *packs])
     words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
@@ -93,10 +110,7 @@ def train_command(
         raise InputError(
             f"{folder}: expected a folder without a training, found one; continue it with --resume {folder}"
         )
-    pool = read_characters(settings, characters, clips, bar)
-    if weights is not None:
-        begin_with(settings, weights, folder, pool)
-    return train(settings, folder, max_minutes, pool)
+    return settings, folder
 
 
 def resumed_config(folder: Path, changes: Sequence[str]) -> TrainConfig:
@@ -163,7 +177,11 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingC
 
 
 def train(
-    config: TrainConfig, folder: Path, max_minutes: float | None = None, pool: TrainingCharacters | None = None
+    config: TrainConfig,
+    folder: Path,
+    max_minutes: float | None = None,
+    pool: TrainingCharacters | None = None,
+    processes: Processes | None = None,
 ) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
 
@@ -172,42 +190,52 @@ def train(
     Args:
         max_minutes: wall-clock time, counted from this call.
         pool: characters to train on, where the configuration asks for them.
+        processes: those that share the training; None: this one alone, or those that `torchrun` started.
 
     Raises:
-        InputError: the characters are not those of the training so far.
+        InputError: the characters are not those of the training so far, or the batch cannot be divided.
         KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
+    if processes is None:
+        with joined_processes() as processes:
+            return train(config, folder, max_minutes, pool, processes)
     folder.mkdir(parents=True, exist_ok=True)
-    last = folder / "last.safetensors"
     with StopRequest(max_minutes) as stop:
-        run = TrainingRun.start(config, folder, pool)
+        run = TrainingRun.start(config, folder, pool, processes)
         validation = Validation(run.task)
-        with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
-            log = TrainingLog(lines, board, run)
+        with TrainingLog.opened(folder, run) as log:
             log.note("precision", run.reason, precision=run.task.precision)
             if pool:
                 log.note("characters", pool.described())
             if run.changes:
                 log.note("changes", json.dumps(run.changes[-1]))
-            first = run.step
-            while not stop() or (run.step == first and stop.signal is None and run.share() < 1.0):
-                if run.validation_due():
-                    log.flush()
-                    run.save(last)
-                    if figures := run.validate(validation, folder, stop):
-                        log.write("validation", figures)
-                elif run.share() >= 1.0:
-                    break
-                else:
-                    log.add(run.advance())
-                    if time.monotonic() - run.saved > SAVE_SECONDS:
-                        run.save(last)
-            log.flush()
-            run.save(last)
+            run_to_end(run, validation, folder, log, stop)
             if stop():
                 rest = "; the validation that was due is left to it" if run.validation_due() else ""
                 log.note("stopped", f"{stop.reason()}; --resume {folder} continues{rest}")
     return folder
+
+
+def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: TrainingLog, stop: StopRequest) -> None:
+    """Take steps, validate and save until the schedule ends or `stop` says so in one of the processes."""
+    last, first = folder / "last.safetensors", run.step
+    while True:
+        stopped, killed, run.seconds = run.processes.largest(stop(), stop.signal is not None, run.seconds)
+        if stopped and (run.step > first or killed or run.share() >= 1.0):
+            break
+        if run.validation_due():
+            log.flush()
+            run.save(last)
+            if figures := run.validate(validation, folder, stop):
+                log.write("validation", figures)
+        elif run.share() >= 1.0:
+            break
+        else:
+            log.add(run.advance())
+            if time.monotonic() - run.saved > SAVE_SECONDS:
+                run.save(last)
+    log.flush()
+    run.save(last)
 
 
 @dataclass
@@ -223,7 +251,7 @@ class TrainingRun:
     """Moving average of the weights by name; empty if none is kept."""
     optimizers: list[torch.optim.Optimizer]
     source: BatchSource
-    device: torch.device
+    processes: Processes
     reason: str
     """Why `task.precision` was chosen, in words."""
     step: int = 0
@@ -243,12 +271,25 @@ class TrainingRun:
     """What was changed where the training was resumed, as in `Checkpoint`."""
 
     @classmethod
-    def start(cls, config: TrainConfig, folder: Path, pool: TrainingCharacters | None = None) -> TrainingRun:
+    def start(
+        cls,
+        config: TrainConfig,
+        folder: Path,
+        pool: TrainingCharacters | None = None,
+        processes: Processes | None = None,
+    ) -> TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
-        device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+        device = processes.device
+        parts = config.accumulate * processes.count
+        if config.batch % parts:
+            raise InputError(
+                f"batch: expected a multiple of {parts} (accumulate x processes), found {config.batch}; change one"
+            )
         last = folder / "last.safetensors"
         state = checkpoint.load(last) if last.exists() else None
-        precision, reason = choose_precision(config.precision, device, state.precision if state else "")
+        before = state.precision if state else ""
+        precision, reason = processes.of_first(lambda: choose_precision(config.precision, device, before))
         torch.manual_seed(config.seed)
         task = find_task(config.network)(config, device, precision, pool)
         model = task.make_model().to(device)
@@ -264,7 +305,7 @@ class TrainingRun:
                 f"({', '.join(maker for part in parts for maker in part.get('makers', ()))}), found others; "
                 f"begin a new training with --weights {last}"
             )
-        run = cls(config, task, model, step_model, ema, optimizers, source, device, reason, saved=time.monotonic())
+        run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
         if state:
             checkpoint.unpack(state, model, ema, optimizers)
             run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
@@ -278,7 +319,7 @@ class TrainingRun:
 
         Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
         """
-        return time.process_time() if self.device.type == "cpu" else time.perf_counter()
+        return time.process_time() if self.processes.device.type == "cpu" else time.perf_counter()
 
     def share(self) -> float:
         """Give how much of the training is done: 0 at the start, 1 at its end."""
@@ -294,16 +335,25 @@ class TrainingRun:
         return now > before
 
     def advance(self) -> Tensor:
-        """Take one optimizer step and give the loss, which stays on the device."""
+        """Take one optimizer step and give this process's mean loss, which stays on the device.
+
+        The batch has `accumulate` parts in each process, and part i of step s is the generator's sample s * parts + i:
+        which process computes it makes no difference.
+        """
         started = self.clock()
-        config = self.config
-        batch = self.source.batch(config.batch, self.step)
+        config, processes = self.config, self.processes
+        parts = config.accumulate * processes.count
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
             optimizer.zero_grad(set_to_none=True)
-        loss = self.task.loss(self.step_model, batch, self.step)
-        loss.backward()
+        losses = []
+        for part in range(processes.rank, parts, processes.count):
+            batch = self.source.batch(config.batch // parts, self.step * parts + part)
+            loss = self.task.loss(self.step_model, batch, self.step)
+            (loss / config.accumulate).backward()
+            losses.append(loss.detach())
+        processes.average_gradients(self.model)
         if config.clip:
             nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
         for optimizer in self.optimizers:
@@ -315,7 +365,7 @@ class TrainingRun:
         self.step += 1
         self.metrics = None
         self.seconds += self.clock() - started
-        return loss.detach()
+        return torch.stack(losses).mean()
 
     def validate(
         self, validation: Validation, folder: Path, stop: Callable[[], bool] = lambda: False
@@ -324,7 +374,7 @@ class TrainingRun:
         current = {k: v.clone() for k, v in self.model.state_dict().items()}
         if self.ema:
             self.model.load_state_dict(self.ema)
-        metrics = validation.measure(self.model, stop)
+        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop))
         self.model.load_state_dict(current)
         if metrics is None:
             return None
@@ -336,13 +386,15 @@ class TrainingRun:
         return metrics
 
     def save(self, path: Path) -> None:
-        """Write a checkpoint."""
+        """Write a checkpoint, in the first process alone."""
+        self.saved = time.monotonic()
+        if not self.processes.first:
+            return
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         facts = self.task.characters.facts if self.task.characters else {}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, facts, self.changes)
         checkpoint.save(path, state)
-        self.saved = time.monotonic()
 
 
 def changes_at_resume(

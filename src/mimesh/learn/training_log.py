@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 import torch
@@ -20,14 +23,25 @@ LOG_SECONDS = 20.0
 
 
 class TrainingLog:
-    """Writes JSON lines, TensorBoard scalars and lines on the terminal."""
+    """Writes JSON lines, TensorBoard scalars and lines on the terminal; with several processes, the first one does."""
 
-    def __init__(self, lines: TextIO, board: SummaryWriter, run: TrainingRun) -> None:
+    def __init__(self, lines: TextIO, board: SummaryWriter | None, run: TrainingRun) -> None:
         self.lines, self.board, self.run = lines, board, run
         self.losses: list[Tensor] = []
         self.time, self.mark = time.monotonic(), run.seconds
         # Forward plus backward: three times the forward arithmetic.
         self.flops = 3 * run.task.flops_per_pair(run.model)
+
+    @classmethod
+    @contextlib.contextmanager
+    def opened(cls, folder: Path, run: TrainingRun) -> Iterator[TrainingLog]:
+        """Continue the log of a folder; outside the first process nothing is written."""
+        if not run.processes.first:
+            with open(os.devnull, "w") as nowhere:
+                yield cls(nowhere, None, run)
+            return
+        with (folder / "log.jsonl").open("a") as lines, SummaryWriter(str(folder)) as board:
+            yield cls(lines, board, run)
 
     def add(self, loss: Tensor) -> None:
         """Collect a loss; write a line now and then."""
@@ -48,7 +62,7 @@ class TrainingLog:
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""
-        for name, value in figures.items():
+        for name, value in figures.items() if self.board else ():
             self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
         self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
 
@@ -61,4 +75,5 @@ class TrainingLog:
         record = {"kind": kind, "step": self.run.step, "pairs": pairs, "seconds": round(self.run.seconds, 1), **facts}
         self.lines.write(json.dumps(record) + "\n")
         self.lines.flush()
-        print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)
+        if self.board:
+            print(f"{kind} {pairs:,} pairs: {text}", file=sys.stderr)

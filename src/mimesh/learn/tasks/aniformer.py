@@ -38,8 +38,6 @@ MAX_SPEED = 3
 """`clips`: captured windows are played at up to this many times their speed."""
 CAPTURED = 0.5
 """`clips`: share of windows from captures; the others go straight from one pose within the joint limits to another."""
-MAX_STEP = 0.15
-"""`clips`: the largest share of that way that one frame covers; a clip that covers none is still."""
 MIN_STEP = 1e-6
 """Least mean square step of a driving frame that Eq. 4 divides by (unit sphere: 1e-3 of the radius a frame)."""
 
@@ -140,6 +138,7 @@ class WindowSource(BodySampler):
         which = self._random_index(len(self.motions), (size, 1), rng)
         first = self._random_index(self.motions.shape[1] - self.frames + 1, (size, 1), rng)
         window = self.motions[which, first + torch.arange(self.frames, device=self.device)]
+        window = self._replace_by_straight(window, rng)
         pose = self.table_poses[self._random_index(len(self.table_poses), (size,), rng)]
         return self.table_shapes[who], pose, window
 
@@ -150,9 +149,7 @@ class WindowSource(BodySampler):
         first = self.starts[self._random_index(len(self.starts), (size, 1), rng)]
         speed = 1 + self._random_index(MAX_SPEED, (size, 1), rng)
         captured = rotvec_to_rotmat(self.captured[first + speed * frame])
-        start, stop = (self._random_between(self.limits, size, rng)[:, None] for _ in range(2))
-        step = MAX_STEP * torch.rand(size, 1, 1, 1, generator=rng, device=self.device)
-        straight = rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
+        straight = self._straight_windows(size, self.frames, rng)
         heading = self._random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)

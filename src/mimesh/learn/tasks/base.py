@@ -29,6 +29,8 @@ class TrainConfig:
     data: DataConfig = field(default_factory=DataConfig)
     batch: int = 8
     """Pairs a step; AniFormer's pairs are windows of T frames."""
+    accumulate: int = 1
+    """Parts that a batch is computed in, one after another, before a step: a part alone must fit into memory."""
     pairs: int = 800_000
     """Length of the training: 200 epochs of 4,000 pairs in NPT 4.1."""
     minutes: float = 0.0
@@ -67,11 +69,17 @@ class TrainConfig:
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
         if self.data.characters and self.network not in ("mime", "hands"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
+        if self.data.between and self.data.kind != "clips80":
+            raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
+        if self.accumulate < 1 or self.batch % self.accumulate:
+            raise InputError(
+                f"{where}: expected accumulate to divide batch, found {self.accumulate} and {self.batch}; change one"
+            )
         for name in ("low_poly", "scans"):
             share = getattr(self.data, name)
             if share and (self.network != "mime" or self.data.kind != "wide"):
                 raise InputError(f"{where}: expected data.{name} with mime and data.kind wide only, found {share}")
-        for name in ("low_poly", "scans", "reflect"):
+        for name in ("low_poly", "scans", "reflect", "between"):
             share = getattr(self.data, name)
             if not 0.0 <= share <= 1.0:
                 raise InputError(f"{where}: expected data.{name} from 0 to 1, found {share}")
