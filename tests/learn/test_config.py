@@ -6,7 +6,9 @@ import pytest
 
 from mimesh.core.errors import InputError
 from mimesh.learn.config import config_from, load_config
+from mimesh.learn.models.aniformer import AniFormerConfig
 from mimesh.learn.models.npt import NPTConfig
+from mimesh.learn.tasks.aniformer import AniFormerTrainConfig
 
 
 def test_configurations_take_changes():
@@ -69,6 +71,8 @@ def test_shipped_configurations_load(name):
         ("model: 3", "expected keys and values"),
         ("compile: 1", "expected bool"),
         ("weight_decay: 0.1", "expected weight_decay 0 with optimizer adam"),
+        ("accumulate: 3", "expected accumulate to divide batch, found 3 and 8"),
+        ("data: {between: 0.5}", "expected data.between 0 with table6, found 0.5"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
         ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),
     ],
@@ -86,6 +90,13 @@ def test_the_full_configuration_is_the_papers_network_with_reflected_pairs():
     assert (config.batch, config.pairs, config.data.vertices, config.data.reflect) == (32, 800_000, 128, 0.5)
     assert (config.data.kind, config.optimizer, config.precision) == ("table6", "muon", "auto")
     assert config.weight_decay > 0
+
+
+def test_the_full_configuration_of_aniformer_has_the_papers_widths_and_motions():
+    config = load_config("full", "aniformer")
+    assert isinstance(config, AniFormerTrainConfig)
+    assert config.model == AniFormerConfig(attention="frames")
+    assert (config.data.kind, config.data.vertices, config.data.reflect) == ("clips80", 128, 0.5)
 
 
 @pytest.mark.parametrize("network", ["npt", "aniformer", "limp", "mime"])

@@ -41,6 +41,7 @@ def train(
     """
     require("train", "torch", "yaml", "safetensors", "tensorboard")
     with progress("starting", json):  # PyTorch takes seconds to load
+        from ..learn.processes import is_first_process
         from ..learn.train import train_command
 
     folder = train_command(
@@ -56,6 +57,8 @@ def train(
         leave_out or [],
         lambda title: progress(title, json),
     )
+    if not is_first_process():
+        return
     last, best = folder / "last.safetensors", folder / "best.safetensors"
     validated = best.exists()  # not where the time was over before the first validation
     if json:

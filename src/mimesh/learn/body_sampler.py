@@ -276,13 +276,15 @@ class BodySampler:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
 
-    def _reflect(self, *meshes: Float[Tensor, "B ... 3"]) -> None:
+    def _reflect(self, rng: torch.Generator, *meshes: Float[Tensor, "B ... 3"]) -> None:
         """Mirror the first pairs of a batch in place, x to -x: the configured share of them.
 
-        Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any.
+        Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any. A share
+        that is not a whole number of pairs is rounded up or down at random: it is right in the mean.
         """
+        part = torch.rand((), generator=rng, device=self.device).item()
         for mesh in meshes:
-            mesh[: round(self.config.reflect * len(mesh)), ..., 0] *= -1.0
+            mesh[: math.floor(self.config.reflect * len(mesh) + part), ..., 0] *= -1.0
 
 
 @cache

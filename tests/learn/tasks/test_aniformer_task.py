@@ -7,6 +7,7 @@ import torch
 from trainings import assert_steps_are_pure
 
 from mimesh.core.errors import InputError
+from mimesh.learn import body_sampler
 from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.config import load_config
 from mimesh.learn.models.aniformer import AniFormerConfig
@@ -91,8 +92,21 @@ def test_reflection_mirrors_whole_windows():
         assert torch.equal(after[1], before[1])
 
 
+def test_windows_between_random_poses_replace_a_share_of_the_motions():
+    config = dataclasses.replace(CASES[0], between=0.5)
+    source = WindowSource(config, 3, shipped_body(), torch.device("cpu"), seed=3)
+    motions = source.motions[:40, :3]
+    mixed = source._replace_by_straight(motions, torch.Generator().manual_seed(0))
+    kept = (mixed == motions).flatten(1).all(1)
+    assert 10 <= kept.sum() <= 30
+    turn = mixed[~kept][:, 1:] @ mixed[~kept][:, :-1].mT  # the same axis from step to step, up to small angles
+    angle = torch.arccos(((turn.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1))
+    assert angle.max() < 1.0
+    assert source.batch(4, 0).truth.isfinite().all()
+
+
 def test_a_still_clip_stays_still(monkeypatch):
-    monkeypatch.setattr(aniformer, "MAX_STEP", 0.0)
+    monkeypatch.setattr(body_sampler, "MAX_STEP", 0.0)
     monkeypatch.setattr(aniformer, "CAPTURED", 0.0)
     batch = WindowSource(CASES[1], 3, shipped_body(), torch.device("cpu"), seed=3).batch(2, 0)
     assert batch.driving.diff(dim=1).abs().max() < 1e-5

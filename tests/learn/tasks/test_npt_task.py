@@ -70,6 +70,15 @@ def test_reflection_mirrors_both_meshes_and_the_truth_of_a_share_of_the_pairs(ki
     assert torch.equal(mirrored.edges, plain.edges)
 
 
+def test_a_share_of_less_than_one_pair_is_mirrored_in_the_mean():
+    plain, mirrored = (
+        PairSource(DataConfig("table6", 8, reflect=share), shipped_body(), torch.device("cpu"), seed=3)
+        for share in (0.0, 0.5)
+    )
+    turned = [not torch.equal(mirrored.batch(1, i).truth, plain.batch(1, i).truth) for i in range(40)]
+    assert 10 <= sum(turned) <= 30
+
+
 @pytest.fixture
 def meshes():
     torch.manual_seed(0)

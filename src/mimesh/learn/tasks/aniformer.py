@@ -129,7 +129,7 @@ class WindowSource(BodySampler):
         scale = radius if self.config.target_scale == "identity" else None
         driving, _ = self._normalized_window(driving_shape, poses, driving_index)
         truth, radii = self._normalized_window(identity_shape, poses, index, scale)
-        self._reflect(identity, driving, truth)
+        self._reflect(rng, identity, driving, truth)
         return WindowBatch(identity, driving, truth, radii / radius[:, :, 0], edges, share)
 
     def _sample_motions(self, size: int, rng: torch.Generator):

@@ -55,7 +55,7 @@ class PairSource(BodySampler):
         driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
         scale = radius if self.config.target_scale == "identity" else None
         truth, _ = self._normalized_mesh(identity_shape, driving_pose, index, scale)
-        self._reflect(identity, driving, truth)
+        self._reflect(rng, identity, driving, truth)
         return PairBatch(identity, driving, truth, edges, share)
 
 

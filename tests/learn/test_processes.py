@@ -1,0 +1,80 @@
+"""Trainings whose batches are computed in parts, one after another or in two processes (gloo): the same steps."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import torch
+from trainings import TINY
+
+from mimesh.core.errors import InputError
+from mimesh.learn import checkpoint
+from mimesh.learn.tasks.npt import NPTTask
+from mimesh.learn.train import TrainingRun, train
+
+PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
+
+
+def test_parts_give_the_gradient_of_their_pairs_together(tmp_path):
+    """Against the loss of all parts in one batch, which the generator would not make by itself."""
+    run = TrainingRun.start(dataclasses.replace(PARTS, clip=0.0), tmp_path)
+    task = NPTTask(PARTS, torch.device("cpu"))
+    model = task.make_model()
+    model.load_state_dict(run.model.state_dict())
+    parts = [run.source.batch(2, i) for i in (0, 1)]
+    (sum(task.loss(model, part, 0) for part in parts) / 2).backward()
+    run.advance()
+    for mine, expected in zip(run.model.parameters(), model.parameters(), strict=True):
+        assert mine.grad is not None
+        assert expected.grad is not None
+        torch.testing.assert_close(mine.grad, expected.grad)
+
+
+def launch(folder, config, *more, count=2):
+    """Train by torchrun, as the docs say."""
+    (folder / "tiny.yaml").write_text(json.dumps(dataclasses.asdict(config)))
+    command = [
+        sys.executable,
+        "-m",
+        "torch.distributed.run",
+        "--standalone",
+        f"--nproc-per-node={count}",
+        "-m",
+        "mimesh",
+    ]
+    command += ["train", "npt", "--config", str(folder / "tiny.yaml"), "-o", str(folder / "shared"), *more]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "muon"])
+def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
+    config = dataclasses.replace(PARTS, optimizer=optimizer)
+    done = launch(tmp_path, dataclasses.replace(config, accumulate=1))
+    assert done.returncode == 0, done.stderr
+    shared, alone = tmp_path / "shared", train(config, tmp_path / "alone")
+    states = [checkpoint.load(folder / "last.safetensors") for folder in (shared, alone)]
+    for key, value in states[1].tensors.items():
+        torch.testing.assert_close(states[0].tensors[key], value, rtol=1e-4, atol=1e-6, msg=key)
+    assert states[0].metrics == pytest.approx(states[1].metrics, rel=1e-4)
+    logs = [[json.loads(line) for line in (f / "log.jsonl").read_text().splitlines()] for f in (shared, alone)]
+    assert [line["kind"] for line in logs[0]] == [line["kind"] for line in logs[1]]
+    assert done.stdout.count("last.safetensors") == 1
+
+
+def test_a_batch_that_two_processes_cannot_share_is_refused(tmp_path):
+    done = launch(tmp_path, dataclasses.replace(PARTS, accumulate=4))
+    assert done.returncode != 0
+    assert "batch: expected a multiple of 8 (accumulate x processes), found 4" in done.stderr
+
+
+def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
+    whole = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
+    whole.advance()
+    whole.save(tmp_path / "last.safetensors")
+    assert TrainingRun.start(PARTS, tmp_path).changes[-1] == {"after_pairs": 4, "accumulate": 2}
+    with pytest.raises(InputError, match="expected a multiple of 3"):
+        TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)
