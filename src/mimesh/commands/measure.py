@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .terminal import Json, Quiet, print_json, print_next, progress
+from ..core.errors import InputError
+from .terminal import Json, Quiet, print_json, print_next, progress, require
 
 Protocol = Annotated[
     str,
@@ -68,18 +70,38 @@ def table(
     output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,
+    train: Annotated[bool, typer.Option("--train", help="Train the networks of the rows first.")] = False,
+    seeds: Annotated[int, typer.Option(help="Train each row so many times; prints mean and deviation.", min=1)] = 1,
+    minutes: Annotated[
+        float, typer.Option(help="Training time of rows that are compared, in CPU minutes.", min=0)
+    ] = 21,
+    long: Annotated[bool, typer.Option("--long", help="Train the rows that take many hours, too.")] = False,
+    networks: Annotated[Path, typer.Option(help="Folder for the networks that are trained.", metavar="DIR")] = Path(
+        "runs/tables"
+    ),
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Print a table of a paper with its figures beside ours.
 
     Measures every row first: give -o to be able to stop and go on. The rows' own
-    networks lie in the repository's folder ablations, so run this in a checkout of it.
+    networks lie in the repository's folder ablations, so run this in a checkout of it,
+    or train them: --train needs the [train] extra and goes on where it was stopped.
     """
-    from ..evaluate.tables import table_command
+    from ..evaluate.tables import find_table, table_command
 
+    find_table(name)
+    trained = {}
+    if train:
+        require("train", "torch", "yaml", "safetensors", "tensorboard", "onnx", "onnxscript")
+        with progress("starting", quiet or json):  # PyTorch takes seconds to load
+            from ..learn.table_rows import train_table
+
+        trained = train_table(name, networks, minutes, seeds, long, lambda text: print(text, file=sys.stderr))
+    elif seeds > 1 or long:
+        raise InputError("--seeds, --long: expected them with --train, found them without; add --train")
     with progress("pairs", quiet or json) as advance:
-        figures, text = table_command(name, output, pairs, advance, data)
+        figures, text = table_command(name, output, pairs, advance, data, trained)
     if json:
         print_json(figures)
     elif not quiet:

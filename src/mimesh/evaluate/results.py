@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..core.errors import InputError
-from ..methods.find import REDUCED_MODELS, TABLE_MODELS
+from ..methods.find import is_table_model
 from .frozen_sets import frozen_sets, role
 from .markdown import (
     calibration_table,
@@ -264,7 +264,7 @@ def with_readme_table(text: str, table: str) -> str:
 
 def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
     """Format the tables of a test set: methods without a body model, then those that fit the shipped body."""
-    ours = [row for row in rows if REDUCED_MODELS.get(row["method"], row["method"]) not in TABLE_MODELS]
+    ours = [row for row in rows if not is_table_model(row["method"])]
     parts = [f"### {test_set.title}", _set_facts(test_set)]
     if not ours:
         return [*parts, "Not measured."]

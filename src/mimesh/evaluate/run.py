@@ -18,7 +18,7 @@ from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS, check_weights, find_method, weights_path
+from ..methods.find import MODELS, REDUCED_MODELS, check_weights, find_method, is_table_model, weights_path
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
@@ -273,9 +273,8 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
     names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *TABLE_MODELS, *REDUCED_MODELS) and not (
-        method.endswith(".onnx") and Path(method).is_file()
-    ):
+    named = method in (*names, *REDUCED_MODELS) or is_table_model(method)
+    if not named and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_weights(method)
 
