@@ -96,15 +96,25 @@ def training_facts(method: str) -> dict[str, Any]:
     if not path.with_suffix(".json").exists():
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text())
-    count = card["config"]["data"]["vertices"] or 6890
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if "characters" in card:
         data += f" and {sum(card['characters']['makers'].values())} characters of other makers"
     stages = [card, *card.get("before", [])]
     minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
     pairs = sum(stage["pairs"] for stage in stages)
-    facts = {"trained": f"{minutes}; {pairs:,} pairs of {count:,} vertices; {data}"}
+    vertices = vertices_of_meshes(card)
+    facts = {"trained": f"{minutes}; {pairs:,} pairs of {vertices}; {data}"}
     return facts | ({"pflop": card["pflop"]} if "pflop" in card else {})
+
+
+def vertices_of_meshes(card: dict[str, Any]) -> str:
+    """Say from a card how many vertices the meshes of a training had, and since when."""
+    count = f"{card['config']['data']['vertices'] or 6890:,}"
+    changes = [change for change in card.get("changes", []) if "data.vertices" in change and "was" in change]
+    if not changes:
+        return f"{count} vertices"
+    first, last = changes[0]["was"]["data.vertices"] or 6890, card["pairs"] - changes[-1]["after_pairs"]
+    return f"{first:,} vertices, the last {last:,} of {count}"
 
 
 class Output(NamedTuple):

@@ -44,7 +44,7 @@ class Table(NamedTuple):
 
 NONE_TRAINED: Mapping[str, Sequence[str]] = MappingProxyType({})
 PAPER_PFLOP = {"npt": 200.0, "aniformer": 187.0}
-"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.export.training_pflop` counts
+"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.cost` counts
 it for the configurations `paper`: 200 epochs of 4,000 pairs of 6,890 vertices, 200 epochs of 400 windows. The public
 code of AniFormer computes its attention over more keys: 434 by its own arithmetic."""
 LONGEST = Row("NPT, the paper's width, 16 people x 400 poses", "npt-full", 1.1, 9.3)

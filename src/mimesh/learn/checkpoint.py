@@ -21,7 +21,18 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "changes")
+POSITION = (
+    "step",
+    "seconds",
+    "best",
+    "metrics",
+    "before",
+    "validated",
+    "precision",
+    "characters",
+    "changes",
+    "operations",
+)
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -38,7 +49,7 @@ class Checkpoint:
     metrics: dict[str, float]
     """Validation figures of these weights, if they were validated."""
     tensors: dict[str, Tensor]
-    before: tuple[dict[str, int], ...] = ()
+    before: tuple[dict[str, int | float], ...] = ()
     """Trainings whose network this one began with, as `spent` gives them."""
     validated: int | None = None
     """Step of the last validation; None in checkpoints that do not say."""
@@ -47,18 +58,23 @@ class Checkpoint:
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
-    """What was changed where the training was resumed: `after_pairs`, and the new values by their keys. Where its
+    """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
+    values before. Where its
     network was averaged with others, `averaged` lists them (`average`).
     """
 
-    def spent(self) -> dict[str, int]:
-        """Give the time and the pairs of this training so far."""
-        return {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
+    operations: float | None = None
+    """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
+
+    def spent(self) -> dict[str, int | float]:
+        """Give the time, the pairs and, if known, the operations of this training so far."""
+        spent = {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
+        return spent if self.operations is None else {**spent, "operations": self.operations}
 
     @property
     def pairs(self) -> int:
         """Pairs of this training so far and of those before it."""
-        return sum(stage["pairs"] for stage in (self.spent(), *self.before))
+        return int(sum(stage["pairs"] for stage in (self.spent(), *self.before)))
 
     def weights(self) -> dict[str, Tensor]:
         """Give the weights to use: the moving average if there is one."""

@@ -20,6 +20,7 @@ from ..io.atomic import whole_file
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .config import TrainConfig
+from .cost import operations_spent
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
 
@@ -167,7 +168,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
-        "pflop": training_pflop(trained.config, trained.pairs),
+        "pflop": float(f"{operations_spent(trained) / 1e15:.3g}"),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
         **({"changes": list(trained.changes)} if trained.changes else {}),
@@ -180,15 +181,6 @@ def described_data(config: TrainConfig) -> str:
     if config.network != "mime" or config.data.kind != "wide":
         return DATA[config.data.kind]
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
-
-
-def training_pflop(config: TrainConfig, pairs: int) -> float:
-    """Compute the arithmetic of a training, 10^15 operations: three times the forward pass for each pair.
-
-    Pairs of earlier stages count with this configuration. The optimiser's arithmetic is not counted.
-    """
-    task = find_task(config.network)(config, torch.device("cpu"))
-    return float(f"{3 * pairs * task.flops_per_pair(task.make_model()) / 1e15:.3g}")
 
 
 def test_set(card: dict[str, Any]) -> str:
