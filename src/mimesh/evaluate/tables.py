@@ -227,8 +227,8 @@ def over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
         return rows[0] if rows else None
     combined = dict(rows[0])
     for key, value in rows[0].items():
-        values = [row.get(key) for row in rows]
-        if isinstance(value, float) and None not in values and not key.endswith("_ci95"):
+        if isinstance(value, float) and not key.endswith("_ci95") and all(key in row for row in rows):
+            values = [float(row[key]) for row in rows]
             combined[key] = float(np.mean(values))
             if f"{key}_ci95" in combined:
                 combined[f"{key}_ci95"] = float(np.std(values, ddof=1))

@@ -68,7 +68,7 @@ class Checkpoint:
 
     def spent(self) -> dict[str, int | float]:
         """Give the time, the pairs and, if known, the operations of this training so far."""
-        spent = {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
+        spent: dict[str, int | float] = {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
         return spent if self.operations is None else {**spent, "operations": self.operations}
 
     @property

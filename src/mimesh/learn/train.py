@@ -316,8 +316,8 @@ class TrainingRun:
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
             run.changes = (*state.changes, *changes_at_resume(state, config, pool))
-            known = state.operations is not None
-            run.operations = state.operations if known else operations_of(state.config, state.step * state.config.batch)
+            spent = state.operations  # not in checkpoints of earlier versions
+            run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
         return run
 
     def clock(self) -> float:
