@@ -105,7 +105,7 @@ hold a licence give it their files:
 | file | command | result |
 |---|---|---|
 | SMPL, SMPL+H, SMPL-X, SMAL: `.pkl`, `.npz` | `mimesh convert SMPL_NEUTRAL.pkl body.obj` | the mean shape at rest |
-| AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip (T, V, 3) of the recorded person |
+| AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip of the recorded person |
 | | `mimesh animate hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity, driven by that clip |
 | | `mimesh animate hero.glb take.npz` | the identity, driven by the joints; no model is needed |
 | DFAUST: `registrations_m.hdf5` | `mimesh look registrations_m.hdf5` | the names of its clips |
@@ -113,7 +113,7 @@ hold a licence give it their files:
 | DFAUST: a folder of `%05d.obj` | `mimesh convert folder/ clip.npz --fps 60` | the clip |
 | FAUST: `tr_reg_000.ply` | `mimesh transfer hero.glb tr_reg_000.ply` | the identity in that pose |
 | MG-dataset: `smpl_registered.obj` | `mimesh transfer hero.glb smpl_registered.obj` | the identity in that pose |
-| MG-dataset: `registration.pkl` | `mimesh convert registration.pkl body.obj --body-model SMPL_MALE.pkl` | the body without clothes |
+| MG-dataset: `registration.pkl` | `mimesh convert registration.pkl body.obj --body-model SMPL.pkl` | the bare body |
 
 **Not tested on the real files**, which may not be redistributed; tested on files of the same layout that the tests
 write. They come back with every vertex within 1e-5; posed models are compared with plain loops over the equations of
@@ -129,7 +129,8 @@ the SMPL paper.
 * **Layouts.** A model has `v_template`, `shapedirs` (V, 3, K), `posedirs` (V, 3, 9 (J - 1)), `J_regressor` (J, V),
   `weights` (V, J), `kintree_table` (2, J) and `f`. A pickle of poses has `pose` (3 J) or (T, 3 J), `betas` and `trans`.
 * **Pickles** can run any program when Python loads them. mimesh does not load them: it only takes arrays of NumPy,
-  SciPy and chumpy out of them (neither chumpy nor Python 2 is needed), and a pickle that names anything else is refused
+  SciPy and chumpy out of them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that
+  names anything else is refused
   with that name. So are sizes that the file does not hold.
 """
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -72,6 +73,26 @@ def test_pickles_give_the_model_of_the_archive(kind, protocol, tmp_path):
         entries["shapedirs"] = Ch(arrays["shapedirs"])
         (tmp_path / "m.pkl").write_bytes(pickle.dumps(entries, protocol))
     same_model(load_smpl_model(tmp_path / "m.pkl"), true)
+
+
+def ramp(*shape: int) -> np.ndarray:
+    return np.arange(float(np.prod(shape))).reshape(shape) / 8
+
+
+@pytest.mark.parametrize("protocol", [0, 2])
+def test_pickles_of_python_2_with_chumpy_are_read_exactly(protocol):
+    """Files that Python 2.7.18 wrote with NumPy 1.16.6, SciPy 1.2.3 and chumpy 0.70 from numbers in a row.
+
+    The template and the weights are chumpy's variables, the shape directions a part of one.
+    """
+    model = load_smpl_model(Path(__file__).with_name(f"python2_model_{protocol}.pkl"))
+    np.testing.assert_array_equal(model.template, ramp(5, 3))
+    np.testing.assert_array_equal(model.shape_directions, ramp(5, 3, 4)[..., :2])
+    np.testing.assert_array_equal(model.pose_directions, ramp(5, 3, 9))
+    np.testing.assert_array_equal(model.joint_regressor, ramp(2, 5))
+    np.testing.assert_array_equal(model.weights, ramp(5, 2))
+    assert model.parents == (-1, 0)
+    assert model.faces.tolist() == [[0, 1, 2], [2, 3, 4]]
 
 
 def same_model(model, true):
