@@ -283,8 +283,6 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
     text = markdown(report)
     assert "jitter, m/s²" in text
     assert "| `copy` | 1 |" in text
-    with pytest.raises(InputError, match="found one of clips"):
-        generate_command("clips-aniformer", tmp_path, "val")
 
 
 def test_missing_clips_are_reported_before_measuring(tmp_path, monkeypatch):

@@ -168,7 +168,9 @@ class ClipsAniformer(Protocol):
         number = 1000 * STREAMS[stream][0] + i
         shape = sample_shape(human(), self.seed(f"{split}/actors"), number, self.spread)
         rest = Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), target)), str(target))
-        first = make_pair(identity, Person(human(), shape, str(number)), rest, Pose(motion.rotmat[0], motion.name))
+        # Driving people are numbered after the identities: files are named by person.
+        driving = Person(human(), shape, str(self.targets + number))
+        first = make_pair(identity, driving, rest, Pose(motion.rotmat[0], motion.name))
         clip, truth = (motion_clip(human(), person, motion) for person in (shape, identity.shape))
         fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
         # The clip also has the motion's root path, which a pair of poses has not.

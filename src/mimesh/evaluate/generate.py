@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import zlib
 from pathlib import Path
+
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
@@ -58,10 +62,10 @@ def generate_command(
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds if _has_truth(chosen, split, kind)}
     done = 0
     for kind, count in counts.items():
-        triples, heights = [], {}
+        triples, heights, written = [], {}, {}
         for i in range(count):
             pair = chosen.unshuffled_pair(split, kind, i, chosen.rng(split, kind, i))
-            triples.append(_write_pair(pair, out / f"{split}-{kind}", frames_as))
+            triples.append(_write_pair(pair, out / f"{split}-{kind}", frames_as, written))
             heights[triples[-1][0]] = pair.height
             done += 1
             if progress is not None:
@@ -76,32 +80,37 @@ def _has_truth(protocol: Protocol, split: str, kind: str) -> bool:
     return protocol.unshuffled_pair(split, kind, 0, protocol.rng(split, kind, 0)).truth_known
 
 
-def _write_pair(pair: Pair, folder: Path, frames_as: str | None) -> tuple[str, str, str]:
-    """Write identity, driving mesh or clip, and truth of a pair and return their names relative to the list."""
+def _write_pair(pair: Pair, folder: Path, frames_as: str | None, written: dict[str, int]) -> tuple[str, str, str]:
+    """Write identity, driving mesh or clip, and truth of a pair and return their names relative to the list.
+
+    `written` has a checksum of what each file of the folder holds, by its name, and is added to.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
+    parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)
     if isinstance(pair, ClipPair):
-        truth_clip = dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames)
-        paths = [_write_clip(clip, folder, frames_as) for clip in (pair.clip, truth_clip)]
-    else:
-        paths = [_write_mesh(mesh, folder) for mesh in (pair.driving, truth)]
-    identity, driving, true = (f"{folder.name}/{path.name}" for path in (_write_mesh(pair.identity, folder), *paths))
+        parts = (pair.identity, pair.clip, dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames))
+    identity, driving, true = (f"{folder.name}/{_write(part, folder, frames_as, written)}" for part in parts)
     return identity, driving, true
 
 
-def _write_mesh(mesh: Mesh, folder: Path) -> Path:
+def _write(part: Mesh | Clip, folder: Path, frames_as: str | None, written: dict[str, int]) -> str:
+    """Write a mesh or a clip under its own name, with a number behind it where that is another's; return the name."""
+    mesh = part.mesh if isinstance(part, Clip) else part
     # A point cloud has no faces and so cannot be written as OBJ; PLY stores both.
-    path = folder / f"{mesh.name}{'.obj' if len(mesh.faces) else '.ply'}"
-    save_mesh(mesh, path)
-    return path
-
-
-def _write_clip(clip: Clip, folder: Path, frames_as: str | None) -> Path:
-    path = folder / f"{clip.mesh.name}{CLIP_SUFFIX if frames_as is None else ''}"
-    if frames_as is not None:
-        path.mkdir(exist_ok=True)  # names of takes have dots, which would be taken for a suffix
-    save_clip(clip, path, frames_as)
-    return path
+    suffix = ".obj" if len(mesh.faces) else ".ply"
+    if isinstance(part, Clip):
+        suffix = CLIP_SUFFIX if frames_as is None else ""
+    content = zlib.crc32(np.asarray(part.vertices).tobytes())
+    names = (f"{mesh.name}{f'-{k}' if k > 1 else ''}{suffix}" for k in itertools.count(1))
+    name = next(name for name in names if written.setdefault(name, content) == content)
+    if isinstance(part, Clip):
+        if frames_as is not None:
+            (folder / name).mkdir(exist_ok=True)  # names of takes have dots, which would be taken for a suffix
+        save_clip(part, folder / name, frames_as)
+    else:
+        save_mesh(part, folder / name)
+    return name
 
 
 def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> int:

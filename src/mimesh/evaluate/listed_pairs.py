@@ -115,13 +115,13 @@ class ListedPairs(Protocol):
         return known[triple.names[0]]
 
     def files(self) -> dict[str, Path]:
-        """Return the files of all lists by their names in them, those of folders too, and the files of heights."""
+        """Return the files of all lists, those in folders of frames and the heights by their paths in the folder."""
         lists = find_lists(self.source)
-        found = {path.name: path for path in map(heights_file, lists) if path.is_file()}
-        for triple in (triple for triples in self.lists.values() for triple in triples):
-            for name, path in zip(triple.names, triple.paths, strict=True):
-                found |= _files(name, path)
-        return found
+        named = [path for triples in self.lists.values() for triple in triples for path in triple.paths]
+        found = [file for path in named for file in _files_in(path)]
+        heights = [path for path in map(heights_file, lists) if path.is_file()]
+        base = self.data or lists[0].parent
+        return {str(path.relative_to(base) if path.is_relative_to(base) else path): path for path in (*heights, *found)}
 
     def checksums(self) -> dict[str, str]:
         """Return a checksum of each list, by kind."""
@@ -255,8 +255,8 @@ def _stem(name: str) -> str:
     return re.sub(r"\.[A-Za-z]\w*$", "", last)
 
 
-def _files(name: str, path: Path) -> dict[str, Path]:
+def _files_in(path: Path) -> list[Path]:
+    """Return the files of a folder in a fixed order, or the file that is given."""
     if not path.is_dir():
-        return {name: path}
-    inside = (Path(parent, file) for parent, _, names in os.walk(path, followlinks=True) for file in names)
-    return {f"{name}/{file.relative_to(path)}": file for file in inside}
+        return [path]
+    return sorted(Path(parent, name) for parent, _, names in os.walk(path, followlinks=True) for name in names)

@@ -298,7 +298,7 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
-        clip = Clip(driving, frames, trial.clip.fps)
+        clip = Clip(driving, required_input(frames, method), trial.clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
     network = find_method(method, ensemble=ensemble)
     if needs_true_size(network):
