@@ -25,7 +25,7 @@ from mimesh.evaluate.measure import (
     result_vertices,
 )
 from mimesh.evaluate.metrics import resized
-from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
+from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
@@ -196,6 +196,32 @@ def test_generated_point_clouds_and_tables(tmp_path):
     assert len(load_mesh(tmp_path / cloud).faces) == 0
     with pytest.raises(InputError, match="without training data"):
         generate_command("cross-topology", tmp_path, "train")
+
+
+def test_generated_pairs_with_fingers_have_a_truth_each(tmp_path):
+    generate_command("fingers", tmp_path, "val", pairs=2)
+    lines = [line.split() for path in sorted(tmp_path.glob("*.txt")) for line in path.read_text().splitlines()]
+    assert len(lines) == len({truth for _, _, truth in lines}) == 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Namesakes(HumanNpt):
+    """The protocol with one name for all people."""
+
+    def person(self, split, i):
+        return dataclasses.replace(super().person(split, i), label="0")
+
+
+def test_files_of_one_name_and_other_contents_are_numbered(tmp_path, monkeypatch):
+    protocol = Namesakes("human-npt", 1, ("seen",), pairs=1, spread=1.1)
+    monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: protocol)
+    generate_command("human-npt", tmp_path, "val")
+    (line,) = (tmp_path / "val-seen.txt").read_text().splitlines()
+    _, driving, truth = line.split()
+    assert truth == driving.replace(".obj", "-2.obj")
+    pair = protocol.unshuffled_pair("val", "seen", 0, protocol.rng("val", "seen", 0))
+    assert np.array_equal(load_mesh(tmp_path / driving).vertices, pair.driving.vertices)
+    assert np.array_equal(load_mesh(tmp_path / truth).vertices, pair.truth)
 
 
 CLIP_COLUMNS = {"path_mm", "jitter", "still_mm", "skate_cm_s"}

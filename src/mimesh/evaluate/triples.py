@@ -87,7 +87,7 @@ def read_list(path: Path, folder: Path | None = None) -> tuple[Triple, ...]:
         if len(names) != 3:
             raise InputError(
                 f"{where}: expected three names (identity, driving, truth), found {len(names)} in "
-                f"{line.strip()[:60]!r}; put a name with blanks in double quotes"
+                f"{line.strip()[:60]!r}; put a name with blanks in double quotes, or name the lists if this is none"
             )
         identity, driving, truth = names
         found = [_find(name, folder or path.parent, where) for name in names]
