@@ -25,7 +25,7 @@ from mimesh.evaluate.measure import (
     result_vertices,
 )
 from mimesh.evaluate.metrics import resized
-from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT
+from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
@@ -199,6 +199,32 @@ def test_generated_point_clouds_and_tables(tmp_path):
         generate_command("cross-topology", tmp_path, "train")
 
 
+def test_generated_pairs_with_fingers_have_a_truth_each(tmp_path):
+    generate_command("fingers", tmp_path, "val", pairs=2)
+    lines = [line.split() for path in sorted(tmp_path.glob("*.txt")) for line in path.read_text().splitlines()]
+    assert len(lines) == len({truth for _, _, truth in lines}) == 6
+
+
+@dataclasses.dataclass(frozen=True)
+class Namesakes(HumanNpt):
+    """The protocol with one name for all people."""
+
+    def person(self, split, i):
+        return dataclasses.replace(super().person(split, i), label="0")
+
+
+def test_files_of_one_name_and_other_contents_are_numbered(tmp_path, monkeypatch):
+    protocol = Namesakes("human-npt", 1, ("seen",), pairs=1, spread=1.1)
+    monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: protocol)
+    generate_command("human-npt", tmp_path, "val")
+    (line,) = (tmp_path / "val-seen.txt").read_text().splitlines()
+    _, driving, truth = line.split()
+    assert truth == driving.replace(".obj", "-2.obj")
+    pair = protocol.unshuffled_pair("val", "seen", 0, protocol.rng("val", "seen", 0))
+    assert np.array_equal(load_mesh(tmp_path / driving).vertices, pair.driving.vertices)
+    assert np.array_equal(load_mesh(tmp_path / truth).vertices, pair.truth)
+
+
 CLIP_COLUMNS = {"path_mm", "jitter", "still_mm", "skate_cm_s"}
 
 
@@ -284,8 +310,6 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
     text = markdown(report)
     assert "jitter, m/s²" in text
     assert "| `copy` | 1 |" in text
-    with pytest.raises(InputError, match="found one of clips"):
-        generate_command("clips-aniformer", tmp_path, "val")
 
 
 def test_missing_clips_are_reported_before_measuring(tmp_path, monkeypatch):

@@ -210,7 +210,7 @@ def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
     reports = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
     found: dict[tuple[str, str, str], str] = {}
     for stem, report in reports.items():
-        if report["provenance"]["config"]["split"] != "test":
+        if report["provenance"]["config"].get("split") != "test":
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
         for kind, facts in report.get("sets", {}).items():
             if facts["frozen"] not in ("same", "unknown"):
