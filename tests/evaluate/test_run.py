@@ -25,6 +25,7 @@ from mimesh.evaluate.measure import (
     result_vertices,
 )
 from mimesh.evaluate.metrics import resized
+from mimesh.evaluate.pairs import mirrored
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
 from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
@@ -58,6 +59,27 @@ def test_evaluating_a_network_is_reproducible(tmp_path):
     first, second = (evaluate_command("human-npt", [network], split="val", pairs=1) for _ in range(2))
     for a, b in zip(first["results"], second["results"], strict=True):
         assert a["pmd_e4"] == b["pmd_e4"] > 0
+
+
+def test_mirror_images_are_as_hard_for_a_method_without_a_side():
+    """`copy` has the same figures; a network of random weights has others, on meshes whose triangles face outwards."""
+    pair = HUMAN_NPT.pair("val", "unseen", 0)
+    image = mirrored(pair)
+    for before, after in ((pair.identity, image.identity), (pair.driving, image.driving)):
+        assert np.array_equal(after.vertices[:, 0], -before.vertices[:, 0])
+        volumes = [
+            np.einsum("fi,fi->", *np.array([np.cross(*t[:2]), t[2]]))
+            for t in (np.moveaxis(mesh.vertices[mesh.faces], 1, 0) for mesh in (before, after))
+        ]
+        assert volumes[0] == pytest.approx(volumes[1])
+    plain, mirror = (evaluate_command("human-npt", ["copy"], split="val", pairs=2, mirror=on) for on in (False, True))
+    for a, b in zip(plain["results"], mirror["results"], strict=True):
+        assert b["split"] == f"{a['split']}, mirrored"
+        assert b["pmd_e4"] == pytest.approx(a["pmd_e4"])
+        assert set(a["each"]["pair"]).isdisjoint(b["each"]["pair"])
+    assert mirror["provenance"]["config"]["mirror"] is True
+    with pytest.raises(InputError, match="--mirror: expected a test set of single meshes"):
+        evaluate_command("fingers", ["mime"], mirror=True)
 
 
 def test_interrupted_run_is_continued(tmp_path, monkeypatch):

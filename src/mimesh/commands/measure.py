@@ -51,6 +51,7 @@ def evaluate(
     pairs: Pairs = 0,
     ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
     refine: Annotated[bool, typer.Option("--refine", help="Smooth results along the identity's surface.")] = False,
+    mirror: Annotated[bool, typer.Option("--mirror", help="Measure on the mirror images of all pairs.")] = False,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
     data: Annotated[
         Path | None,
@@ -79,7 +80,7 @@ def evaluate(
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
         figures = evaluate_command(
-            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps
+            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps, mirror
         )
     if json:
         print_json(figures)

@@ -27,7 +27,7 @@ from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedClips, ListedPairs, listed_pairs
 from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip, measure_fingers
-from .pairs import Pair
+from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
 from .summary import summary
@@ -49,6 +49,7 @@ def evaluate_command(
     refine: bool = False,
     height: float | None = None,
     fps: float | None = None,
+    mirror: bool = False,
 ) -> dict[str, Any]:
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
@@ -63,6 +64,7 @@ def evaluate_command(
         data: folder of a protocol that reads one, or that the names of a list are relative to.
         height: height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`.
         fps: frames per second of the clips of a list; None: those of the files.
+        mirror: measure on the mirror images of all pairs; not for clips and characters.
 
     Raises:
         InputError: an unknown protocol, split or method, or missing data.
@@ -77,8 +79,11 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
+    if mirror and (dump is not None or measurement_of(chosen) is not measure):
+        raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     options = {"ensemble": ensemble, "refine": refine}
     config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
+    config |= {"mirror": True} if mirror else {}
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}
@@ -91,16 +96,18 @@ def evaluate_command(
             figures = []
             for i in range(counts[kind]):
                 key = [method, weights, code.get(method), kind, i]
-                stored = ledger.get(key)
-                figures.append(
-                    stored or ledger.put(key, measure_trial(chosen, chosen.pair(split, kind, i), method, options))
-                )
+                if (metrics := ledger.get(key)) is None:
+                    trial = chosen.pair(split, kind, i)
+                    trial = mirrored(trial) if mirror else trial
+                    metrics = ledger.put(key, measure_trial(chosen, trial, method, options))
+                figures.append(metrics)
                 done += 1
                 if progress is not None:
                     progress(done, total)
-            rows.append({**summary(method, kind, figures), "weights": weights})
-            if kind not in sets:  # every method gets the same pairs
-                sets[kind] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures])
+            label = f"{kind}, mirrored" if mirror else kind
+            rows.append({**summary(method, label, figures), "weights": weights})
+            if label not in sets:  # every method gets the same pairs
+                sets[label] = set_facts(chosen, split, label, [metrics["pair"] for metrics in figures])
             if dump is not None:
                 from .dump import dump_worst
 
