@@ -46,8 +46,6 @@ STORED_BITS = (16, 8)
 """Of a weight, as `mimesh export` writes it."""
 FULL_BITS = 32
 """Of a weight as it was trained."""
-INT8_STEPS = 127
-"""Steps from zero to the largest weight of a row."""
 
 
 def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
@@ -137,7 +135,7 @@ def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> o
             continue
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if bits == 8 and values.ndim == 2:
-            scale = (np.abs(values).max(axis=1) / INT8_STEPS).clip(1e-12).astype(np.float32)
+            scale = (np.abs(values).max(axis=1) / checkpoint.INT8_STEPS).clip(1e-12).astype(np.float32)
             stored = np.round(values / scale[:, None]).astype(np.int8)
             network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
             inputs = [f"{name}.stored", f"{name}.scale"]
