@@ -61,6 +61,9 @@ def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
     written = (tmp_path / "npt-equal.onnx").stat().st_mtime_ns
     train_row("npt-equal", 0, 0.001, tmp_path)
     assert (tmp_path / "npt-equal.onnx").stat().st_mtime_ns == written
+    (tmp_path / "npt-equal.json").unlink()  # as where the process was killed before it wrote the card
+    train_row("npt-equal", 0, 0.001, tmp_path)
+    assert (tmp_path / "npt-equal.json").exists()
     with pytest.raises(InputError, match="expected no training, or one with this configuration"):
         train_row("npt-equal", 0, 0.002, tmp_path)
 

@@ -115,6 +115,6 @@ def train_row(row: str, seed: int, minutes: float, folder: Path) -> None:
         raise InputError(
             f"{run}: expected no training, or one with this configuration, found another; choose another folder"
         )
-    if not onnx.exists():
+    if not (onnx.exists() and onnx.with_suffix(".json").exists()):  # the card is written last
         train(config, run)
         export_command(last, onnx, BITS)
