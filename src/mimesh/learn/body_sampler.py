@@ -1,7 +1,4 @@
-"""Random people in random poses, made on the device: shapes, poses, skinning, normalisation, vertex subsets.
-
-A batch is a pure function of the seed and its step, so a resumed training gets what an uninterrupted one would have.
-"""
+"""Random people in random poses, made on the device: shapes, poses, skinning, normalisation."""
 
 from __future__ import annotations
 
@@ -19,11 +16,11 @@ from ..bodies import RiggedBody
 from ..bodies.contacts import contact_bank
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
-from ..core import geometry
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
 from ..motions import pose_bank
 from .bodies import TorchBody, rotvec_to_rotmat
+from .vertex_sampler import VertexSampler
 
 
 @dataclass(frozen=True)
@@ -77,20 +74,14 @@ SHAPE_LIMIT = 2.5
 """Shape coefficients are clipped to so many standard deviations."""
 
 
-class BodySampler:
+class BodySampler(VertexSampler):
     """Draws people, poses and vertices of one kind of data on one device; subclasses make batches of them."""
 
     def __init__(self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int) -> None:
-        self.config, self.seed, self.device = config, seed, device
+        vertices, by_area = config.vertices, config.kind == "wide"
+        super().__init__(body.vertices, body.faces, vertices, device, seed, config.reflect, by_area)
+        self.config = config
         self.body = TorchBody(body).to(device)
-        self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
-        self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
-        area = torch.from_numpy(geometry.vertex_areas(body.vertices, body.faces)).float().to(device)[self.order]
-        # Of the vertices in spatial order: cumulative share of their number, and of their area.
-        self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
-        self.first_neighbour, self.neighbours = (
-            torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
-        )
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
         self._load(body)
 
@@ -110,13 +101,6 @@ class BodySampler:
             self.motion_frames = self._tensor(pose_bank("train"))
             self.lowered = self._tensor(lowered_arms(body))
             self.contacts = [self._tensor(array) for array in contact_bank()]
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float().to(self.device)
-
-    def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step."""
-        return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_pairs(
         self, size: int, rng: torch.Generator
@@ -191,9 +175,6 @@ class BodySampler:
         shapes, poses = (bank[drawn] for bank in self.contacts)
         return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
 
-    def _random_index(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
-        return torch.randint(count, shape, generator=rng, device=self.device)
-
     def _random_between(
         self, bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator
     ) -> Float[Tensor, "B J 3"]:
@@ -216,41 +197,6 @@ class BodySampler:
         rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
         some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.tumble
         return rotvec_to_rotmat(rotvec * some)
-
-    def _sample_vertices(
-        self, size: int, rng: torch.Generator
-    ) -> tuple[Int[Tensor, "B V"], Int[Tensor, "B U"], Int[Tensor, "B E 2"], float]:
-        """Draw indices of identity and truth, of driving, edges among the former, and edges of the mesh over these.
-
-        With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
-        edges to measure.
-        """
-        total, wanted = self.body.vertex_count, self.config.vertices
-        if wanted == 0:
-            order = torch.rand(2, size, total, generator=rng, device=self.device).argsort(-1)
-            rank = order[0].argsort(-1)
-            edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
-            return order[0], order[1], edges, 1.0
-        index = self._stratified_vertices(size, wanted // 2, rng)
-        start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
-        pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
-        index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
-        edges = torch.arange(index.shape[1], device=self.device).view(1, -1, 2).expand(size, -1, -1)
-        return index, self._stratified_vertices(size, index.shape[1], rng), edges, 2.0 * len(self.edges) / total
-
-    def _stratified_vertices(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        """Draw vertices, one from each of `count` equal cells of the body, in random order.
-
-        InstanceNorm takes means over them, and those vary far less than over vertices drawn independently. Half of the
-        `wide` meshes are as dense as the body's file everywhere, the others lean towards even density by area, as
-        other meshes may be.
-        """
-        even = torch.rand(size, 1, generator=rng, device=self.device) * 2 - 1
-        even = even.clamp_min(0) if self.config.kind == "wide" else torch.zeros_like(even)
-        cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
-        cumulative = self.cumulative[0] + even * (self.cumulative[1] - self.cumulative[0])
-        drawn = self.order[torch.searchsorted(cumulative, cell / count).clamp_max(len(self.order) - 1)]
-        return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
 
     def _normalized_mesh(
         self,
@@ -275,16 +221,6 @@ class BodySampler:
         if radius is None:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
-
-    def _reflect(self, rng: torch.Generator, *meshes: Float[Tensor, "B ... 3"]) -> None:
-        """Mirror the first pairs of a batch in place, x to -x: the configured share of them.
-
-        Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any. A share
-        that is not a whole number of pairs is rounded up or down at random: it is right in the mean.
-        """
-        part = torch.rand((), generator=rng, device=self.device).item()
-        for mesh in meshes:
-            mesh[: math.floor(self.config.reflect * len(mesh) + part), ..., 0] *= -1.0
 
 
 @cache
