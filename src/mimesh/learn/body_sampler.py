@@ -27,10 +27,11 @@ from .vertex_sampler import VertexSampler
 class DataConfig:
     """What training meshes are made of."""
 
-    kind: Literal["table6", "wide", "clips80", "clips", "hands"] = "table6"
+    kind: Literal["table6", "wide", "clips80", "clips", "hands", "meshes"] = "table6"
     """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
     of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions.
-    `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers."""
+    `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers. `meshes`:
+    registered meshes or clips of a folder."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -56,6 +57,12 @@ class DataConfig:
     between: float = 0.0
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
+    pattern: str = ""
+    """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
+    up: str = ""
+    """`meshes`: axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
+    front: str = ""
+    """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
 
 
 TABLE_KINDS = ("table6", "clips80")

@@ -21,7 +21,7 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "changes")
+POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "meshes", "changes")
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -46,6 +46,8 @@ class Checkpoint:
     """Of matrix products, `fp32` or `bf16`; empty in checkpoints that do not say."""
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
+    meshes: dict[str, Any] = field(default_factory=dict)
+    """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
     """What was changed where the training was resumed: `after_pairs`, and the new values by their keys. Where its
     network was averaged with others, `averaged` lists them (`average`).

@@ -29,6 +29,7 @@ DATA = {
     "clips80": "16 people x 80 motions of 30 frames: seconds of the shipped motions, walks and splines",
     "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
     "between poses within the joint limits; headings",
+    "meshes": "registered meshes or clips of a folder (`meshes`)",
     "hands": "hands of random people of the shipped body and of characters, fingers in random gestures; mittens, "
     "blocks and hands without fingers",
 }
@@ -167,9 +168,10 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
-        "pflop": training_pflop(trained.config, trained.pairs),
+        "pflop": training_pflop(trained.config, trained.pairs, trained.meshes.get("vertices", 0)),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
+        **({"meshes": trained.meshes} if trained.meshes else {}),
         **({"changes": list(trained.changes)} if trained.changes else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
@@ -182,11 +184,16 @@ def described_data(config: TrainConfig) -> str:
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
 
 
-def training_pflop(config: TrainConfig, pairs: int) -> float:
+def training_pflop(config: TrainConfig, pairs: int, vertices: int = 0) -> float:
     """Compute the arithmetic of a training, 10^15 operations: three times the forward pass for each pair.
 
     Pairs of earlier stages count with this configuration. The optimiser's arithmetic is not counted.
+
+    Args:
+        vertices: of the meshes of a folder; 0 for those of the shipped body.
     """
+    if vertices and not config.data.vertices:
+        config = dataclasses.replace(config, data=dataclasses.replace(config.data, vertices=vertices))
     task = find_task(config.network)(config, torch.device("cpu"))
     return float(f"{3 * pairs * task.flops_per_pair(task.make_model()) / 1e15:.3g}")
 

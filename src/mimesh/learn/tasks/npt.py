@@ -14,6 +14,7 @@ from ...evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
 from ...evaluate.pairs import Pair
 from ..body_sampler import BodySampler
 from ..losses import edge_ratio, edge_vectors, mean_squared_distance, reconstruction
+from ..mesh_pairs import HeldOutMeshes, MeshSampler
 from ..models.npt import NPT, NPTConfig
 from ..validation import clip_error, pair_error
 from .base import OnnxInterface, Task, TrainConfig
@@ -59,6 +60,15 @@ class PairSource(BodySampler):
         return PairBatch(identity, driving, truth, edges, share)
 
 
+class MeshPairSource(MeshSampler):
+    """Makes batches of pairs of registered meshes."""
+
+    def batch(self, size: int, step: int) -> PairBatch:
+        """Make the pairs of a step."""
+        drawn = self.sample(size, step)
+        return PairBatch(drawn.identity, drawn.driving[:, 0], drawn.truth[:, 0], drawn.edges, drawn.edges_of_mesh)
+
+
 def edge_paper(result: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> Float[Tensor, ""]:
     """Compute Eq. 6: squared edge lengths, summed over vertices and their neighbours, so each edge counts twice.
 
@@ -100,15 +110,19 @@ class NPTTask(Task[NPTTrainConfig, NPT]):
 
     @property
     def protocol(self) -> protocols.Protocol:
-        """Pairs, or clips where the data are clips."""
+        """Pairs, or clips where the data are clips; those held out where the data are meshes of a folder."""
+        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
+            return held_out
         return CLIPS_ANIFORMER if self.config.data.kind in ("clips", "clips80") else protocols.HUMAN_NPT
 
     def make_model(self) -> NPT:
         """Build the network with fresh weights."""
         return NPT(self.config.model)
 
-    def source(self, seed: int) -> PairSource:
+    def source(self, seed: int) -> PairSource | MeshPairSource:
         """Build the generator of pairs."""
+        if self.meshes:
+            return MeshPairSource(self.config.data, self.meshes, self.device, seed)
         return PairSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:
