@@ -18,7 +18,7 @@ from mimesh.core.geometry import edges  # noqa: E402
 from mimesh.core.mesh import Mesh  # noqa: E402
 from mimesh.core.normalization import bbox_centre, radius  # noqa: E402
 from mimesh.evaluate.protocols import HUMAN_NPT  # noqa: E402
-from mimesh.io import save_mesh  # noqa: E402
+from mimesh.io import load_mesh, save_mesh  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
@@ -310,27 +310,36 @@ def test_train_on_what_generate_writes(tmp_path, monkeypatch):
     assert facts["held_out"] == {"people": ["2"], "poses": ["3"]}
 
 
-@pytest.mark.parametrize("network", ["npt", "aniformer"])
-def test_train_export_and_transfer_by_the_command_line(folder, clips, tmp_path, network, monkeypatch, capsys):
+def train_by_command(network, config, data, folder):
+    """Train and resume in `folder`/run, and return the checkpoint."""
+    values = dataclasses.asdict(config) | {"data": {"vertices": 32}, "pairs": 8, "validate_every": 8}
+    (folder / "tiny.yaml").write_text(json.dumps(values))
+    out = str(folder / "run")
+    assert run(["train", network, "--config", str(folder / "tiny.yaml"), "--meshes", str(data), "-o", out]) == 0
+    assert run(["train", network, "--resume", out, "--meshes", str(data), "--set", "pairs=12"]) == 0
+    state = checkpoint.load(folder / "run" / "last.safetensors")
+    assert state.step * config.batch == 12
+    return state
+
+
+def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    small = AniFormerConfig(encoder=(8, 16, 16), layers=(16, 8, 8, 8), heads=1, attention="frames")
-    config = MESHES if network == "npt" else AniFormerTrainConfig(model=small, batch=2, learning_rate=1e-3)
-    values = dataclasses.asdict(config) | {
-        "data": {"vertices": 32},
-        "pairs": 8,
-        "validate_every": 8,
-        "validation_pairs": 1,
-    }
-    (tmp_path / "tiny.yaml").write_text(json.dumps(values))
-    data = folder if network == "npt" else clips
-    assert run(["train", network, "--config", "tiny.yaml", "--meshes", str(data), "-o", "run"]) == 0
-    assert "id{person:d}_{pose}: 20 meshes" in (said := capsys.readouterr().err) or "{person}/{pose}: 16 clips" in said
-    assert run(["train", network, "--resume", "run", "--meshes", str(data), "--set", "pairs=12"]) == 0
+    state = train_by_command("npt", MESHES, folder, tmp_path)
+    assert "meshes 0 pairs: id{person:d}_{pose}: 20 meshes of 4 people in 5 poses" in capsys.readouterr().err
     assert run(["export", "run/last.safetensors", "-o", "mine.onnx"]) == 0
     card = json.loads((tmp_path / "mine.json").read_text())
     assert card["data"] == "registered meshes or clips of a folder (`meshes`)"
-    assert card["meshes"]["sha256"] == checkpoint.load(tmp_path / "run" / "last.safetensors").meshes["sha256"]
+    assert card["meshes"] == state.meshes
+    assert card["metrics"]["val"].keys() == {"seen_pmd_e4", "unseen_pmd_e4", "fresh_pmd_e4", "val_pmd_e4"}
     save_mesh(person(5, None, FACES), tmp_path / "hero.obj")
     save_mesh(person(6, 3, FACES), tmp_path / "pose.obj")
     assert run(["transfer", "hero.obj", "pose.obj", "-m", "mine.onnx", "-o", "out.obj", "--no-preview"]) == 0
-    assert (tmp_path / "out.obj").exists()
+    assert load_mesh(tmp_path / "out.obj").vertices.shape == person(5, None, FACES).vertices.shape
+
+
+def test_train_aniformer_on_clips_by_the_command_line(clips, tmp_path, capsys):
+    small = AniFormerConfig(encoder=(8, 16, 16), layers=(16, 8, 8, 8), heads=1, attention="frames")
+    config = AniFormerTrainConfig(model=small, batch=2, learning_rate=1e-3, validation_pairs=1)
+    state = train_by_command("aniformer", config, clips, tmp_path)
+    assert "meshes 0 pairs: {person}/{pose}: 16 clips (96 frames) of 4 people in 4 motions" in capsys.readouterr().err
+    assert {"seen", "unseen", "fresh", "val"} == set(state.metrics)
