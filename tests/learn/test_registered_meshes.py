@@ -198,6 +198,21 @@ def test_windows_are_the_same_frames_of_two_people(clips):
     np.testing.assert_allclose(normalised(trial.truth_frames[2]), files[3, 3, start + 2][order], atol=1e-5)
 
 
+def test_npt_takes_each_frame_of_a_clip_as_a_pose(clips):
+    files = {
+        (int(name[1]), int(name[7]), t): normalised(points)
+        for name, clip in write_clips(clips).items()
+        for t, points in enumerate(clip.vertices)
+    }
+    batch = MeshPairSource(ALL, RegisteredMeshes.read(clips, **AXES), CPU, 0).batch(8, 0)
+    for identity, driving, truth in zip(
+        batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
+    ):
+        ((i, other, _), order), ((j, motion, t), _) = name_of(identity, files), name_of(driving, files)
+        assert (i != j, other != motion) == (True, True)
+        np.testing.assert_allclose(truth, files[i, motion, t][order], atol=1e-6)
+
+
 def test_clips_of_a_motion_are_used_to_their_common_length(tmp_path):
     write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
     meshes = RegisteredMeshes.read(tmp_path, 3, **AXES)

@@ -45,9 +45,10 @@ class DataConfig:
     contacts: float = 0.0
     """`wide`: share of people whose body parts touch each other."""
     characters: float = 0.0
-    """`mime` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of primitives."""
+    """`mime`, `npt` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of
+    primitives."""
     leave_out: tuple[str, ...] = ()
-    """`mime` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
+    """`mime`, `npt` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0
@@ -156,7 +157,7 @@ class BodySampler(VertexSampler):
             rotmat = rotvec_to_rotmat(pose)
             driving = row == 1
             reach = math.radians(self.config.heading) * (1.0 if driving else 0.25)
-            rotmat[:, 0] = self._random_headings(size, reach, rng) @ rotmat[:, 0]
+            rotmat[:, 0] = random_headings(size, reach, rng) @ rotmat[:, 0]
             if self.config.tumble and driving:
                 rotmat[:, 0] = self._random_tumbles(size, rng) @ rotmat[:, 0]
             poses.append(rotmat)
@@ -187,12 +188,6 @@ class BodySampler(VertexSampler):
     ) -> Float[Tensor, "B J 3"]:
         part = torch.rand(size, *bounds.shape[1:], generator=rng, device=self.device)
         return bounds[0] + part * (bounds[1] - bounds[0])
-
-    def _random_headings(self, size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
-        """Draw rotations about the vertical by up to `reach` radians to either side."""
-        angle = reach * (2 * torch.rand(size, generator=rng, device=self.device) - 1)
-        zero = torch.zeros_like(angle)
-        return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
 
     def _random_tumbles(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
         """Draw a uniform random rotation for the configured share, and none for the others.
@@ -228,6 +223,13 @@ class BodySampler(VertexSampler):
         if radius is None:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
+
+
+def random_headings(size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+    """Draw rotations about the vertical by up to `reach` radians to either side."""
+    angle = reach * (2 * torch.rand(size, generator=rng, device=rng.device) - 1)
+    zero = torch.zeros_like(angle)
+    return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
 
 
 @cache

@@ -42,6 +42,8 @@ MIME_DATA = (
 """Description of `wide` where `mime` is trained on it."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
+NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
+"""What is added to `wide` where `npt` is trained on characters too."""
 STORED_BITS = (16, 8)
 """Of a weight, as `mimesh export` writes it."""
 FULL_BITS = 32
@@ -180,7 +182,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
 def described_data(config: TrainConfig) -> str:
     """Say in words what a training had as data."""
     if config.network != "mime" or config.data.kind != "wide":
-        return DATA[config.data.kind]
+        return DATA[config.data.kind] + (NPT_CHARACTERS if config.network == "npt" and config.data.characters else "")
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
 
 

@@ -28,7 +28,7 @@ from ...motions.clips import split_windows
 from ...motions.motion import mirror, rotmat_to_rotvec
 from .. import losses
 from ..bodies import rotvec_to_rotmat
-from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
+from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig, random_headings
 from ..losses import edge_vectors, match_frames, mean_squared_distance
 from ..mesh_pairs import HeldOutMeshes, MeshSampler
 from ..models.aniformer import AniFormer, AniFormerConfig
@@ -151,7 +151,7 @@ class WindowSource(BodySampler):
         speed = 1 + self._random_index(MAX_SPEED, (size, 1), rng)
         captured = rotvec_to_rotmat(self.captured[first + speed * frame])
         straight = self._straight_windows(size, self.frames, rng)
-        heading = self._random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
+        heading = random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
         window[:, :, 0] = heading @ window[:, :, 0]

@@ -71,7 +71,7 @@ class TrainConfig:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
-        if self.data.characters and self.network not in ("mime", "hands"):
+        if self.data.characters and self.network not in ("mime", "hands", "npt"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
