@@ -28,7 +28,7 @@ class Entry:
 
 
 @dataclass(frozen=True)
-class Layout:
+class MeshLayout:
     """What a pattern finds in a folder."""
 
     pattern: str
@@ -38,7 +38,7 @@ class Layout:
     """Number of files that the pattern does not match."""
 
 
-def find_layout(folder: Path, pattern: str = "") -> Layout:
+def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
     """Find the meshes or clips of a folder by a pattern, or by the first of LAYOUTS that matches any.
 
     Raises:
@@ -56,7 +56,7 @@ def find_layout(folder: Path, pattern: str = "") -> Layout:
             entries.sort(key=lambda entry: (natural(entry.person), natural(entry.pose)))
             inside = {entry.path for entry in entries if entry.path.is_dir()}
             others = [path for path in paths if not named[path] and path.is_file() and path.parent not in inside]
-            return Layout(tried, tuple(entries), len(others))
+            return MeshLayout(tried, tuple(entries), len(others))
     tried = pattern or ", ".join(FIELD.sub(r"{\1}", layout) for layout in LAYOUTS)
     raise InputError(
         f"{folder}: expected meshes or clips named by person and pose ({tried}), found {len(paths)} files, none named "

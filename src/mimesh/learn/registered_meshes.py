@@ -21,7 +21,7 @@ from ..io import load_clip, load_points
 from ..io.formats import ANIMATED
 from ..motions.on_body import is_motion_file
 from .character_folder import DAMAGED
-from .mesh_layouts import Entry, Layout, find_layout, natural
+from .mesh_layouts import Entry, MeshLayout, find_layout, natural
 from .mesh_triples import MeshTable, Split
 
 VOTES = 25
@@ -249,7 +249,7 @@ def _refusals(refused: dict[str, str]) -> list[str]:
 
 
 def _no_pair(
-    folder: Path, layout: Layout, people: dict[str, int], poses: dict[str, int], table: MeshTable, frames: int
+    folder: Path, layout: MeshLayout, people: dict[str, int], poses: dict[str, int], table: MeshTable, frames: int
 ) -> str:
     """Say why a folder has no pair."""
     what = f"{len(table.person)} meshes of {len(people)} people in {len(poses)} poses"

@@ -234,7 +234,7 @@ class FigureSampler:
 
 
 @dataclass(frozen=True)
-class CharacterPair:
+class PosedPair:
     """B pairs of two characters. The points of `truth` are those of `identity`, which `rest` has at rest."""
 
     identity: PosedSurface
@@ -270,7 +270,7 @@ class CharacterPairs:
         self.count, self.heading, self.missing, self.low_poly = count, heading, missing, low_poly
         self.parents = body.parents
 
-    def draw(self, poses: Float[Tensor, "2 B J 3 3"], rng: torch.Generator) -> CharacterPair:
+    def draw(self, poses: Float[Tensor, "2 B J 3 3"], rng: torch.Generator) -> PosedPair:
         """Draw pairs in poses of the shipped body (local rotations). Half of the identities stand as in their files."""
         size = poses.shape[1]
         identity, driving = (self.figures.draw(size, rng, self.low_poly) for _ in range(2))
@@ -286,7 +286,7 @@ class CharacterPairs:
         pose = of_known(poses[1], both_have)
         turned = world_rotations(pose, self.parents)
         surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
-        return CharacterPair(
+        return PosedPair(
             self.bank.posed(identity, surface, torch.where(own, rest, posed)),
             self.bank.posed(driving, other, turned),
             self.bank.posed(identity, surface, turned),

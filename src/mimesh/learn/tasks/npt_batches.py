@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,9 +38,10 @@ class PairBatch:
     @classmethod
     def joined(cls, batches: Sequence[PairBatch]) -> PairBatch:
         """Concatenate batches of as many vertices."""
-        names = [field.name for field in dataclasses.fields(cls)][:-1]
-        tensors = (torch.cat([getattr(batch, name) for batch in batches]) for name in names)
-        return cls(*tensors, batches[0].edges_of_mesh)
+        identity, driving, truth, edges = (
+            torch.cat([getattr(batch, name) for batch in batches]) for name in ("identity", "driving", "truth", "edges")
+        )
+        return cls(identity, driving, truth, edges, batches[0].edges_of_mesh)
 
 
 class PairSource(BodySampler):
