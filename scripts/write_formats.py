@@ -28,7 +28,9 @@ ROWS = {
     ".off": ("mesh; a folder of them is a clip", "mesh"),
     ".pc2": ("clip", "clip"),
     ".mdd": ("clip", "clip"),
-    ".npz": ("mesh, clip; motions in the layout of AMASS", "mesh, clip"),
+    ".npz": ("mesh, clip; motions in the layout of AMASS, body models in that of SMPL", "mesh, clip"),
+    ".pkl": ("mesh: a body model in the layout of SMPL", ""),
+    ".hdf5": ("clips in the layout of DFAUST", ""),
     ".npy": ("mesh, clip", "clip"),
     ".bvh": ("motion, played by the shipped body", ""),
     ".fbx": ("mesh, clip (nodes, skins, blend shapes), motion (joints alone)", "mesh, clip, by Blender"),
@@ -81,17 +83,55 @@ RULES = """## What to expect
   the file's frame rate. It is written by Blender, where that is installed; results of an .fbx are .glb by default.
   Constraints, lights, cameras, dual quaternion skinning (read as linear) and textures other than the base colour are
   left out.
+* **HDF5** (.hdf5) holds several clips; `--animation` names one, `animate` takes several or `all`, `mimesh look` lists
+  them. The clips have 60 frames per second unless `--fps` says otherwise.
 * **Compressed glTF** (Draco, meshopt) is read, and written without compression. Basis textures are refused with an
   error that names them, unless the file can be read without.
 * **Damaged files.** The libraries for FBX, Draco and meshopt run in a child process with limits on memory and time
   (on Linux; elsewhere on time alone): what crashes them or never ends gives an error of one line.
 * **Extras.** FBX: `pip install 'mimesh[fbx]'`. Draco and meshopt: `'mimesh[compressed]'`. USD: `'mimesh[usd]'`.
-  Alembic: `'mimesh[alembic]'`. MP4: `'mimesh[video]'`.
+  Alembic: `'mimesh[alembic]'`. HDF5: `'mimesh[hdf5]'`. MP4: `'mimesh[video]'`.
 * **Long clips** are converted frame by frame, from disk to disk. `--blendshapes K` writes a .glb with K morph targets
   in total and prints the largest error of a vertex; results of `mime` are joints, weights and joint rotations, which is
   small for any number of frames. .gltf and .usda are text: prefer .glb and .usdc.
 * **Between keys** that are far apart Blender interpolates joint rotations differently from the glTF standard; at the
   keys both agree. The keys that we write are so near to each other that both agree between them, too.
+"""
+LICENSED = """## Body data under licence
+
+The body data of the field may not be redistributed. mimesh ships none of it, needs none and downloads none. Those who
+hold a licence give it their files:
+
+| file | command | result |
+|---|---|---|
+| SMPL, SMPL+H, SMPL-X, SMAL: `.pkl`, `.npz` | `mimesh convert SMPL_NEUTRAL.pkl body.obj` | the mean shape at rest |
+| AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip of the recorded person |
+| | `mimesh animate hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity, driven by that clip |
+| | `mimesh animate hero.glb take.npz` | the identity, driven by the joints; no model is needed |
+| DFAUST: `registrations_m.hdf5` | `mimesh look registrations_m.hdf5` | the names of its clips |
+| | `mimesh convert registrations_m.hdf5 hips.npz --animation 50009_hips` | one clip |
+| DFAUST: a folder of `%05d.obj` | `mimesh convert folder/ clip.npz --fps 60` | the clip |
+| FAUST: `tr_reg_000.ply` | `mimesh transfer hero.glb tr_reg_000.ply` | the identity in that pose |
+| MG-dataset: `smpl_registered.obj` | `mimesh transfer hero.glb smpl_registered.obj` | the identity in that pose |
+| MG-dataset: `registration.pkl` | `mimesh convert registration.pkl body.obj --body-model SMPL.pkl` | the bare body |
+
+**Not tested on the real files**, which may not be redistributed; tested on files of the same layout that the tests
+write. They come back with every vertex within 1e-5; posed models are compared with plain loops over the equations of
+the SMPL paper.
+
+* **With a body model** the vertices are the model's: linear blend skinning with shape and pose corrections, from the
+  file's `betas`, poses and path. The clip has the file's frame rate, or is resampled at `--fps`. AMASS is turned to y
+  up; pickles of poses keep their axes. The unit is the model's (metres). Soft tissue (`dmpls`) and offsets of clothes
+  are not added. The model must be of the gender and the kind that the file was made with; a note names the gender.
+* **Other numbers of joints.** Models of 24, 52 and 55 joints share the first 22, models of 52 and 55 also the fingers;
+  of others the first joints are taken. What the file lacks stays at rest, and what the model lacks is cut. The same
+  holds for `betas`. Notes tell.
+* **Layouts.** A model has `v_template`, `shapedirs` (V, 3, K), `posedirs` (V, 3, 9 (J - 1)), `J_regressor` (J, V),
+  `weights` (V, J), `kintree_table` (2, J) and `f`. A pickle of poses has `pose` (3 J) or (T, 3 J), `betas` and `trans`.
+* **Pickles** can run any program when Python loads them. mimesh does not load them: it only takes arrays of NumPy,
+  SciPy and chumpy out of them, also of those that Python 2.7 wrote with chumpy 0.70 (neither is needed). A pickle that
+  names anything else is refused
+  with that name. So are sizes that the file does not hold.
 """
 
 
@@ -107,7 +147,14 @@ def formats_page(root: Path) -> str:
     report = json.loads((root / "docs" / "formats.json").read_text())
     long_clip = json.loads((root / "benchmarks" / "long_clip.json").read_text())
     head = HEAD.format(client=report["provenance"]["client"])
-    parts = [head, formats_table(report["formats"]), _origin(report["provenance"]), RULES, memory_table(long_clip)]
+    parts = [
+        head,
+        formats_table(report["formats"]),
+        _origin(report["provenance"]),
+        RULES,
+        LICENSED,
+        memory_table(long_clip),
+    ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 

@@ -19,7 +19,8 @@ from mimesh.core.surface_points import SurfacePoints
 from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from
 from mimesh.learn.models.mime import MimeNetwork
-from mimesh.learn.train import TrainingRun
+from mimesh.learn.models.npt import NPTConfig
+from mimesh.learn.train import TrainingRun, begin_with
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]
@@ -105,6 +106,23 @@ def test_a_training_under_former_names_of_weights_continues_exactly(tmp_path):
     assert losses(again, 2) == losses(run, 2)
     for name, average in run.ema.items():
         assert torch.equal(average, again.ema[name])
+
+
+def test_weights_of_eight_bits_are_a_quarter_and_begin_a_training(tmp_path):
+    config = dataclasses.replace(TINY, model=NPTConfig(encoder=(64, 128, 128), decoder=(131, 64, 64)), precision="fp32")
+    run = TrainingRun.start(config, tmp_path / "none")
+    losses(run, 2)
+    run.save(tmp_path / "last.safetensors")
+    small = tmp_path / "weights.safetensors"
+    checkpoint.save_compact(tmp_path / "last.safetensors", small, weights_only=True, bits=8)
+    numbers = sum(value.numel() for value in run.model.state_dict().values())
+    assert small.stat().st_size < 1.3 * numbers + 12_000
+    for name, value in checkpoint.load(small).weights().items():
+        expected = run.model.state_dict()[name]
+        step = expected.abs().max() / checkpoint.INT8_STEPS
+        torch.testing.assert_close(value, expected, rtol=1e-3, atol=float(step))
+    begin_with(config, small, tmp_path / "next")
+    assert losses(TrainingRun.start(config, tmp_path / "next"), 1)[0] < 2
 
 
 def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):

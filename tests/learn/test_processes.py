@@ -75,6 +75,10 @@ def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
     whole = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
     whole.advance()
     whole.save(tmp_path / "last.safetensors")
-    assert TrainingRun.start(PARTS, tmp_path).changes[-1] == {"after_pairs": 4, "accumulate": 2}
+    assert TrainingRun.start(PARTS, tmp_path).changes[-1] == {
+        "after_pairs": 4,
+        "accumulate": 2,
+        "was": {"accumulate": 1},
+    }
     with pytest.raises(InputError, match="expected a multiple of 3"):
         TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)

@@ -215,7 +215,8 @@ def test_schedule_may_change_where_a_training_is_resumed(tmp_path):
     assert (state.step, state.config.pairs, state.config.decay) == (16, 16 * TINY.batch, 0.25)
     (change,) = state.changes
     assert change["after_pairs"] == 8 * TINY.batch
-    assert {f"{key}={value}" for key, value in change.items() if key != "after_pairs"} == {
+    assert change["was"] == {"seed": 0, "pairs": 8 * TINY.batch, "decay": 0.5, "learning_rate": 1e-3}
+    assert {f"{key}={value}" for key, value in change.items() if key not in ("after_pairs", "was")} == {
         "seed=1",
         f"pairs={16 * TINY.batch}",
         "decay=0.25",

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .terminal import Json, Quiet, print_json, print_next, progress
+from ..core.errors import InputError
+from .terminal import Json, Quiet, print_json, print_next, progress, require
 
 Protocol = Annotated[
     str,
@@ -15,6 +17,14 @@ Protocol = Annotated[
         metavar="PROTOCOL",
         help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers or "
         "clips-aniformer.",
+    ),
+]
+TestSet = Annotated[
+    str,
+    typer.Argument(
+        metavar="PROTOCOL",
+        help="human-npt, human-wide, cross-topology, noise, dressed, contact, cross-body, characters, fingers or "
+        "clips-aniformer; or the path of a list of your own files, or of a folder of lists.",
     ),
 ]
 Split = Annotated[str, typer.Option(help="test for figures to quote; val to choose by.")]
@@ -34,28 +44,44 @@ Data = Annotated[
 
 
 def evaluate(
-    protocol: Protocol,
+    protocol: TestSet,
     model: Annotated[str, typer.Option("--model", "-m", help="Models to compare, with commas between.")] = "mime,copy",
     output: Figures = None,
     split: Split = "test",
     pairs: Pairs = 0,
     ensemble: Annotated[int, typer.Option(help="Average over this many random pairings (NPT).", min=1)] = 1,
     refine: Annotated[bool, typer.Option("--refine", help="Smooth results along the identity's surface.")] = False,
+    mirror: Annotated[bool, typer.Option("--mirror", help="Measure on the mirror images of all pairs.")] = False,
     dump: Annotated[Path | None, typer.Option(help="Folder for pictures of the worst pairs.", metavar="DIR")] = None,
-    data: Data = None,
+    data: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder: rigged characters for cross-body, a pool of them for characters and fingers, motions for "
+            "clips-aniformer, test garments for dressed; of a list, where its files lie.",
+            metavar="DIR",
+        ),
+    ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(help="Lists: a person's height at rest in the files' unit, for millimetres.", metavar="H"),
+    ] = None,
+    fps: Annotated[float | None, typer.Option(help="Lists: frames per second of the clips.")] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Measure models on a named test set.
+    """Measure models on a named test set, or on lists of your own files.
 
-    PMD is Eq. 7 of the papers, x1e-4, in the truth's unit sphere.
+    A list has lines of three names: identity, driving, truth. PMD is Eq. 7 of the papers,
+    x1e-4, in the truth's unit sphere.
     """
     from ..evaluate.markdown import markdown
     from ..evaluate.run import evaluate_command
 
     methods = [name.strip() for name in model.split(",") if name.strip()]
     with progress("pairs", quiet or json) as advance:
-        figures = evaluate_command(protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine)
+        figures = evaluate_command(
+            protocol, methods, output, split, pairs, ensemble, advance, dump, data, refine, height, fps, mirror
+        )
     if json:
         print_json(figures)
     elif not quiet:
@@ -68,18 +94,38 @@ def table(
     output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,
+    train: Annotated[bool, typer.Option("--train", help="Train the networks of the rows first.")] = False,
+    seeds: Annotated[int, typer.Option(help="Train each row so many times; prints mean and deviation.", min=1)] = 1,
+    minutes: Annotated[
+        float, typer.Option(help="Training time of rows that are compared, in CPU minutes.", min=0)
+    ] = 21,
+    long: Annotated[bool, typer.Option("--long", help="Train the rows that take many hours, too.")] = False,
+    networks: Annotated[Path, typer.Option(help="Folder for the networks that are trained.", metavar="DIR")] = Path(
+        "runs/tables"
+    ),
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
     """Print a table of a paper with its figures beside ours.
 
     Measures every row first: give -o to be able to stop and go on. The rows' own
-    networks lie in the repository's folder ablations, so run this in a checkout of it.
+    networks lie in the repository's folder ablations, so run this in a checkout of it,
+    or train them: --train needs the [train] extra and goes on where it was stopped.
     """
-    from ..evaluate.tables import table_command
+    from ..evaluate.tables import find_table, table_command
 
+    find_table(name)
+    trained = {}
+    if train:
+        require("train", "torch", "yaml", "safetensors", "tensorboard", "onnx", "onnxscript")
+        with progress("starting", quiet or json):  # PyTorch takes seconds to load
+            from ..learn.table_rows import train_table
+
+        trained = train_table(name, networks, minutes, seeds, long, lambda text: print(text, file=sys.stderr))
+    elif seeds > 1 or long:
+        raise InputError("--seeds, --long: expected them with --train, found them without; add --train")
     with progress("pairs", quiet or json) as advance:
-        figures, text = table_command(name, output, pairs, advance, data)
+        figures, text = table_command(name, output, pairs, advance, data, trained)
     if json:
         print_json(figures)
     elif not quiet:
@@ -125,19 +171,24 @@ def generate(
     split: Annotated[str, typer.Option(help="test, val, or train (human-npt: 6,400 files).")] = "test",
     pairs: Pairs = 0,
     data: Data = None,
+    frames_as: Annotated[
+        str | None, typer.Option(metavar="SUFFIX", help="Clips as folders of obj or ply, not as .npz.")
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """Write a test set as mesh files.
+    """Write a test set as files of meshes or clips.
 
-    Files are named id<person>_<pose>.obj; lists of "identity pose truth" stand beside them.
+    Files are named id<person>_<pose>.obj (clips: .npz); lists of "identity pose truth"
+    stand beside them, which `mimesh evaluate` takes.
     """
     from ..evaluate.generate import generate_command
 
     with progress("meshes", quiet or json) as advance:
-        written = generate_command(protocol, output, split, pairs, advance, data)
+        suffix = None if frames_as is None else "." + frames_as.lstrip(".")
+        written = generate_command(protocol, output, split, pairs, advance, data, suffix)
     if json:
         print_json({"output": str(output), "protocol": protocol, "split": split, **written})
     elif not quiet:
         print(f"{output}: {written['files']} files")
-        print_next("look", output)
+        print_next(*(("look", output) if split == "train" else ("evaluate", output, "-m", "mime,npt,copy")))

@@ -24,6 +24,7 @@ from .joint_files import JointFiles, check_joint_outputs, save_joint_files
 from .terminal import (
     Animations,
     BlendShapes,
+    BodyModel,
     Json,
     Model,
     Open,
@@ -181,6 +182,7 @@ def animate(
     model: Model = "mime",
     fps: Annotated[float | None, typer.Option(help="Frame rate of DRIVING, where its files do not say.")] = None,
     animation: Animations = None,
+    body_model: BodyModel = None,
     start: Annotated[int, typer.Option(help="First frame to take, counted from 0.")] = 0,
     stop: Annotated[int | None, typer.Option(help="Frame to stop before.")] = None,
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
@@ -226,10 +228,10 @@ def animate(
     Run, or --animation all), become one .glb with an animation for each.
     """
     from ..bodies.engine_rig import Layout
-    from ..io import load_clip, load_mesh
+    from ..io import load_mesh
     from ..pipeline import animate as run_animate
     from ..pipeline.run import MotionOptions
-    from ..tools.convert import animations_note, first_frame_note, resampled_note, taken_rate_note
+    from ..tools.convert import animations_note, first_frame_note, read_clip, resampled_note, taken_rate_note
     from ..tools.driving_clips import choose_clips
 
     output = output or clip_output(identity, driving)
@@ -238,7 +240,7 @@ def animate(
     # The preview of a single clip has the name of the output alone.
     titles = [clip.name if len(clips) > 1 else None for clip in clips]
     for title in titles:
-        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, clip=title)
+        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
     check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
     as_joints = check_clip_output(output, len(clips), skinned, morphs, blendshapes, layout)
@@ -246,8 +248,8 @@ def animate(
     for chosen, title in zip(clips, titles, strict=True):
         path = chosen.path
         corrected = JointFiles.found(identity, path, joints, driving_joints, no_joints, model)
-        (mesh, clip), seconds = _timed(
-            lambda chosen=chosen: (load_mesh(identity), load_clip(chosen.path, fps, chosen.animation))
+        (mesh, (clip, of_clip)), seconds = _timed(
+            lambda chosen=chosen: (load_mesh(identity), read_clip(chosen.path, body_model, fps, chosen.animation))
         )
         used = rig if corrected.identity is None else "mimesh"
         check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used), layout)
@@ -279,7 +281,7 @@ def animate(
             )
         result.seconds["load"] += seconds
         save_joint_files(result, identity, path, save_joints, save_driving_joints, start)
-        of_clip = animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
+        of_clip += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
         of_clip += taken_rate_note(clip, path) if fps is None else ()
         of_clip += first_frame_note(clip, start, path)
         notes.append(of_clip + resampled_note(result.clip, output_fps))

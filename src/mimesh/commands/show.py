@@ -8,7 +8,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .terminal import Animation, BlendShapes, Json, Quiet, print_json, print_next, progress, refuse_inputs, single
+from .terminal import (
+    Animation,
+    BlendShapes,
+    BodyModel,
+    Json,
+    Quiet,
+    print_json,
+    print_next,
+    progress,
+    refuse_inputs,
+    single,
+)
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip
@@ -118,6 +129,7 @@ def convert(
     step: Annotated[int, typer.Option(help="Take every so many frames.")] = 1,
     frames_as: Annotated[str | None, typer.Option(metavar="SUFFIX", help="In a folder: obj or ply.")] = None,
     blendshapes: BlendShapes = None,
+    body_model: BodyModel = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -129,7 +141,7 @@ def convert(
     from ..tools.convert import convert as convert_file
     from ..tools.convert import frames_at
 
-    refuse_inputs(target, source)
+    refuse_inputs(target, source, body_model)
     with progress("frames", quiet or json) as advance:
         written = convert_file(
             source,
@@ -142,6 +154,7 @@ def convert(
             step=step,
             frames_as=None if frames_as is None else "." + frames_as.lstrip("."),
             blendshapes=blendshapes,
+            body_model=body_model,
             progress=advance,
         )
     facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}

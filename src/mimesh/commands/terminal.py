@@ -23,7 +23,8 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, and n
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="Seed of everything random.", min=0)]
 Animation = Annotated[
-    list[str] | None, typer.Option(metavar="NAME", help="Which animation of a GLB: its name or number.")
+    list[str] | None,
+    typer.Option(metavar="NAME", help="Which animation of a GLB or clip of an HDF5 file: its name or number."),
 ]
 Animations = Annotated[
     list[str] | None,
@@ -31,6 +32,12 @@ Animations = Annotated[
         "--animation",
         metavar="NAME",
         help="Animation of a GLB, by name or number; several times for several clips; all for all of a file.",
+    ),
+]
+BodyModel = Annotated[
+    Path | None,
+    typer.Option(
+        "--body-model", metavar="FILE", help="SMPL's, SMPL+H's ... (.pkl .npz): AMASS archives become its surface."
     ),
 ]
 Open = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]

@@ -1,4 +1,4 @@
-"""Read untrusted NumPy archives (.npz) without unpickling. Used by `io.npz`, `motions.amass` and `bodies`."""
+"""Read untrusted NumPy archives (.npz) without unpickling. Used by `io`, `motions` and `bodies`."""
 
 from __future__ import annotations
 
@@ -35,6 +35,15 @@ def open_archive(file: io.BufferedIOBase, path: Path) -> Iterator[tuple[zipfile.
         raise InputError(
             f"{path}: expected a NumPy archive of plain arrays, found {error!r:.80}; save it again"
         ) from error
+
+
+def archive_names(path: Path) -> tuple[str, ...]:
+    """List the names of the arrays in an archive; none if it is damaged, which its reader reports in detail."""
+    try:
+        with path.open("rb") as file, open_archive(file, path) as (_, names):
+            return tuple(names)
+    except (InputError, OSError):
+        return ()
 
 
 def check_unpacked_size(archive: zipfile.ZipFile, path: Path, largest: int) -> None:

@@ -70,16 +70,17 @@ class ClipPair(Pair):
     """The driving clip; its mesh is `driving`."""
     truth_frames: Float[np.ndarray, "T V 3"]
     """The true result in all frames."""
-    aligned_frames: Float[np.ndarray, "T V 3"]
-    """The driving person with true correspondence in all frames."""
-    template: Int[np.ndarray, "N 2"]
-    """Identity and driving vertex of each vertex of LIMP's template (`remesh.template`)."""
+    aligned_frames: Float[np.ndarray, "T V 3"] | None
+    """The driving person with true correspondence in all frames; None where there is no correspondence."""
+    template: Int[np.ndarray, "N 2"] | None
+    """Identity and driving vertex of each vertex of LIMP's template (`remesh.template`); None for other bodies."""
 
     def frame(self, t: int) -> Pair:
         """Return frame t as a pair of meshes."""
         mesh = dataclasses.replace(self.driving, vertices=self.clip.vertices[t])
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(Pair)}
-        return Pair(**{**fields, "driving": mesh, "truth": self.truth_frames[t], "aligned": self.aligned_frames[t]})
+        aligned = None if self.aligned_frames is None else self.aligned_frames[t]
+        return Pair(**{**fields, "driving": mesh, "truth": self.truth_frames[t], "aligned": aligned})
 
 
 @dataclass(frozen=True)
@@ -167,7 +168,9 @@ class ClipsAniformer(Protocol):
         number = 1000 * STREAMS[stream][0] + i
         shape = sample_shape(human(), self.seed(f"{split}/actors"), number, self.spread)
         rest = Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), target)), str(target))
-        first = make_pair(identity, Person(human(), shape, str(number)), rest, Pose(motion.rotmat[0], motion.name))
+        # Driving people are numbered after the identities: files are named by person.
+        driving = Person(human(), shape, str(self.targets + number))
+        first = make_pair(identity, driving, rest, Pose(motion.rotmat[0], motion.name))
         clip, truth = (motion_clip(human(), person, motion) for person in (shape, identity.shape))
         fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
         # The clip also has the motion's root path, which a pair of poses has not.
@@ -186,22 +189,31 @@ class ClipsAniformer(Protocol):
     def pair(self, split: str, kind: str, i: int) -> ClipPair:
         """Generate trial i as methods get it: vertices shuffled, with one order for all frames."""
         rng = self.rng(split, kind, i)
-        unshuffled = self.unshuffled_pair(split, kind, i, rng)
-        orders = order, driving_order = random_orders(unshuffled, rng)
-        first = reorder_vertices(unshuffled, order, driving_order)
-        columns = zip(orders, unshuffled.template.T, strict=True)
-        return dataclasses.replace(
-            first,
-            clip=Clip(first.driving, unshuffled.clip.vertices[:, driving_order], unshuffled.clip.fps),
-            truth_frames=unshuffled.truth_frames[:, order],
-            aligned_frames=unshuffled.aligned_frames[:, order],
-            # Vertex numbers follow by the inverse orders.
-            template=np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1),
-        )  # pyright: ignore[reportReturnType] (replace keeps the class)
+        return shuffle_clip_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
+
+
+def shuffle_clip_vertices(trial: ClipPair, rng: np.random.Generator) -> ClipPair:
+    """Shuffle the vertices of identity and driving clip independently, with one order for all frames."""
+    orders = order, driving_order = random_orders(trial, rng)
+    first = reorder_vertices(trial, order, driving_order)
+    template = trial.template
+    if template is not None:
+        # Vertex numbers follow by the inverse orders.
+        columns = zip(orders, template.T, strict=True)
+        template = np.stack([np.argsort(new_order)[vertices] for new_order, vertices in columns], axis=1)
+    return dataclasses.replace(
+        first,
+        clip=Clip(first.driving, trial.clip.vertices[:, driving_order], trial.clip.fps),
+        truth_frames=trial.truth_frames[:, order],
+        aligned_frames=None if trial.aligned_frames is None else trial.aligned_frames[:, order],
+        template=template,
+    )  # pyright: ignore[reportReturnType] (replace keeps the class)
 
 
 def on_template(trial: ClipPair) -> ClipPair:
     """Restrict a trial to the vertices of LIMP's template, in the template's order; extra inputs are dropped."""
+    assert trial.template is not None
+    assert trial.aligned_frames is not None
     identity_vertices, driving_vertices = trial.template.T
     faces, vertices = template().faces, trial.clip.vertices[:, driving_vertices]
     identity = Mesh(trial.identity.vertices[identity_vertices], faces, name=trial.identity.name)

@@ -91,6 +91,7 @@ class FingerGestures(Wide):
             truth=person.posed_vertices(pose.rotmat),
             height=float(np.ptp(body.shaped(person.shape)[0][:, 1])),
             aligned=driving.vertices,
+            truth_name=f"id{person.label}_{pose.label}",
             groups=(person.label, other.label),
             part=part,
             tips=tips,
@@ -108,17 +109,18 @@ class FingerGestures(Wide):
     def _characters(self, pool: tuple[PoolCharacter, ...], split: str, i: int, rng: np.random.Generator) -> FingerPair:
         """Make a pair of two characters; the driving one has a pose of Table 6 and a gesture."""
         first, second = (pool[k] for k in rng.choice(len(pool), 2, replace=False))
-        pose, gesture = self.sample_driving_pose(split, "table6", i, rng).rotmat, draw_gesture(rng)
+        pose, gesture = self.sample_driving_pose(split, "table6", i, rng), draw_gesture(rng)
         driving, truth = (
-            character.rig.skinned(pose_fingers(character, pose_character(character, pose), gesture))
+            character.rig.skinned(pose_fingers(character, pose_character(character, pose.rotmat), gesture))
             for character in (second, first)
         )
         part, tips = character_parts(first)
         return FingerPair(
             identity=first.rig.mesh,
-            driving=dataclasses.replace(second.rig.mesh, vertices=driving),
+            driving=dataclasses.replace(second.rig.mesh, vertices=driving, name=f"{second.rig.mesh.name}_{pose.label}"),
             truth=truth,
             height=float(np.ptp(first.rig.mesh.vertices[:, 1])),
+            truth_name=f"{first.rig.mesh.name}_{pose.label}",
             groups=(first.meta.file, second.meta.file),
             part=part,
             tips=tips,

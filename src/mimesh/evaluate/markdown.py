@@ -39,7 +39,11 @@ def markdown(report: dict[str, Any]) -> str:
     rows = report["results"]
     kinds = list(dict.fromkeys(row["split"] for row in rows))
     tables = [f"**{kind}**\n\n{kind_table([row for row in rows if row['split'] == kind])}" for kind in kinds]
-    title = f"{report['protocol']} version {report['version']}, split {report['provenance']['config']['split']}."
+    config = report["provenance"]["config"]
+    if "lists" in config:
+        title = f"{report['protocol']}: {config['data']}."
+    else:
+        title = f"{report['protocol']} version {report['version']}, split {config['split']}."
     for method in dict.fromkeys(row["method"] for row in rows):
         of_method = [row for row in rows if row["method"] == method and "limb_deg" in row]
         if of_method:

@@ -96,15 +96,25 @@ def training_facts(method: str) -> dict[str, Any]:
     if not path.with_suffix(".json").exists():
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text())
-    count = card["config"]["data"]["vertices"] or 6890
     data = TRAINED_ON[card["config"]["data"]["kind"]]
     if "characters" in card:
         data += f" and {sum(card['characters']['makers'].values())} characters of other makers"
     stages = [card, *card.get("before", [])]
     minutes = f"{sum(stage['seconds_trained'] for stage in stages) / 60:.0f} min, {card['hardware']}"
     pairs = sum(stage["pairs"] for stage in stages)
-    facts = {"trained": f"{minutes}; {pairs:,} pairs of {count:,} vertices; {data}"}
+    vertices = vertices_of_meshes(card)
+    facts = {"trained": f"{minutes}; {pairs:,} pairs of {vertices}; {data}"}
     return facts | ({"pflop": card["pflop"]} if "pflop" in card else {})
+
+
+def vertices_of_meshes(card: dict[str, Any]) -> str:
+    """Say from a card how many vertices the meshes of a training had, and since when."""
+    count = f"{card['config']['data']['vertices'] or 6890:,}"
+    changes = [change for change in card.get("changes", []) if "data.vertices" in change and "was" in change]
+    if not changes:
+        return f"{count} vertices"
+    first, last = changes[0]["was"]["data.vertices"] or 6890, card["pairs"] - changes[-1]["after_pairs"]
+    return f"{first:,} vertices, the last {last:,} of {count}"
 
 
 class Output(NamedTuple):
@@ -292,12 +302,13 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
     if method == "truth":
         return Output(trial.truth_frames)
     if method == "copy":
-        sizes = [np.mean([radius(v - v.mean(axis=0)) for v in c]) for c in (trial.truth_frames, trial.aligned_frames)]
-        return Output(trial.aligned_frames * (sizes[0] / sizes[1]))
+        aligned = required_input(trial.aligned_frames, method)
+        sizes = [np.mean([radius(v - v.mean(axis=0)) for v in clip]) for clip in (trial.truth_frames, aligned)]
+        return Output(aligned * (sizes[0] / sizes[1]))
     if method.startswith("deformation-transfer"):
         driving, inputs = deformation_transfer_inputs(trial, method)
         frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
-        clip = Clip(driving, frames, trial.clip.fps)
+        clip = Clip(driving, required_input(frames, method), trial.clip.fps)
         return Output.of(animate(trial.identity, clip, "deformation-transfer", **AXES, **inputs))
     network = find_method(method, ensemble=ensemble)
     if needs_true_size(network):
@@ -313,7 +324,10 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
     Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame. LIMP is
     measured on the vertices of its template only, because its network has a fixed set of vertices.
     """
-    trial = on_supported_vertices(trial, method)
+    try:
+        trial = on_supported_vertices(trial, method)
+    except NotApplicableError as error:
+        return {"why": str(error)}
     result, facts = timed(run_on_clip, trial, method, options)
     if result is None:
         return facts
@@ -335,15 +349,24 @@ def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]
 
 
 def on_supported_vertices(trial: ClipPair, method: str) -> ClipPair:
-    """Return the trial on the vertices that a method supports: those of the template for LIMP, all for the others."""
+    """Return the trial on the vertices that a method supports: those of the template for LIMP, all for the others.
+
+    Raises:
+        NotApplicableError: the method is limited to the template, and the trial is not of the shipped body.
+    """
     limited = method not in EXTRA_INPUTS and getattr(find_method(method), "template_only", False)
+    if limited and trial.template is None:
+        raise NotApplicableError(f"{method}: expected the vertices of its template, found no such numbers in this list")
     return on_template(trial) if limited else trial
 
 
 def repeat_first_frame(trial: ClipPair) -> ClipPair:
     """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
-    frames = {
-        name: np.repeat(getattr(trial, name)[:1], STATIC_FRAMES, axis=0) for name in ("truth_frames", "aligned_frames")
-    }  # fmt: skip
-    clip = dataclasses.replace(trial.clip, vertices=np.repeat(trial.clip.vertices[:1], STATIC_FRAMES, axis=0))
-    return dataclasses.replace(trial, clip=clip, **frames)
+
+    still = (STATIC_FRAMES, 1, 1)
+    return dataclasses.replace(
+        trial,
+        clip=dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], still)),
+        truth_frames=np.tile(trial.truth_frames[:1], still),
+        aligned_frames=None if trial.aligned_frames is None else np.tile(trial.aligned_frames[:1], still),
+    )

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ..core.errors import InputError
-from ..methods.find import REDUCED_MODELS, TABLE_MODELS
+from ..methods.find import is_table_model
 from .frozen_sets import frozen_sets, role
 from .markdown import (
     calibration_table,
@@ -210,7 +210,7 @@ def read_reports(folder: Path) -> dict[str, dict[str, Any]]:
     reports = {path.stem: json.loads(path.read_text()) for path in sorted(folder.glob("*.json"))}
     found: dict[tuple[str, str, str], str] = {}
     for stem, report in reports.items():
-        if report["provenance"]["config"]["split"] != "test":
+        if report["provenance"]["config"].get("split") != "test":
             raise InputError(f"{stem}.json: expected figures of the split test, found others; measure it again")
         for kind, facts in report.get("sets", {}).items():
             if facts["frozen"] not in ("same", "unknown"):
@@ -264,7 +264,7 @@ def with_readme_table(text: str, table: str) -> str:
 
 def _set_tables(test_set: Set, rows: list[dict[str, Any]]) -> list[str]:
     """Format the tables of a test set: methods without a body model, then those that fit the shipped body."""
-    ours = [row for row in rows if REDUCED_MODELS.get(row["method"], row["method"]) not in TABLE_MODELS]
+    ours = [row for row in rows if not is_table_model(row["method"])]
     parts = [f"### {test_set.title}", _set_facts(test_set)]
     if not ours:
         return [*parts, "Not measured."]

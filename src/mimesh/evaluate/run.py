@@ -10,7 +10,7 @@ import json
 import os
 import re
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,16 @@ from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS, check_weights, find_method, weights_path
+from ..methods.find import MODELS, REDUCED_MODELS, check_weights, find_method, is_table_model, weights_path
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
 from .cross_body import cross_body
 from .fingers import FingerGestures, fingers
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
+from .listed_pairs import ListedClips, ListedPairs, listed_pairs
 from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip, measure_fingers
-from .pairs import Pair
+from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
 from .summary import summary
@@ -46,6 +47,9 @@ def evaluate_command(
     dump: Path | None = None,
     data: Path | None = None,
     refine: bool = False,
+    height: float | None = None,
+    fps: float | None = None,
+    mirror: bool = False,
 ) -> dict[str, Any]:
     """Measure methods on a protocol (`mimesh evaluate`) and return the report: one row per method and kind of pair.
 
@@ -54,14 +58,18 @@ def evaluate_command(
     whose code or weights have changed.
 
     Args:
+        protocol: a name, or the path of a list of files or of a folder of lists (`triples`).
         pairs: number of pairs of each kind; 0 for the protocol's own.
         dump: folder for pictures of the worst pairs.
-        data: folder of a protocol that reads one.
+        data: folder of a protocol that reads one, or that the names of a list are relative to.
+        height: height of the identities of a list at rest, in the unit of its files; see `ListedPairs.height`.
+        fps: frames per second of the clips of a list; None: those of the files.
+        mirror: measure on the mirror images of all pairs; not for clips and characters.
 
     Raises:
         InputError: an unknown protocol, split or method, or missing data.
     """
-    chosen = find_protocol(protocol, data)
+    chosen = find_protocol(protocol, data, height, fps)
     if split not in SPLITS:
         raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
     for method in methods:
@@ -71,12 +79,11 @@ def evaluate_command(
     if dump is not None and of_pool and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
                          "give --split val")  # fmt: skip
+    if mirror and (dump is not None or measurement_of(chosen) is not measure):
+        raise InputError("--mirror: expected a test set of single meshes and no --dump, found another; leave one out")
     options = {"ensemble": ensemble, "refine": refine}
-    config = {"split": split, "pairs": pairs or chosen.pairs, **options}
-    if data is not None and protocol in FOLDERS:
-        config["data"] = folder_checksum(data)
-    if isinstance(chosen, Dressed) and chosen.folder is not None:
-        config["data"] = f"{TEST_FILE} {chosen.checksum:08x}"
+    config = {**data_facts(chosen, split, data), "pairs": pairs or chosen.pairs, **options}
+    config |= {"mirror": True} if mirror else {}
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}
@@ -89,16 +96,18 @@ def evaluate_command(
             figures = []
             for i in range(counts[kind]):
                 key = [method, weights, code.get(method), kind, i]
-                stored = ledger.get(key)
-                figures.append(
-                    stored or ledger.put(key, measure_trial(chosen, chosen.pair(split, kind, i), method, options))
-                )
+                if (metrics := ledger.get(key)) is None:
+                    trial = chosen.pair(split, kind, i)
+                    trial = mirrored(trial) if mirror else trial
+                    metrics = ledger.put(key, measure_trial(chosen, trial, method, options))
+                figures.append(metrics)
                 done += 1
                 if progress is not None:
                     progress(done, total)
-            rows.append({**summary(method, kind, figures), "weights": weights})
-            if kind not in sets:  # every method gets the same pairs
-                sets[kind] = set_facts(chosen.name, split, kind, [metrics["pair"] for metrics in figures])
+            label = f"{kind}, mirrored" if mirror else kind
+            rows.append({**summary(method, label, figures), "weights": weights})
+            if label not in sets:  # every method gets the same pairs
+                sets[label] = set_facts(chosen, split, label, [metrics["pair"] for metrics in figures])
             if dump is not None:
                 from .dump import dump_worst
 
@@ -131,7 +140,7 @@ def _on_one_line(found: re.Match[str]) -> str:
 
 def measurement_of(protocol: Protocol) -> Callable[..., dict[str, Any]]:
     """Return the function that measures a method on one pair of a protocol."""
-    if isinstance(protocol, ClipsAniformer):
+    if isinstance(protocol, (ClipsAniformer, ListedClips)):
         return measure_clip
     if isinstance(protocol, FingerGestures):
         return measure_fingers
@@ -188,11 +197,25 @@ def _whole_lines(path: Path):
             yield json.loads(line)
 
 
-def set_facts(protocol: str, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
+def set_facts(protocol: Protocol, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
     """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`."""
-    stored = frozen_sets().get((protocol, split, kind))
+    if isinstance(protocol, ListedPairs):
+        return {"role": "own files", "sha256": set_checksum(pairs), "frozen": "unknown"}
+    stored = frozen_sets().get((protocol.name, split, kind))
     frozen = "unknown" if stored is None else stored.compare(pairs)
-    return {"role": role(protocol, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
+    return {"role": role(protocol.name, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
+
+
+def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, Any]:
+    """Return the split, or the checksums of a protocol's lists, and a checksum of the files it reads, if any."""
+    if isinstance(protocol, ListedPairs):
+        return {"lists": protocol.checksums(), "data": files_checksum(protocol.files())}
+    facts: dict[str, Any] = {"split": split}
+    if data is not None and protocol.name in FOLDERS:
+        facts["data"] = folder_checksum(data)
+    if isinstance(protocol, Dressed) and protocol.folder is not None:
+        facts["data"] = f"{TEST_FILE} {protocol.checksum:08x}"
+    return facts
 
 
 def folder_checksum(folder: Path) -> str:
@@ -205,18 +228,32 @@ def folder_checksum(folder: Path) -> str:
     files = sorted(Path(parent, name) for parent, _, names in os.walk(folder, followlinks=True) for name in names)
     if not files:
         raise InputError(f"{folder}: expected a folder with files, found none; check --data")
+    return files_checksum({str(path.relative_to(folder)): path for path in files})
+
+
+def files_checksum(files: Mapping[str, Path]) -> str:
+    """Return the number of some files, and the first 16 hex digits of a SHA-256 over their names and contents."""
     digest = hashlib.sha256()
-    for path in files:
-        digest.update(f"{path.relative_to(folder)}\0{path.stat().st_size}\0".encode() + path.read_bytes())
+    for name, path in files.items():
+        digest.update(f"{name}\0{path.stat().st_size}\0".encode() + path.read_bytes())
     return f"{len(files)} files, sha256 {digest.hexdigest()[:16]}"
 
 
-def find_protocol(name: str, data: Path | None = None) -> Protocol:
-    """Return a protocol by name; `data` is the folder that those of FOLDERS read, or that of garments for `dressed`.
+def find_protocol(
+    name: str, data: Path | None = None, height: float | None = None, fps: float | None = None
+) -> Protocol:
+    """Return a protocol by name, or the pairs of a list of files by its path (`listed_pairs`).
+
+    `data` is the folder that those of FOLDERS read, that of garments for `dressed`, or that of a list's files.
 
     Raises:
-        InputError: no such protocol, or no folder where one is needed.
+        InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
     """
+    if name not in (*PROTOCOLS, *FOLDERS) and Path(name).exists():
+        return listed_pairs(Path(name), data, height, fps)
+    for option, value in (("--height", height), ("--fps", fps)):
+        if value is not None:
+            raise InputError(f"{option}: expected it with a list of files, found the protocol {name}; leave it out")
     if name == "cross-body":
         if data is None:
             raise InputError("cross-body: expected a folder of rigged characters, found none; give it with --data")
@@ -235,7 +272,7 @@ def find_protocol(name: str, data: Path | None = None) -> Protocol:
         return with_test_garments(data)
     if name not in PROTOCOLS:
         known = ", ".join((*PROTOCOLS, *FOLDERS))
-        raise InputError(f"{name}: expected a protocol ({known}), found another; check the name")
+        raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
     return PROTOCOLS[name]
 
 
@@ -273,9 +310,8 @@ def fingerprint(method: str) -> int:
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
     names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
-    if method not in (*names, *TABLE_MODELS, *REDUCED_MODELS) and not (
-        method.endswith(".onnx") and Path(method).is_file()
-    ):
+    named = method in (*names, *REDUCED_MODELS) or is_table_model(method)
+    if not named and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")
     check_weights(method)
 

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from ..methods.find import REDUCED_MODELS
 from .markdown import cell, markdown_table, with_interval
 from .run import evaluate_command
 
@@ -37,12 +42,13 @@ class Table(NamedTuple):
     """Headings of our columns."""
 
 
+NONE_TRAINED: Mapping[str, Sequence[str]] = MappingProxyType({})
 PAPER_PFLOP = {"npt": 200.0, "aniformer": 187.0}
-"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.export.training_pflop` counts
+"""Arithmetic of the papers' trainings (10^15 operations), forward and backward, as `learn.cost` counts
 it for the configurations `paper`: 200 epochs of 4,000 pairs of 6,890 vertices, 200 epochs of 400 windows. The public
 code of AniFormer computes its attention over more keys: 434 by its own arithmetic."""
-LONGEST = Row("NPT, the paper's 16 people x 400 poses, longest training", "npt-table", 1.1, 9.3)
-MIME_TABLE = Row("mime (ours, fits the shipped body), same people, poses and training time", "mime-table")
+LONGEST = Row("NPT, the paper's width, 16 people x 400 poses", "npt-full", 1.1, 9.3)
+MIME_TABLE = Row("mime (ours, fits the shipped body), same people and poses", "mime-table")
 MIME_TABLE_NETWORK = Row("the same without the body fit: the network alone", "mime-table-network")
 SHIPPED = Row("NPT as shipped: random people and poses, none of these 400", "npt", 1.1, 9.3)
 MIME = Row("mime (ours, fits the shipped body): random people and poses, none of these 400", "mime")
@@ -134,33 +140,63 @@ TABLES = {
 }
 
 
+def find_table(name: str) -> Table:
+    """Look up a table by name.
+
+    Raises:
+        InputError: no such table.
+    """
+    if name not in TABLES:
+        raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
+    return TABLES[name]
+
+
 def table_command(
     name: str,
     out: Path | None = None,
     pairs: int = 0,
     progress: Progress | None = None,
     data: Path | None = None,
+    trained: Mapping[str, Sequence[str]] = NONE_TRAINED,
 ) -> tuple[dict[str, Any], str]:
     """Measure the rows of a paper's table (`mimesh table`; resumable with `out`) and return the report and the table.
+
+    Args:
+        trained: method of a row -> networks that stand in its place, one a seed (`methods_in`).
 
     Raises:
         InputError: no such table, a missing network of a row, or missing data.
     """
-    if name not in TABLES:
-        raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
-    methods = list(dict.fromkeys(row.method for row in TABLES[name].rows))
-    report = evaluate_command(TABLES[name].protocol, methods, out, pairs=pairs, progress=progress, data=data)
-    return report, paper_table(name, report)
+    table = find_table(name)
+    methods = list(dict.fromkeys(method for row in table.rows for method in trained.get(row.method, [row.method])))
+    report = evaluate_command(table.protocol, methods, out, pairs=pairs, progress=progress, data=data)
+    return report, paper_table(name, report, trained=trained)
 
 
-def paper_table(name: str, *reports: dict[str, Any]) -> str:
-    """Format a paper's table from reports; cells without a measurement say "not measured"."""
+def methods_in(name: str, networks: Collection[str], folders: Sequence[Path]) -> dict[str, list[str]]:
+    """Name what is measured for the rows of a table whose networks were trained: those in each of the folders."""
+    methods = [row.method for row in find_table(name).rows]
+    own = [method for method in methods if REDUCED_MODELS.get(method, method) in networks]
+    return {method: [str(folder / method) for folder in folders] for method in own}
+
+
+def paper_table(name: str, *reports: dict[str, Any], trained: Mapping[str, Sequence[str]] = NONE_TRAINED) -> str:
+    """Format a paper's table from reports; cells without a measurement say "not measured".
+
+    Args:
+        trained: as in `table_command`. A row with several networks has the mean of their figures, and behind ± the
+            standard deviation between them instead of the interval over people.
+    """
     table = TABLES[name]
     chosen = [report for report in reports if report["protocol"] == table.protocol]
     measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []
     for row in table.rows:
-        kinds = seen, unseen = [measured.get((row.method, kind)) for kind in table.kinds]
+        networks = trained.get(row.method, [row.method])
+        kinds = seen, unseen = [
+            over_seeds([measured[method, kind] for method in networks if (method, kind) in measured])
+            for kind in table.kinds
+        ]
         paper = [f"{value:g}" if value is not None else "-" for value in (row.seen, row.unseen)]
         described = [unseen.get("given", "-"), unseen.get("trained", "-")] if unseen else ["-", "-"]
         lines.append(
@@ -180,7 +216,23 @@ def paper_table(name: str, *reports: dict[str, Any]) -> str:
     head += [f"{table.labels[1]}: {figure}" for figure in ("median", "90 %", "mm", "median mm")]
     head += ["share of the paper's compute", "given", "trained"]
     title = f"{table.title}. PMD (Eq. 7) x1e-4, mean; the paper's figures on its own data, ours on the shipped body."
+    if (seeds := max(map(len, trained.values()), default=1)) > 1:
+        title += f" Trained rows: mean over {seeds} seeds ± their standard deviation."
     return f"{title}\n\n" + markdown_table(head, lines)
+
+
+def over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Combine the rows of one method trained with several seeds: means, and deviations in place of intervals."""
+    if len(rows) < 2:
+        return rows[0] if rows else None
+    combined = dict(rows[0])
+    for key, value in rows[0].items():
+        if isinstance(value, float) and not key.endswith("_ci95") and all(key in row for row in rows):
+            values = [float(row[key]) for row in rows]
+            combined[key] = float(np.mean(values))
+            if f"{key}_ci95" in combined:
+                combined[f"{key}_ci95"] = float(np.std(values, ddof=1))
+    return combined
 
 
 def _share_of_compute(paper: str, row: Row, figures: dict[str, Any] | None) -> str:

@@ -23,9 +23,11 @@ from .atomic import whole_file, writing
 from .bvh_write import save_bvh as save_bvh
 from .formats import (
     ANIMATED,
+    BODY_MODELS,
     CACHES,
     CLIP_READERS,
     CLIP_WRITERS,
+    COLLECTIONS,
     FRAME_SUFFIXES,
     JOINTED,
     MESH_READERS,
@@ -78,7 +80,8 @@ def load_clip(
         fps: frames per second, overriding the file's own rate; without either it is 30. Files with times (glTF, USD,
             Alembic, MDD, motions) are resampled at it and keep their duration; others (folders, NPZ, NPY, PC2) are
             played at it.
-        animation: name or number of an animation of a glTF file; None: the first, with those that move other nodes.
+        animation: name or number of an animation of a glTF file, None: the first, with those that move other nodes; or
+            of a clip of an HDF5 file, None: the only one.
         progress: called with (frames read, frames in all).
 
     Raises:
@@ -89,9 +92,16 @@ def load_clip(
     _must_exist(path)
     if path.is_dir():
         with _reading(path):
-            clip = read_sequence(path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS, _load_frame, progress)
+            clip = read_sequence(
+                path, fps or DEFAULT_FPS, MESH_READERS.keys() - MOTIONS - BODY_MODELS, _load_frame, progress
+            )
         # The clip takes the name of the folder, not that of its first frame.
         return check_clip(dataclasses.replace(clip, mesh=dataclasses.replace(clip.mesh, name=path.name)), path)
+    if path.suffix.lower() in COLLECTIONS:
+        from .hdf5 import read_hdf5_clip
+
+        with _reading(path):
+            return check_clip(read_hdf5_clip(path, fps, animation, progress), path)
     if path.suffix.lower() in CLIP_READERS:
         with _reading(path):
             return check_clip(CLIP_READERS[path.suffix.lower()](path, fps, progress), path)
@@ -116,16 +126,57 @@ def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.nda
         return read_frame(path, first, first_path, _load_frame)
 
 
+def load_recorded_clip(
+    path: str | Path,
+    body_model: str | Path,
+    fps: float | None = None,
+    animation: str | None = None,
+    progress: Progress | None = None,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read recorded parameters of a body model as a clip of the recorded surface; see `motions.smpl_clip`.
+
+    Args:
+        path: an AMASS archive (.npz), or a pickle (.pkl) of `pose`, `betas` and `trans`.
+        body_model: file of the model, .pkl or .npz in SMPL's layout.
+        fps: frame rate at which the recording is resampled; None: its own.
+        animation: refused, as such files have one clip.
+        progress: called with (frames read, frames in all).
+
+    Returns:
+        The clip, y up and in metres for AMASS, and notes on what the model or the file lacks.
+
+    Raises:
+        InputError: one of the files cannot be used.
+    """
+    from ..bodies.smpl_model import load_smpl_model
+    from ..motions.smpl_clip import recorded_clip
+
+    path, body_model = Path(path), Path(body_model)
+    _check_clip_options(path, fps, animation)
+    _must_exist(path)
+    _must_exist(body_model)
+    with _reading(body_model):
+        model = load_smpl_model(body_model)
+    with _reading(path):
+        clip, notes = recorded_clip(path, model, fps, progress)
+    return check_clip(clip, path), notes
+
+
 def list_animations(path: str | Path) -> tuple[str, ...]:
     """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
 
-    Empty for other formats, which have one clip at most, and for folders.
+    Of an HDF5 file its clips. Empty for other formats, which have one clip at most, and for folders.
 
     Raises:
         InputError: no such file, or a damaged one.
     """
     path = Path(path)
     _must_exist(path)
+    if path.is_file() and path.suffix.lower() in COLLECTIONS:
+        from .hdf5 import clip_lengths
+
+        with _reading(path):
+            return tuple(clip_lengths(path))
     if path.is_dir() or path.suffix.lower() not in ANIMATED:
         return ()
     from .gltf.animation import animation_names
@@ -351,9 +402,10 @@ def clip_suffixes() -> tuple[str, ...]:
 
 def _check_clip_options(path: Path, fps: float | None, animation: str | None) -> None:
     """Raise InputError for an animation of a format without animations, or an impossible frame rate."""
-    if animation is not None and path.suffix.lower() not in ANIMATED:
+    several = (*ANIMATED, *COLLECTIONS)
+    if animation is not None and path.suffix.lower() not in several:
         raise InputError(
-            f"{path}: expected {' or '.join(ANIMATED)} with --animation, found '{path.suffix}'; leave it out"
+            f"{path}: expected {' or '.join(several)} with --animation, found '{path.suffix}'; leave it out"
         )
     if fps is not None and not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give another with --fps")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
+from ..core.npz_archive import archive_names
 from .atomic import whole_file
 from .npz import read_npz, write_npz, write_npz_clip
 from .npz import read_npz_clip as read_points_clip
@@ -97,16 +98,40 @@ def _read_motion_clip(path: Path, fps: float | None, progress: Progress | None) 
 
 
 def _read_npz(path: Path) -> Mesh:
-    """Read an archive as a mesh, or as a motion where its arrays are those of one, such as AMASS."""
+    """Read an archive as a mesh, or as a motion or a body model where its arrays are those of one."""
     from ..motions.on_body import is_motion_file
 
+    if is_body_model(path):
+        return _read_body_model(path)
     return _read_motion(path) if is_motion_file(path) else read_npz(path)
 
 
 def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
     from ..motions.on_body import is_motion_file
 
+    if is_body_model(path):
+        return Clip.still(_read_body_model(path))
     return (_read_motion_clip if is_motion_file(path) else read_points_clip)(path, fps, progress)
+
+
+def _read_body_model(path: Path) -> Mesh:
+    """Read a body model as the mesh of its mean shape at rest."""
+    from ..bodies.smpl_model import load_smpl_model
+
+    return load_smpl_model(path).mesh()
+
+
+def is_body_model(path: Path) -> bool:
+    """Tell whether a file is a body model in SMPL's layout: any .pkl, or an archive with the arrays of one."""
+    from ..bodies.smpl_model import MARK
+
+    return path.suffix.lower() in BODY_MODELS or (path.suffix.lower() == ".npz" and MARK in archive_names(path))
+
+
+def _read_hdf5_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
+    from .hdf5 import read_hdf5_clip
+
+    return read_hdf5_clip(path, fps, None, progress)
 
 
 def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Clip:
@@ -115,7 +140,7 @@ def _read_cache(path: Path, fps: float | None, progress: Progress | None) -> Cli
     def read(mesh: Path) -> Mesh:
         return MESH_READERS[mesh.suffix.lower()](mesh)
 
-    suffixes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *FRAMES_ONLY)]
+    suffixes = [suffix for suffix in MESH_READERS if suffix not in (*MOTIONS, *BODY_MODELS, *FRAMES_ONLY)]
     return read_cache(path, fps, sorted(suffixes, key=lambda suffix: suffix not in FRAME_SUFFIXES), read, progress)
 
 
@@ -128,6 +153,7 @@ MESH_READERS: dict[str, Callable[[Path], Mesh]] = {
     ".npz": _read_npz,
     ".obj": read_obj,
     ".off": read_off,
+    ".pkl": _read_body_model,
     ".ply": read_ply,
     ".stl": read_stl,
     ".usd": read_usd,
@@ -155,6 +181,7 @@ MESH_WRITERS: dict[str, Callable[[Mesh, Path], None]] = {
 CLIP_READERS: dict[str, Callable[[Path, float | None, Progress | None], Clip]] = {
     ".abc": _read_alembic_clip,
     ".bvh": _read_motion_clip,
+    ".hdf5": _read_hdf5_clip,
     ".mdd": _read_cache,
     ".npy": _read_cache,
     ".npz": _read_npz_clip,
@@ -187,7 +214,11 @@ CACHES = (".mdd", ".npy", ".pc2")
 """Point caches: positions only, for a mesh file beside them."""
 MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
-FRAMES_ONLY = (*CACHES, ".npz")
+BODY_MODELS = {".pkl"}
+"""Files of body models, which are no frame of a clip: registrations may lie beside the meshes of a folder."""
+COLLECTIONS = (".hdf5",)
+"""Files that may contain several clips, without a rest shape."""
+FRAMES_ONLY = (*CACHES, *COLLECTIONS, ".npz")
 """Files of frames without a rest shape."""
 FRAME_SUFFIXES = (".obj", ".ply")
 """Formats of the frames of a clip written to a folder; the first is the default."""

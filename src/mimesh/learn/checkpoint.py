@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -21,7 +21,25 @@ from .config import config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-POSITION = ("step", "seconds", "best", "metrics", "before", "validated", "precision", "characters", "meshes", "changes")
+SCALE = ":scale"
+"""Behind the name of a matrix stored as int8: its rows' scales, by which it is multiplied."""
+INT8_STEPS = 127
+"""Steps from zero to the largest number of a row of int8."""
+SMALLEST = 256
+"""Matrices of fewer numbers are not worth their scales and are stored in 16 bits."""
+POSITION = (
+    "step",
+    "seconds",
+    "best",
+    "metrics",
+    "before",
+    "validated",
+    "precision",
+    "characters",
+    "meshes",
+    "changes",
+    "operations",
+)
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
 
@@ -38,7 +56,7 @@ class Checkpoint:
     metrics: dict[str, float]
     """Validation figures of these weights, if they were validated."""
     tensors: dict[str, Tensor]
-    before: tuple[dict[str, int], ...] = ()
+    before: tuple[dict[str, int | float], ...] = ()
     """Trainings whose network this one began with, as `spent` gives them."""
     validated: int | None = None
     """Step of the last validation; None in checkpoints that do not say."""
@@ -46,21 +64,26 @@ class Checkpoint:
     """Of matrix products, `fp32` or `bf16`; empty in checkpoints that do not say."""
     characters: dict[str, Any] = field(default_factory=dict)
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
-    meshes: dict[str, Any] = field(default_factory=dict)
-    """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
-    """What was changed where the training was resumed: `after_pairs`, and the new values by their keys. Where its
+    """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
+    values before. Where its
     network was averaged with others, `averaged` lists them (`average`).
     """
 
-    def spent(self) -> dict[str, int]:
-        """Give the time and the pairs of this training so far."""
-        return {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
+    operations: float | None = None
+    """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
+    meshes: dict[str, Any] = field(default_factory=dict)
+    """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
+
+    def spent(self) -> dict[str, int | float]:
+        """Give the time, the pairs and, if known, the operations of this training so far."""
+        spent: dict[str, int | float] = {"seconds_trained": round(self.seconds), "pairs": self.step * self.config.batch}
+        return spent if self.operations is None else {**spent, "operations": self.operations}
 
     @property
     def pairs(self) -> int:
         """Pairs of this training so far and of those before it."""
-        return sum(stage["pairs"] for stage in (self.spent(), *self.before))
+        return int(sum(stage["pairs"] for stage in (self.spent(), *self.before)))
 
     def weights(self) -> dict[str, Tensor]:
         """Give the weights to use: the moving average if there is one."""
@@ -98,11 +121,18 @@ def load(path: Path) -> Checkpoint:
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
+    for key in [key for key in tensors if key.endswith(SCALE)]:
+        scale = tensors.pop(key)
+        tensors[key.removesuffix(SCALE)] = tensors[key.removesuffix(SCALE)] * scale[:, None]
     return Checkpoint(config, tensors=tensors, **position)
 
 
-def save_compact(path: Path, out: Path, weights_only: bool = False, average: bool = True) -> None:
+def save_compact(
+    path: Path, out: Path, weights_only: bool = False, average: bool = True, bits: Literal[16, 8] = 16
+) -> None:
     """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
+
+    With 8 `bits` each row of a matrix of weights is rounded to int8 with its own scale: a quarter.
 
     Without the `average` a third less; a training that continues begins a new one. With `weights_only`, average and
     optimizer state are left out: a start for another training (`--weights`).
@@ -116,8 +146,13 @@ def save_compact(path: Path, out: Path, weights_only: bool = False, average: boo
         left_out = ("ema.", "optimizer.") if weights_only else () if average else ("ema.",)
         kept = (key for key in file.keys() if not key.startswith(left_out))  # noqa: SIM118 (not a dict)
         tensors = {key: file.get_tensor(key) for key in kept}
-    for key, value in tensors.items():
-        if value.dtype == torch.float32 and value.ndim:
+    for key, value in list(tensors.items()):
+        if value.dtype != torch.float32 or not value.ndim:
+            continue
+        if bits == 8 and value.ndim == 2 and value.numel() >= SMALLEST and not key.startswith("optimizer."):
+            scale = (value.abs().amax(dim=1) / INT8_STEPS).clamp_min(1e-12)
+            tensors[key], tensors[f"{key}{SCALE}"] = (value / scale[:, None]).round().to(torch.int8), scale
+        else:
             tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
     with whole_file(out) as temporary:
         save_file(tensors, temporary, metadata=metadata)

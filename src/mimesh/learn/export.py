@@ -20,6 +20,7 @@ from ..io.atomic import whole_file
 from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .config import TrainConfig
+from .cost import operations_spent
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
 
@@ -48,8 +49,6 @@ STORED_BITS = (16, 8)
 """Of a weight, as `mimesh export` writes it."""
 FULL_BITS = 32
 """Of a weight as it was trained."""
-INT8_STEPS = 127
-"""Steps from zero to the largest weight of a row."""
 
 
 def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
@@ -139,7 +138,7 @@ def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> o
             continue
         name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
         if bits == 8 and values.ndim == 2:
-            scale = (np.abs(values).max(axis=1) / INT8_STEPS).clip(1e-12).astype(np.float32)
+            scale = (np.abs(values).max(axis=1) / checkpoint.INT8_STEPS).clip(1e-12).astype(np.float32)
             stored = np.round(values / scale[:, None]).astype(np.int8)
             network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
             inputs = [f"{name}.stored", f"{name}.scale"]
@@ -170,7 +169,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
-        "pflop": training_pflop(trained.config, trained.pairs, trained.meshes.get("vertices", 0)),
+        "pflop": float(f"{operations_spent(trained) / 1e15:.3g}"),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
         **({"meshes": trained.meshes} if trained.meshes else {}),
@@ -184,20 +183,6 @@ def described_data(config: TrainConfig) -> str:
     if config.network != "mime" or config.data.kind != "wide":
         return DATA[config.data.kind] + (NPT_CHARACTERS if config.network == "npt" and config.data.characters else "")
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
-
-
-def training_pflop(config: TrainConfig, pairs: int, vertices: int = 0) -> float:
-    """Compute the arithmetic of a training, 10^15 operations: three times the forward pass for each pair.
-
-    Pairs of earlier stages count with this configuration. The optimiser's arithmetic is not counted.
-
-    Args:
-        vertices: of the meshes of a folder; 0 for those of the shipped body.
-    """
-    if vertices and not config.data.vertices:
-        config = dataclasses.replace(config, data=dataclasses.replace(config.data, vertices=vertices))
-    task = find_task(config.network)(config, torch.device("cpu"))
-    return float(f"{3 * pairs * task.flops_per_pair(task.make_model()) / 1e15:.3g}")
 
 
 def test_set(card: dict[str, Any]) -> str:

@@ -18,6 +18,7 @@ from ..core.errors import InputError
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .config import changed_config, load_config
+from .cost import activation_bytes, operations_of, training_operations
 from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
 from .processes import Processes, joined_processes
@@ -175,6 +176,7 @@ def train(
         validation = Validation(run.task)
         with TrainingLog.opened(folder, run) as log:
             log.note("precision", run.reason, precision=run.task.precision)
+            log.note("cost", run.cost())
             if pool:
                 log.note(pool.part, pool.described())
             if run.changes:
@@ -235,10 +237,12 @@ class TrainingRun:
     """Validation figures of the current weights; None once they have changed."""
     validated: int = 0
     """Step of the last validation."""
-    before: tuple[dict[str, int], ...] = ()
+    before: tuple[dict[str, int | float], ...] = ()
     """Trainings whose network this one began with."""
     changes: tuple[dict[str, Any], ...] = ()
     """What was changed where the training was resumed, as in `Checkpoint`."""
+    operations: float = 0.0
+    """Floating-point operations so far, without those of the optimizer."""
 
     @classmethod
     def start(
@@ -276,6 +280,8 @@ class TrainingRun:
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
             run.changes = (*state.changes, *changes_at_resume(state, config, pool))
+            spent = state.operations  # not in checkpoints of earlier versions
+            run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
         return run
 
     def clock(self) -> float:
@@ -284,6 +290,20 @@ class TrainingRun:
         Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
         """
         return time.process_time() if self.processes.device.type == "cpu" else time.perf_counter()
+
+    def cost(self) -> str:
+        """Say what the training takes: arithmetic of a step and of the whole, and memory."""
+        config, weights = self.config, sum(parameter.numel() for parameter in self.model.parameters())
+        step, part = (
+            training_operations(self.task, self.model, config.batch),
+            config.batch // config.accumulate // self.processes.count,
+        )
+        kept = activation_bytes(self.task, self.model, self.source) * part
+        whole = f", {step * config.pairs / config.batch / 1e15:.3g} PFLOP in all" if not config.minutes else ""
+        return (
+            f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{whole}; "
+            f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
+        )
 
     def share(self) -> float:
         """Give how much of the training is done: 0 at the start, 1 at its end."""
@@ -327,6 +347,7 @@ class TrainingRun:
             for name, average in self.ema.items():
                 average.lerp_(current[name], 1.0 - config.ema)
         self.step += 1
+        self.operations += training_operations(self.task, self.model, config.batch)
         self.metrics = None
         self.seconds += self.clock() - started
         return torch.stack(losses).mean()
@@ -357,17 +378,19 @@ class TrainingRun:
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
-        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, changes=self.changes, **brought)
+        rest = {"changes": self.changes, "operations": self.operations, **brought}
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)
 
 
 def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
-    values = {key: attrgetter(key) for key in RESUMABLE}
-    changed: dict[str, Any] = {key: get(config) for key, get in values.items() if get(config) != get(state.config)}
+    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in RESUMABLE}
+    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
+    was = {key: old for key, (new, old) in values.items() if new != old}
     if isinstance(pool, TrainingCharacters) and pool.clips and "clips" not in state.characters:
         changed["clips"] = pool.clips.facts["makers"]
-    return [{"after_pairs": state.step * config.batch, **changed}] if changed else []
+    return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []
 
 
 def schedule(config: TrainConfig, pairs: int, share: float) -> float:

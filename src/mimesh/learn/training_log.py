@@ -62,8 +62,9 @@ class TrainingLog:
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""
-        for name, value in figures.items() if self.board else ():
-            self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
+        if self.board:
+            for name, value in figures.items():
+                self.board.add_scalar(f"{kind}/{name}", value, self.run.step * self.run.config.batch)
         self._line(kind, ", ".join(f"{k} {v:.4g}" for k, v in figures.items()), figures)
 
     def note(self, kind: str, text: str, **facts: str) -> None:

@@ -15,11 +15,14 @@ from .base import Method, RigMethod
 # Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
 SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 TABLE_MODELS = (
-    *("mime-table", "npt-table", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
+    *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("npt-frames", "npt-maxpool-frames", "limp"),
 )
-"""Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed."""
+"""Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
+folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""
+ABLATIONS = Path("ablations")
+"""Folder of these networks where none is named."""
 WITHOUT_FIT = {"mime-network": "mime", "mime-table-network": "mime-table"}
 """Name -> network that is used without the body fit, to measure what the fit contributes."""
 WITHOUT_FINGERS = {"mime-rigid-fingers": "mime"}
@@ -32,10 +35,20 @@ MODELS = ("copy", "deformation-transfer", "skeleton", *SHIPPED_NETWORKS)
 
 def weights_path(model: str) -> Path:
     """Return the path of a network's weights, from one of the names above or from a path."""
+    if is_table_model(model):
+        path = Path(model)
+        folder = ABLATIONS if model == path.name else path.parent
+        return folder / f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
     model = REDUCED_MODELS.get(model, model)
     if model in SHIPPED_NETWORKS:
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
-    return Path("ablations", f"{model}.onnx") if model in TABLE_MODELS else Path(model)
+    return Path(model)
+
+
+def is_table_model(model: str) -> bool:
+    """Tell whether a name is one of a network of the tables, with or without a folder."""
+    name = Path(model).name
+    return REDUCED_MODELS.get(name, name) in TABLE_MODELS
 
 
 def check_weights(model: str) -> None:
@@ -44,10 +57,10 @@ def check_weights(model: str) -> None:
     Raises:
         InputError: it has not; other names and paths pass.
     """
-    if REDUCED_MODELS.get(model, model) in TABLE_MODELS and not weights_path(model).is_file():
+    if is_table_model(model) and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, or train them with scripts/train_ablations.py (npt-table, mime-table: docs/training.md)"
+            "repository, or train them with mimesh table --train"
         )
 
 
@@ -101,13 +114,14 @@ def find_method(
     check_weights(model)
     path = weights_path(model)
     if path.suffix == ".onnx":
-        name = model if model in REDUCED_MODELS else path.stem
+        known = Path(model).name
+        name = known if known in REDUCED_MODELS else path.stem
         return load_network(
             path,
             name=name,
             ensemble=ensemble,
             seed=seed,
-            fits=model not in WITHOUT_FIT,
-            fingers=model not in (*REDUCED_MODELS, *TABLE_MODELS),
+            fits=known not in WITHOUT_FIT,
+            fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

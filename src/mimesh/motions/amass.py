@@ -1,15 +1,19 @@
 """Read AMASS-style archives (.npz): rotation vectors (radians) of joints and the path of the pelvis (metres).
 
 Arrays: `poses` (T, 66 or more), or `root_orient` (T, 3) with `pose_body` (T, 63); `trans` (T, 3); the frame rate as
-`mocap_framerate`, `mocap_frame_rate` or `fps`. The first 22 joints are read, in the order of `JOINTS`; hands, face and
-`betas` are not. The body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs
-and arms along the axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the
-recorded body.
+`mocap_framerate`, `mocap_frame_rate` or `fps`.
+
+`load_amass` reads a skeleton: the first 22 joints, in the order of `JOINTS`; hands, face and `betas` are not read. The
+body model is not part of the file, so the rest skeleton is assumed: a T-pose with straight legs and arms along the
+axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degrees off those of the recorded body.
+
+`load_recording` reads all joints and the shape, which give the recorded surface with a body model (`smpl_clip`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -54,20 +58,30 @@ RATES = ("mocap_framerate", "mocap_frame_rate", "fps")
 """Names of the array with the frame rate."""
 DEFAULT_RATE = 30.0
 """Frames per second of a file without a frame rate."""
+MOTION = ("poses", "root_orient", "pose_body", "trans", *RATES)
+"""Names of the arrays of a motion."""
+PARTS = {"pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
+"""Further parts of a pose where it is stored in parts: name and width, in the order of the joints."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyRecording:
+    """Joint rotations, path and shape of a person as a body model's parameters, in the axes of the file."""
+
+    rotvec: Float[np.ndarray, "T J 3"]
+    """Rotation vector (radians) of each joint in its parent's frame; of the root in the world."""
+    trans: Float[np.ndarray, "T 3"]
+    """Translation of the body (metres)."""
+    betas: Float[np.ndarray, " K"]
+    """Shape coefficients; none if the file has none."""
+    fps: float
+    gender: str
+    """Gender of the model that the coefficients belong to; empty if the file does not say."""
 
 
 def is_amass(names: Collection[str]) -> bool:
     """Tell from the names of its arrays whether an archive is a motion: it has poses and no points."""
     return any(name in names for name in ("poses", "pose_body")) and not any(name in names for name in POINTS)
-
-
-def archive_names(path: Path) -> tuple[str, ...]:
-    """List the names of the arrays in an archive; none if it is damaged, which its reader reports in detail."""
-    try:
-        with path.open("rb") as file, open_archive(file, path) as (_, names):
-            return tuple(names)
-    except (InputError, OSError):
-        return ()
 
 
 def load_amass(path: str | Path) -> Bvh:
@@ -79,20 +93,11 @@ def load_amass(path: str | Path) -> Bvh:
         InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
     """
     path = Path(path)
-    arrays = _read_arrays(path)
-    if "poses" in arrays:
-        rotvec = _rows(arrays["poses"], "poses", 3 * len(JOINTS), path)
-    else:
-        root, body = (_rows(_get(arrays, name, path), name, n, path) for name, n in (("root_orient", 3), _BODY))
-        if len(root) != len(body):
-            raise _length_error(path, "root_orient", len(root), "pose_body", len(body))
-        rotvec = np.concatenate([root[:, :3], body[:, : _BODY[1]]], axis=1)
-    trans = _rows(_get(arrays, "trans", path), "trans", 3, path)[:, :3]
-    if len(trans) != len(rotvec):
-        raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
-    rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), len(JOINTS), 3))
+    arrays = _read_arrays(path, MOTION)
+    rotvec, trans = _joints_and_path(arrays, path)
+    rotmat = rotvec_to_rotmat(rotvec[:, : len(JOINTS)])
     # Only the root is rotated to y up; the other rotations are relative to it.
-    axes = _upright(rotmat[:, 0])
+    axes = upright(rotmat[:, 0])
     rotmat[:, 0] = axes @ rotmat[:, 0]
     names = tuple(JOINTS)
     parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
@@ -100,15 +105,76 @@ def load_amass(path: str | Path) -> Bvh:
     return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path))
 
 
+def load_recording(path: str | Path) -> BodyRecording:
+    """Load all that an archive has for a body model, in the axes of the file.
+
+    Raises:
+        InputError: as `load_amass`, or a shape that changes from frame to frame.
+    """
+    path = Path(path)
+    arrays = _read_arrays(path, (*MOTION, *PARTS, "betas", "gender"))
+    rotvec, trans = _joints_and_path(arrays, path)
+    gender = arrays["gender"].reshape(-1)[:1].astype(str).tolist() if "gender" in arrays else []
+    return BodyRecording(rotvec, trans, shape_of(arrays.get("betas"), path), _rate(arrays, path), "".join(gender))
+
+
+def shape_of(betas: np.ndarray | None, path: Path) -> Float[np.ndarray, " K"]:
+    """Check shape coefficients, which some files repeat for every frame; None is no coefficients.
+
+    Raises:
+        InputError: they are no finite numbers, or change from frame to frame.
+    """
+    if betas is None:
+        return np.zeros(0)
+    rows = _rows(np.atleast_2d(betas), "betas", 1, path)
+    if not (rows == rows[0]).all():
+        raise InputError(f"{path}: expected one person in 'betas', found {len(rows)} rows that differ; split the file")
+    return rows[0]
+
+
+def poses_of(values: np.ndarray, name: str, path: Path) -> Float[np.ndarray, "T J 3"]:
+    """Check rotation vectors of one or more frames, and give each joint a row of its own.
+
+    Raises:
+        InputError: they are no finite numbers, three for each joint.
+    """
+    rows = _rows(np.atleast_2d(values), name, 3, path)
+    if rows.shape[1] % 3:
+        raise InputError(
+            f"{path}: expected three numbers for each joint in '{name}', found {rows.shape[1]} in all; save it again"
+        )
+    return rows.reshape(len(rows), -1, 3)
+
+
 _BODY = ("pose_body", 3 * (len(JOINTS) - 1))
 """Name and width of the array of all joints but the root."""
 
 
-def _read_arrays(path: Path) -> dict[str, np.ndarray]:
+def _read_arrays(path: Path, used: Collection[str]) -> dict[str, np.ndarray]:
     """Read the arrays that are used, as they are stored, without unpickling."""
-    used = ("poses", "root_orient", "pose_body", "trans", *RATES)
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         return {name: read_array(archive, name) for name in used if name in names}
+
+
+def _joints_and_path(
+    arrays: dict[str, np.ndarray], path: Path
+) -> tuple[Float[np.ndarray, "T J 3"], Float[np.ndarray, "T 3"]]:
+    """Check rotations and path, and join the parts of a pose that are stored apart."""
+    if "poses" in arrays:
+        rotvec = _rows(arrays["poses"], "poses", 3 * len(JOINTS), path)
+    else:
+        root, body = (_rows(_get(arrays, name, path), name, n, path) for name, n in (("root_orient", 3), _BODY))
+        parts = {"root_orient": root[:, :3], "pose_body": body[:, : _BODY[1]]}
+        # Hands follow the body in SMPL+H; jaw and eyes come between them in SMPL-X.
+        parts |= {name: _rows(arrays[name], name, n, path)[:, :n] for name, n in PARTS.items() if name in arrays}
+        for name, rows in parts.items():
+            if len(rows) != len(root):
+                raise _length_error(path, "root_orient", len(root), name, len(rows))
+        rotvec = np.concatenate(list(parts.values()), axis=1)
+    trans = _rows(_get(arrays, "trans", path), "trans", 3, path)[:, :3]
+    if len(trans) != len(rotvec):
+        raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
+    return poses_of(rotvec, "poses", path), trans
 
 
 def _get(arrays: dict[str, np.ndarray], name: str, path: Path) -> np.ndarray:
@@ -145,8 +211,8 @@ def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     return float(found.item())
 
 
-def _upright(pelvis: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "3 3"]:
-    """Compute the axis rotation of the world to y up: from z up, unless the pelvis is upright along y."""
+def upright(pelvis: Float[np.ndarray, "T 3 3"]) -> Float[np.ndarray, "3 3"]:
+    """Compute the axis rotation of a recording's world to y up: from z up, unless the pelvis is upright along y."""
     pelvis_up = pelvis[:, :, 1].mean(axis=0)
     if pelvis_up[1] > max(pelvis_up[2], 0.5):
         return np.eye(3)

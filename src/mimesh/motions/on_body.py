@@ -10,10 +10,11 @@ import numpy as np
 from ..bodies import load_body
 from ..core.frame_buffer import Progress, store_frames
 from ..core.mesh import Clip, Mesh
+from ..core.npz_archive import archive_names
 from ..core.person_motion import KnownJoints, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
-from .amass import archive_names, is_amass, load_amass
+from .amass import is_amass, load_amass
 from .bvh import Bvh, bvh_joints, load_bvh
 from .motion import Motion, joint_tracks, leg_length, resample
 from .retarget import retarget

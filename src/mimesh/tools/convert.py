@@ -12,7 +12,16 @@ import numpy as np
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, cut_clip
-from ..io import check_writable, clip_suffixes, list_animations, load_clip, load_mesh, save_as_fbx, save_mesh
+from ..io import (
+    check_writable,
+    clip_suffixes,
+    list_animations,
+    load_clip,
+    load_mesh,
+    load_recorded_clip,
+    save_as_fbx,
+    save_mesh,
+)
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MOTIONS
 from ..io.timing import DEFAULT_FPS
@@ -21,7 +30,7 @@ from .driving_clips import ALL
 
 BONES_ONLY = ".vrma"
 """Format that holds the motion of bones and no mesh."""
-RATELESS = (".npy", ".pc2")
+RATELESS = (".hdf5", ".npy", ".pc2")
 """Formats whose files have no frame rate, like folders of frames."""
 LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
@@ -76,6 +85,7 @@ def convert(
     step: int = 1,
     frames_as: str | None = None,
     blendshapes: int | None = None,
+    body_model: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Converted:
     """Read a mesh, a clip or a folder of frames, and write it in the format of the target's suffix.
@@ -95,6 +105,7 @@ def convert(
         step: take every `step`-th frame.
         frames_as: suffix of the frames in a folder.
         blendshapes: see `write_clip`.
+        body_model: file of a body model, with which `source` is read as the recorded surface (`load_recorded_clip`).
         progress: is called with the steps done and the steps in all.
 
     Raises:
@@ -120,22 +131,40 @@ def convert(
     if suffix == ".fbx" and source.suffix.lower() in JOINTED and blendshapes is None and not any(options.values()):
         return _whole_as_fbx(source, target)
     # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
-    if frame is None and not holds_clip and source.is_file() and source.suffix.lower() not in FRAMES_ONLY:
+    has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and body_model is None
+    if frame is None and not holds_clip and has_rest:
         timed = {"--fps": fps is not None, "--animation": animation is not None}
         _refuse_options(target, timed | cut, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
         mesh = load_mesh(source)
         return _write_mesh(mesh, target, notes=_at_rest_note(mesh, source, target))
     # Reading and writing are half of the progress each.
-    clip = load_clip(source, fps, animation, part(progress, 0, 2))
+    clip, notes = read_clip(source, body_model, fps, animation, part(progress, 0, 2))
     clip = cut_clip(clip, start, stop, step) if frame is None else _single_frame(clip, frame, source)
     if (len(clip) == 1 and suffix in MESH_WRITERS) or not holds_clip:
-        return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip))
+        return _write_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), target, len(clip), notes)
     deviation = write_clip(clip, target, frames_as, blendshapes, part(progress, 1, 2))
-    notes = not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
+    notes += not_kept(clip.mesh, target) + rate_note(clip.fps, target) + blend_note(deviation)
     if frame is None and animation is None:
         notes += animations_note(list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
+
+
+def read_clip(
+    path: Path,
+    body_model: str | Path | None,
+    fps: float | None,
+    animation: str | None,
+    progress: Progress | None = None,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read a clip, or with a body model the recorded surface; returns notes as well.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    if body_model is None:
+        return load_clip(path, fps, animation, progress), ()
+    return load_recorded_clip(path, body_model, fps, animation, progress)
 
 
 def _whole_as_fbx(source: Path, target: Path) -> Converted:

@@ -108,12 +108,13 @@ def inspect_file(path: str | Path) -> FileFacts:
         InputError: the file cannot be read (see `mimesh.io`).
     """
     from ..io import load_clip
+    from ..io.formats import COLLECTIONS
 
-    clip = load_clip(path)
+    clip = load_clip(path, animation="0" if Path(path).suffix.lower() in COLLECTIONS else None)
     facts = facts_of(clip.mesh, clip, path)
     if clip.mesh.source is not None:
         return facts
-    animations, details = _motion(Path(path))
+    animations, details = _other_facts(Path(path), clip)
     return dataclasses.replace(facts, animations=animations, details=facts.details + details)
 
 
@@ -246,9 +247,9 @@ def _polygons(mesh: Mesh) -> int | None:
     return len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None
 
 
-def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Return animations and details of a file without a mesh."""
-    from ..io.formats import ANIMATED
+def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Return animations and details of a file without a mesh, with several clips, or of a body model."""
+    from ..io.formats import ANIMATED, COLLECTIONS, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
     from ..io.gltf.motion import gltf_joints
@@ -257,7 +258,22 @@ def _motion(path: Path) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
         return animation_names(document), (_motion_detail(gltf_joints(document)), *document_details(document))
+    if path.suffix.lower() in COLLECTIONS:
+        return _clips_of_file(path, clip.fps)
+    if path.is_file() and is_body_model(path):
+        return (), (("body model", "its mean shape at rest, which these facts describe"),)
     return (), ((_motion_detail(motion_joints(path)),) if is_motion_file(path) else ())
+
+
+def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
+    """Return the names of the clips of an HDF5 file, and a line for each."""
+    from ..io.hdf5 import clip_lengths
+
+    lengths = clip_lengths(path)
+    rows = tuple(
+        (f"animation {k}", f"{name}, {length / fps:.2f} s") for k, (name, length) in enumerate(lengths.items())
+    )
+    return tuple(lengths), (("clips", f"{len(lengths)}, of which these facts describe the first"), *rows)
 
 
 def _motion_detail(joints: int) -> tuple[str, str]:

@@ -1,0 +1,210 @@
+"""SmplModel: a body model that a user has as a file in SMPL's layout (SMPL, SMPL+H, SMPL-X, SMAL), not shipped.
+
+Loper, Mahmood, Romero, Pons-Moll and Black, SMPL: A Skinned Multi-Person Linear Model (SIGGRAPH Asia 2015). Frame: that
+of the file; in the published models metres, y up, facing +z. Files may be .npz archives, or pickles of Python 2 or 3,
+which are read without running anything in them (`core.pickled_arrays`).
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ..core.errors import InputError
+from ..core.mesh import Mesh
+from ..core.npz_archive import open_archive
+from ..core.pickled_arrays import read_object_array, read_pickled_arrays
+from ..core.skinning import skin_poses, skinning_transforms
+
+ARRAYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
+"""Names of the arrays of a file."""
+MARK = "v_template"
+"""Name of the array that tells a body model from other archives."""
+CHUNK = 32
+"""Frames posed at once by `frames`, which bounds the memory for a long clip."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmplModel:
+    """A body model with V vertices, J joints and K shape coefficients."""
+
+    name: str
+    template: Float[np.ndarray, "V 3"]
+    """Vertices of the mean shape at rest, T in the paper."""
+    faces: Int[np.ndarray, "F 3"]
+    shape_directions: Float[np.ndarray, "V 3 K"]
+    """Displacement of the vertices for each shape coefficient, S."""
+    pose_directions: Float[np.ndarray, "V 3 P"]
+    """Displacement of the vertices for each of the P = 9 (J - 1) numbers of the joints' rotations, P."""
+    joint_regressor: Float[np.ndarray, "J V"]
+    """Positions of the joints from the shaped vertices, script J."""
+    weights: Float[np.ndarray, "V J"]
+    """Skinning weights, script W."""
+    parents: tuple[int, ...]
+    """Index of each joint's parent, -1 for the root, which comes first; parents come before their children."""
+
+    def shaped(self, shape: Float[np.ndarray, " K"]) -> tuple[Float[np.ndarray, "V 3"], Float[np.ndarray, "J 3"]]:
+        """Compute vertices (Eq. 8) and joints (Eq. 10) at rest; coefficients that are not given are zero."""
+        vertices = self.template + self.shape_directions[..., : len(shape)] @ shape
+        return vertices, self.joint_regressor @ vertices
+
+    def posed(
+        self,
+        shape: Float[np.ndarray, " K"],
+        rotmat: Float[np.ndarray, "T J 3 3"],
+        translation: Float[np.ndarray, "T 3"],
+    ) -> Float[np.ndarray, "T V 3"]:
+        """Compute the vertices of one person in T poses (Eq. 2 to 10).
+
+        Args:
+            shape: coefficients, at most K.
+            rotmat: rotation of each joint in its parent's frame; of the root in the world.
+            translation: added to all vertices.
+        """
+        vertices, joints = self.shaped(shape)
+        # Eq. 9: the displacements are linear in the rotations of all joints but the root, less those at rest.
+        features = (rotmat[:, 1:] - np.eye(3)).reshape(len(rotmat), -1)
+        corrected = vertices + np.tensordot(features, self.pose_directions, axes=(1, 2))
+        transforms = skinning_transforms(joints, rotmat, self.parents, translation)
+        return skin_poses(corrected, self.weights, *transforms)
+
+    def frames(
+        self,
+        shape: Float[np.ndarray, " K"],
+        rotmat: Float[np.ndarray, "T J 3 3"],
+        translation: Float[np.ndarray, "T 3"],
+    ) -> Iterator[Float[np.ndarray, "V 3"]]:
+        """Yield the vertices of `posed` frame by frame."""
+        for t in range(0, len(rotmat), CHUNK):
+            yield from self.posed(shape, rotmat[t : t + CHUNK], translation[t : t + CHUNK])
+
+    def mesh(self) -> Mesh:
+        """Make a mesh of the mean shape at rest."""
+        return Mesh(self.template, self.faces, name=self.name)
+
+
+def load_smpl_model(path: str | Path) -> SmplModel:
+    """Load a body model from a .pkl or .npz with the arrays of ARRAYS.
+
+    Raises:
+        InputError: no such file, a damaged or malicious one, or arrays that are missing, not finite or do not fit
+            together.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in (".pkl", ".npz") or not path.is_file():
+        found = f"'{path.suffix}'" if path.is_file() else "nothing of that name"
+        raise InputError(f"{path}: expected a body model as .pkl or .npz, found {found}; check the path")
+    arrays = _read_npz(path) if path.suffix.lower() == ".npz" else _read_pickle(path)
+    template = _numbers(arrays, "v_template", (None, 3), path)
+    count = len(template)
+    regressor = _numbers(arrays, "J_regressor", (None, count), path)
+    joints = len(regressor)
+    faces = _faces(arrays["f"], count, path)
+    return SmplModel(
+        name=path.stem,
+        template=template,
+        faces=faces,
+        shape_directions=_numbers(arrays, "shapedirs", (count, 3, None), path),
+        pose_directions=_numbers(arrays, "posedirs", (count, 3, 9 * (joints - 1)), path),
+        joint_regressor=regressor,
+        weights=_numbers(arrays, "weights", (count, joints), path),
+        parents=_parents(arrays["kintree_table"], joints, path),
+    )
+
+
+def _read_pickle(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of a pickle."""
+    pickled = read_pickled_arrays(path)
+    _check_names(pickled.entries, path)
+    return {name: pickled.array(name) for name in ARRAYS}
+
+
+def _read_npz(path: Path) -> dict[str, np.ndarray]:
+    """Read the arrays of an archive; one of a single object, as SciPy's sparse matrices are saved, is a pickle."""
+    with path.open("rb") as file, open_archive(file, path) as (archive, names):
+        _check_names(names, path)
+        arrays = {}
+        for name in ARRAYS:
+            data = io.BytesIO(archive.read(f"{name}.npy"))
+            version = np.lib.format.read_magic(data)
+            read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+            if read(data)[2].hasobject:
+                arrays[name] = read_object_array(data.read(), path, name)
+            else:
+                data.seek(0)
+                arrays[name] = np.lib.format.read_array(data, allow_pickle=False)
+        return arrays
+
+
+def _check_names(names: Collection[str], path: Path) -> None:
+    """Raise InputError for arrays that are missing."""
+    missing = [name for name in ARRAYS if name not in names]
+    if missing:
+        found = ", ".join(repr(name)[1:-1] for name in list(names)[:12]) or "none"  # names may be anything
+        remedy = "check that the file is a body model"
+        if {"pose", "trans"} & set(names):
+            remedy = "a file of poses needs a model: mimesh convert IN OUT --body-model SMPL.pkl"
+        raise InputError(f"{path}: expected the arrays {', '.join(missing)}, found {found[:200]}; {remedy}")
+
+
+def _numbers(arrays: dict[str, np.ndarray], name: str, shape: tuple[int | None, ...], path: Path) -> np.ndarray:
+    """Check that an array has finite numbers in a shape, in which None is any size but zero; return it as float64."""
+    values = arrays[name]
+    fits = len(values.shape) == len(shape) and all(
+        size > 0 and (wanted is None or size == wanted) for size, wanted in zip(values.shape, shape, strict=True)
+    )
+    if not fits or values.dtype.kind not in "fiu":
+        wanted = ", ".join("any" if size is None else str(size) for size in shape)
+        raise InputError(
+            f"{path}: expected '{name}' to be numbers of shape ({wanted}), found {values.dtype} {values.shape}; "
+            "check that the file is a body model in SMPL's layout"
+        )
+    if not np.isfinite(values).all():
+        raise InputError(
+            f"{path}: expected finite numbers, found NaN or infinity in '{name}'; copy or download the file again"
+        )
+    return values.astype(np.float64)
+
+
+def _faces(faces: np.ndarray, vertices: int, path: Path) -> Int[np.ndarray, "F 3"]:
+    """Check the triangles."""
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or len(faces) == 0:
+        raise InputError(
+            f"{path}: expected 'f' to be whole numbers of shape (F, 3), found {faces.dtype} {faces.shape}; "
+            "check that the file is a body model in SMPL's layout"
+        )
+    if faces.min() < 0 or faces.max() >= vertices:
+        raise InputError(
+            f"{path}: expected 'f' in 0..{vertices - 1}, found {faces.min()} to {faces.max()}; "
+            "copy or download the file again"
+        )
+    return faces.astype(np.int64)
+
+
+def _parents(table: np.ndarray, joints: int, path: Path) -> tuple[int, ...]:
+    """Read the parents: column k of the table has the number of joint k in its second row, its parent's in the first.
+
+    The root's parent is -1, which unsigned types store as 2^32 - 1 or 2^64 - 1.
+    """
+    if table.shape != (2, joints) or table.dtype.kind not in "iu":
+        raise InputError(
+            f"{path}: expected 'kintree_table' to be whole numbers of shape (2, {joints}), found {table.dtype} "
+            f"{table.shape}; check that the file is a body model in SMPL's layout"
+        )
+    above, numbers = ([int(number) for number in row] for row in table)
+    column = {number: k for k, number in enumerate(numbers)}
+    parents = tuple(column.get(number, -1) for number in above)
+    # Parents before children: there is one root then, and no joint is above itself.
+    bad = [k for k, parent in enumerate(parents) if (k == 0) != (parent < 0) or parent >= k]
+    if bad or len(column) != joints or above[0] not in (-1, 2**32 - 1, 2**64 - 1):
+        where = bad[0] if bad else 0
+        raise InputError(
+            f"{path}: expected a tree of joints, parents before their children, found {above[where]} as the parent of "
+            f"joint {numbers[where]} in 'kintree_table'; copy or download the file again"
+        )
+    return parents

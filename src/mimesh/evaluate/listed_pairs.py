@@ -1,0 +1,262 @@
+"""Pairs and clips of a user's own files, as lists name them (`triples`): one more source of pairs to measure on.
+
+Meshes are y up and face +z. The truth has the vertices of the identity in the identity's order, as in the public data
+of NPT. Where the driving mesh has the identity's triangles, its vertices are taken to correspond by number, for the
+baseline `copy`. Both meshes are shuffled before a method gets them, the truth with the identity.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import re
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..io import load_clip, load_mesh
+from .clip_protocols import ClipPair, shuffle_clip_vertices
+from .pairs import Pair
+from .protocols import Protocol
+from .triples import Triple, find_lists, heights_file, list_checksum, read_heights, read_list
+
+HEIGHT = 1.7
+"""Height (metres) at which millimetres of the files are those of reports; taken where nothing is known."""
+METRES = (0.3, 10.0)
+"""Diagonals of the bounding box that a figure in metres can have, for meshes without a known height."""
+_LAYOUT = re.compile(r"(?:id)?(\d+)_(.+)")
+"""<person>_<pose>, with or without "id": names of the public data, and of what `mimesh generate` writes."""
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class ListedPairs(Protocol):
+    """Pairs of meshes; a kind is a list, called by its name without suffix. There are no splits."""
+
+    source: Path = Path()
+    """A list, or a folder of lists."""
+    data: Path | None = None
+    """The folder that names are relative to; None: the folder of the list."""
+    height: float | None = None
+    """Height of all identities at rest in the unit of the files; None: of the file beside the list, else HEIGHT."""
+    fps: float | None = None
+    """Frames per second of clips; None: those of the files."""
+
+    @cached_property
+    def lists(self) -> dict[str, tuple[Triple, ...]]:
+        """The lines of each list, by kind."""
+        return {path.stem: read_list(path, self.data) for path in find_lists(self.source)}
+
+    @cached_property
+    def heights(self) -> dict[str, dict[str, float] | None]:
+        """The heights beside each list, by kind."""
+        return {path.stem: read_heights(path) for path in find_lists(self.source)}
+
+    def rng(self, split: str, kind: str, i: int) -> np.random.Generator:
+        """Return the random generator of the vertex orders of pair `i`, which no other list has a part in."""
+        return np.random.default_rng([zlib.crc32(kind.encode()), i])
+
+    def count(self, kind: str, requested: int = 0, split: str = "test") -> int:
+        """Return the number of pairs to measure: the first ones that are requested, or the whole list for 0."""
+        return min(requested or len(self.lists[kind]), len(self.lists[kind]))
+
+    def check(self, split: str) -> None:
+        """Raise InputError for a split that is not the default: lists have none."""
+        if split != "test":
+            raise InputError(f"--split: expected none with the list {self.name}, found {split}; leave it out")
+
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
+        """Read pair `i`.
+
+        Raises:
+            InputError: a file that cannot be used, or a truth that is not one of the identity; with list and line.
+        """
+        triple = self.lists[kind][i]
+        identity, driving, truth = (_read(triple, load_mesh, path) for path in triple.paths)
+        _check_truth(triple, identity, truth)
+        return self._pair(kind, triple, identity, driving, truth)
+
+    def _pair(self, kind: str, triple: Triple, identity: Mesh, driving: Mesh, truth: Mesh) -> Pair:
+        return Pair(
+            identity=_plain(identity, triple),
+            driving=_plain(driving, triple),
+            truth=truth.vertices,
+            height=self._height(kind, triple, identity),
+            aligned=driving.vertices if _corresponds(driving, identity) else None,
+            truth_name=triple.paths[2].stem,
+            groups=(_person(triple.names[0]), _person(triple.names[1])),
+        )
+
+    def _height(self, kind: str, triple: Triple, identity: Mesh) -> float:
+        """Return the height of a pair's identity at rest, in the unit of its file."""
+        known = self.heights[kind]
+        if self.height is not None:
+            return self.height
+        if known is None:
+            size = float(np.linalg.norm(np.ptp(identity.vertices, axis=0)))
+            if not METRES[0] <= size <= METRES[1]:
+                raise InputError(
+                    f"{triple.where}: expected a figure in metres, found {triple.names[0]} with a diagonal of "
+                    f"{size:.4g}; give the height of a person at rest in the unit of the files with --height"
+                )
+            return HEIGHT
+        if triple.names[0] not in known:
+            raise InputError(
+                f"{triple.where}: expected the height of {triple.names[0]} in the file of heights beside the list, "
+                "found none; add it, or give --height"
+            )
+        return known[triple.names[0]]
+
+    def files(self) -> dict[str, Path]:
+        """Return the files of all lists, those in folders of frames and the heights by their paths in the folder."""
+        lists = find_lists(self.source)
+        named = [path for triples in self.lists.values() for triple in triples for path in triple.paths]
+        found = [file for path in named for file in _files_in(path)]
+        heights = [path for path in map(heights_file, lists) if path.is_file()]
+        base = self.data or lists[0].parent
+        return {str(path.relative_to(base) if path.is_relative_to(base) else path): path for path in (*heights, *found)}
+
+    def checksums(self) -> dict[str, str]:
+        """Return a checksum of each list, by kind."""
+        return {path.stem: list_checksum(path) for path in find_lists(self.source)}
+
+
+@dataclass(frozen=True)
+class ListedClips(ListedPairs):
+    """Clips; the identity is a mesh, driving and truth are clips of equal length and rate."""
+
+    def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> ClipPair:
+        """Read clip `i`; errors as for meshes."""
+        triple = self.lists[kind][i]
+        identity = _read(triple, load_mesh, triple.paths[0])
+        clip, truth = (_read(triple, lambda path: load_clip(path, self.fps), path) for path in triple.paths[1:])
+        _check_frames(triple, clip, truth)
+        meshes = [dataclasses.replace(c.mesh, vertices=np.asarray(c.vertices[0], np.float64)) for c in (clip, truth)]
+        _check_truth(triple, identity, meshes[1])
+        first = self._pair(kind, triple, identity, *meshes)
+        fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
+        fields |= {"groups": (first.groups[0], _take(triple.names[1]))}
+        frames = np.asarray(clip.vertices, np.float64)
+        return ClipPair(
+            **fields,
+            clip=Clip(first.driving, frames, clip.fps),
+            truth_frames=np.asarray(truth.vertices, np.float64),
+            aligned_frames=None if first.aligned is None else frames,
+            template=None,
+        )
+
+    def pair(self, split: str, kind: str, i: int) -> ClipPair:
+        """Read clip `i` as methods get it: vertices shuffled, with one order for all frames."""
+        rng = self.rng(split, kind, i)
+        return shuffle_clip_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
+
+
+def listed_pairs(
+    source: Path, data: Path | None = None, height: float | None = None, fps: float | None = None
+) -> ListedPairs:
+    """Return the pairs of a list, or of the lists of a folder; the first true result of each says whether it has clips.
+
+    Raises:
+        InputError: no list, a damaged one, missing files, or lists of meshes together with lists of clips.
+    """
+    for option, value in (("--height", height), ("--fps", fps)):
+        if value is not None and not 0 < value < float("inf"):
+            raise InputError(f"{option}: expected a positive number, found {value:g}; give another")
+    name = source.resolve().name + ("/" if source.is_dir() else "")
+    pairs = ListedPairs(name, 1, (), 0, 0.0, source=source, data=data, height=height, fps=fps)
+    has_clips = {kind: _has_frames(triples[0]) for kind, triples in pairs.lists.items()}
+    if len(set(has_clips.values())) > 1:
+        meshes, clips = (next(kind for kind, found in has_clips.items() if found is clip) for clip in (False, True))
+        raise InputError(
+            f"{source}: expected lists of meshes or lists of clips, found {meshes} with meshes and {clips} with "
+            "clips; give one list"
+        )
+    chosen = ListedClips if any(has_clips.values()) else ListedPairs
+    fields = {field.name: getattr(pairs, field.name) for field in dataclasses.fields(pairs)}
+    longest = max(map(len, pairs.lists.values()))
+    return chosen(**{**fields, "kinds": tuple(pairs.lists), "pairs": longest})
+
+
+def _has_frames(triple: Triple) -> bool:
+    """Return whether the true result of a line is a clip: a folder, or a file of several frames."""
+    path = triple.paths[2]
+    return path.is_dir() or len(_read(triple, load_clip, path)) > 1
+
+
+def _read(triple: Triple, read: Callable[[Path], T], path: Path) -> T:
+    """Read a file of a line; raises InputError with list and line."""
+    try:
+        return read(path)
+    except InputError as error:
+        raise InputError(f"{triple.where}: {error}") from error
+
+
+def _plain(mesh: Mesh, triple: Triple) -> Mesh:
+    """Return the vertices and faces of a mesh alone: appearance, rig and file are no part of what is measured."""
+    if mesh.up not in (None, "+y"):
+        raise InputError(
+            f"{triple.where}: expected meshes with y up, found {mesh.name} with {mesh.up} up; save it with y up"
+        )
+    return Mesh(mesh.vertices, mesh.faces, name=mesh.name)
+
+
+def _check_truth(triple: Triple, identity: Mesh, truth: Mesh) -> None:
+    """Check that the truth has the identity's vertices and, if both have any, the identity's triangles."""
+    names = f"the truth {triple.names[2]}", f"the identity {triple.names[0]}"
+    counts = len(truth.vertices), len(identity.vertices)
+    if counts[0] != counts[1]:
+        raise InputError(
+            f"{triple.where}: expected {names[0]} with the {counts[1]} vertices of {names[1]}, found {counts[0]}; "
+            "name the same person in the driving pose"
+        )
+    if len(truth.faces) and len(identity.faces) and not np.array_equal(truth.faces, identity.faces):
+        raise InputError(
+            f"{triple.where}: expected {names[0]} with the triangles of {names[1]}, found others; save both with one "
+            "order of vertices and faces"
+        )
+
+
+def _check_frames(triple: Triple, clip: Clip, truth: Clip) -> None:
+    """Check that a driving clip and its truth have the same frames."""
+    facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
+    if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
+        raise InputError(
+            f"{triple.where}: expected the truth {triple.names[2]} with the {facts[0]} of {triple.names[1]}, found "
+            f"{facts[1]}; save both with the same frames"
+        )
+
+
+def _corresponds(driving: Mesh, identity: Mesh) -> bool:
+    """Return whether a driving mesh has the identity's triangles, so that its vertices correspond by number."""
+    same_count = len(driving.vertices) == len(identity.vertices)
+    return same_count and len(identity.faces) > 0 and np.array_equal(driving.faces, identity.faces)
+
+
+def _person(name: str) -> str:
+    """Return the person of a file called <person>_<pose>, else the file: pairs that share one are not independent."""
+    return found[1] if (found := _LAYOUT.fullmatch(_stem(name))) else _stem(name)
+
+
+def _take(name: str) -> str:
+    """Return the take of a driving clip called <person>_<take> or <person>_<take>@<seconds>, else the file."""
+    return found[2].partition("@")[0] if (found := _LAYOUT.fullmatch(_stem(name))) else _stem(name)
+
+
+def _stem(name: str) -> str:
+    """Return the last part of a path, without the suffix of a mesh or clip; names may lack it, and may have dots."""
+    last = re.split(r"[/\\]", name.rstrip("/\\"))[-1]
+    return re.sub(r"\.[A-Za-z]\w*$", "", last)
+
+
+def _files_in(path: Path) -> list[Path]:
+    """Return the files of a folder in a fixed order, or the file that is given."""
+    if not path.is_dir():
+        return [path]
+    return sorted(Path(parent, name) for parent, _, names in os.walk(path, followlinks=True) for name in names)

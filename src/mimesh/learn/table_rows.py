@@ -1,0 +1,120 @@
+"""Train the networks that stand in the papers' tables: the recipe of every row, so that each can be made again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from ..core.errors import InputError
+from ..evaluate.tables import find_table, methods_in
+from ..methods.find import REDUCED_MODELS
+from . import checkpoint
+from .config import load_config
+from .export import export_command
+from .tasks.base import TrainConfig
+from .train import train
+
+BITS = 8
+"""Bits that a weight of these networks is stored in."""
+
+
+class TrainedRow(NamedTuple):
+    """How a network of a table is trained."""
+
+    network: str
+    changes: tuple[str, ...] = ()
+    """Settings that differ from its configuration."""
+    config: str = "table"
+    equal_time: bool = True
+    """Whether it is trained as long as the other rows, so that they can be compared."""
+    long: bool = False
+    """Whether it takes many hours: trained only where that is asked for."""
+
+
+ON_CLIPS = ("data.kind=clips80", "data.vertices=128", "batch=32")
+"""NPT on AniFormer's data: frames of its motions as pairs, with as many vertices."""
+ROWS = {
+    "npt-equal": TrainedRow("npt"),
+    "npt-no-edge": TrainedRow("npt", ("edge=off",)),
+    "npt-no-spadain": TrainedRow("npt", ("model.blocks=resblock",)),
+    "npt-concat1": TrainedRow("npt", ("model.blocks=conv",)),
+    "npt-maxpool-equal": TrainedRow("npt", ("model.pose_code=global_max",)),
+    "aniformer-equal": TrainedRow("aniformer"),
+    "aniformer-motion": TrainedRow("aniformer", ("losses.appearance=off",)),
+    "aniformer-appearance": TrainedRow("aniformer", ("losses.motion=off",)),
+    "aniformer-plain": TrainedRow("aniformer", ("losses.motion=off", "losses.appearance=off")),
+    "aniformer-regression": TrainedRow(
+        "aniformer", ("model.head=regression", "losses.motion=off", "losses.appearance=off")
+    ),
+    "npt-frames": TrainedRow("npt", ON_CLIPS),
+    "npt-maxpool-frames": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS)),
+    "limp": TrainedRow("limp"),
+    "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
+    "mime-table": TrainedRow("mime", equal_time=False),
+}
+"""Name of a row's network -> how it is trained."""
+
+
+def row_config(row: str, seed: int, minutes: float) -> TrainConfig:
+    """Load the configuration of a row.
+
+    Args:
+        minutes: training time of rows that are compared at equal time (CPU minutes of one core, or of a GPU).
+    """
+    recipe = ROWS[row]
+    time = (f"minutes={minutes}",) if recipe.equal_time else ()
+    return load_config(recipe.config, recipe.network, (*time, *recipe.changes, f"seed={seed}"))
+
+
+def rows_of(table: str, long: bool) -> list[str]:
+    """List the networks of a table that can be trained.
+
+    Args:
+        long: whether those that take many hours are among them.
+    """
+    methods = [REDUCED_MODELS.get(row.method, row.method) for row in find_table(table).rows]
+    return list(dict.fromkeys(name for name in methods if name in ROWS and (long or not ROWS[name].long)))
+
+
+def train_table(
+    table: str, folder: Path, minutes: float, seeds: int = 1, long: bool = False, say: Callable[[str], None] = print
+) -> dict[str, list[str]]:
+    """Train the networks of a table with the seeds 0, 1 ...; give the methods to measure for each row (`methods_in`).
+
+    Args:
+        folder: gets a folder `seed0`, `seed1` ... for each seed.
+        say: told what is trained before each network, and how long all take.
+    """
+    rows = rows_of(table, long)
+    folders = [folder / f"seed{seed}" for seed in range(seeds)]
+    work = [(row, seed) for seed in range(seeds) for row in rows]
+    timed = sum(row_config(*one, minutes).minutes for one in work)
+    say(
+        f"{len(work)} trainings: {timed:.0f} CPU minutes"
+        + (", and those that end after a number of pairs" if long else "")
+    )
+    for number, (row, seed) in enumerate(work, start=1):
+        say(f"{number} of {len(work)}: {row}, seed {seed}")
+        train_row(row, seed, minutes, folders[seed])
+    return methods_in(table, rows, folders)
+
+
+def train_row(row: str, seed: int, minutes: float, folder: Path) -> None:
+    """Train a network of a table to `<folder>/<row>.onnx` with its card.
+
+    What is finished is kept and what was interrupted goes on. The last weights are exported, not the best ones:
+    rows that are compared have one training time and one schedule.
+
+    Raises:
+        InputError: the folder holds a training of another configuration.
+    """
+    config, run = row_config(row, seed, minutes), folder / row
+    last, onnx = run / "last.safetensors", folder / f"{row}.onnx"
+    if last.exists() and checkpoint.load(last).config != config:
+        raise InputError(
+            f"{run}: expected no training, or one with this configuration, found another; choose another folder"
+        )
+    if not onnx.exists():
+        train(config, run)
+        export_command(last, onnx, BITS)

@@ -1,0 +1,162 @@
+"""HDF5 files in the layout of DFAUST's registrations: several clips of one topology, stored as (V, 3, T)."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from people import person
+from smpl_files import write_dfaust
+
+from mimesh.bodies import load_body
+from mimesh.cli import run
+from mimesh.core.errors import InputError
+from mimesh.io import list_animations, load_clip, load_mesh, save_mesh
+
+h5py = pytest.importorskip("h5py")
+NAMES = ("50002_chicken_wings", "50002_jumping_jacks", "50009_hips")
+
+
+@pytest.fixture(scope="module")
+def clips():
+    """Three clips of the shipped body: more frames than are read at once, and shorter ones."""
+    body, rng = load_body(), np.random.default_rng(0)
+    moved = [body.vertices + 0.1 * rng.standard_normal((frames, 1, 3)) for frames in (40, 3, 1)]
+    return {name: points.astype(np.float32) for name, points in zip(NAMES, moved, strict=True)}
+
+
+@pytest.fixture(scope="module")
+def path(clips, tmp_path_factory):
+    return write_dfaust(tmp_path_factory.mktemp("dfaust") / "registrations_f.hdf5", clips, load_body().faces)
+
+
+@pytest.mark.parametrize("options", [{}, {"compression": "gzip"}, {"chunks": (1000, 3, 1)}], ids=str)
+@pytest.mark.parametrize("choice", ["50002_chicken_wings", "50002_CHICKEN_WINGS", "0"])
+def test_a_chosen_clip_is_read_exactly(choice, options, clips, tmp_path):
+    path = write_dfaust(tmp_path / "registrations_m.hdf5", clips, load_body().faces.astype(np.uint32), **options)
+    clip = load_clip(path, animation=choice)
+    np.testing.assert_array_equal(clip.vertices, clips[NAMES[0]])
+    np.testing.assert_array_equal(clip.mesh.faces, load_body().faces)
+    assert (clip.fps, clip.mesh.name) == (60.0, NAMES[0])
+    assert load_clip(path, animation=choice, fps=30.0).fps == 30.0
+
+
+def test_the_names_are_listed_where_none_is_chosen(path):
+    assert list_animations(path) == NAMES
+    for load in (load_clip, load_mesh):
+        with pytest.raises(InputError, match="one of its 3 clips.*--animation: " + ", ".join(NAMES)):
+            load(path)
+    with pytest.raises(InputError, match=r"50002_chicken_wings, 50002_jumping_jacks, 50009_hips.*'running'"):
+        load_clip(path, animation="running")
+
+
+def test_the_only_clip_needs_no_name(clips, tmp_path):
+    path = write_dfaust(tmp_path / "one.hdf5", {"hips": clips["50009_hips"]}, load_body().faces)
+    np.testing.assert_array_equal(load_clip(path).vertices, clips["50009_hips"])
+    np.testing.assert_allclose(load_mesh(path).vertices, clips["50009_hips"][0])
+
+
+def test_look_lists_the_clips(path, capsys):
+    assert run(["look", str(path)]) == 0
+    printed = capsys.readouterr().out
+    for name, seconds in zip(NAMES, ("0.67 s", "0.05 s", "0.02 s"), strict=True):
+        assert f"{name}, {seconds}" in printed
+    assert run(["look", str(path), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)["files"][0]
+    assert facts["animations"] == list(NAMES)
+    assert (facts["frames"], facts["vertices"]) == (40, 6890)
+
+
+def test_clips_are_converted_from_the_command_line(path, clips, tmp_path, capsys):
+    assert run(["convert", str(path), str(tmp_path / "out.npz")]) == 2
+    assert "50002_jumping_jacks" in capsys.readouterr().err
+    assert run(["convert", str(path), str(tmp_path / "out.npz"), "--animation", NAMES[1]]) == 0
+    with np.load(tmp_path / "out.npz") as written:
+        np.testing.assert_allclose(written["vertices"], clips[NAMES[1]], atol=1e-5)
+        assert written["fps"] == 60.0
+    assert run(["convert", str(path), str(tmp_path / "pose.obj"), "--animation", NAMES[1], "--frame", "2"]) == 0
+    np.testing.assert_allclose(load_mesh(tmp_path / "pose.obj").vertices, clips[NAMES[1]][2], atol=1e-5)
+
+
+def test_animate_takes_several_clips_of_a_file(path, model, tmp_path, capsys):
+    save_mesh(person(), tmp_path / "hero.obj")
+    command = ["animate", str(tmp_path / "hero.obj"), str(path), "-m", model, "--no-preview"]
+    choice = ["--animation", NAMES[1], "--animation", "50009_hips"]
+    assert run([*command, *choice, "-o", str(tmp_path / "out.glb"), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert [clip["name"] for clip in facts["clips"]] == [NAMES[1], "50009_hips"]
+    assert any(
+        "has no frame rate: 60 frames a second are taken" in note for note in facts["clips"][0]["report"]["notes"]
+    )
+
+
+def write_with(path, **datasets):
+    with h5py.File(path, "w") as file:
+        for name, data in datasets.items():
+            file[name] = data
+    return path
+
+
+POINTS = np.random.default_rng(0).random((4, 3, 2))
+FACES = np.array([[0, 1, 2], [1, 2, 3]])
+WRONG = {
+    "no faces": ({"a": POINTS}, "expected a dataset 'faces'"),
+    "no clips": ({"faces": FACES}, r"expected datasets of shape \(V, 3, T\).*found none"),
+    "frames first": ({"a": np.moveaxis(POINTS, 2, 0), "faces": FACES}, r"\(V, 3, T\).*found a \(2, 4, 3\)"),
+    "quads": ({"a": POINTS, "faces": np.zeros((1, 4), int)}, r"'faces' to be whole numbers of shape \(F, 3\)"),
+    "faces of other vertices": ({"a": POINTS, "faces": FACES + 2}, r"face indices in 0\.\.3, found 5"),
+    "no frames": ({"a": POINTS[..., :0], "faces": FACES}, "at least one frame"),
+    "NaN": ({"a": POINTS * np.nan, "faces": FACES}, "NaN or infinity"),
+    "text": ({"a": "hello", "faces": FACES}, r"\(V, 3, T\)"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_other_layouts_give_one_line(name, tmp_path):
+    datasets, message = WRONG[name]
+    with pytest.raises(InputError, match=message) as error:
+        load_clip(write_with(tmp_path / "a.hdf5", **datasets))
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_cut_short_is_refused(tmp_path):
+    path = write_with(tmp_path / "a.hdf5", a=np.random.default_rng(0).random((500, 3, 9)), faces=FACES)
+    data = path.read_bytes()
+    for end in (0, 8, 600, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:end])
+        with pytest.raises(InputError) as error:
+            load_clip(path)
+        assert "\n" not in str(error.value)
+
+
+def test_a_dataset_that_claims_more_than_it_stores_is_refused(tmp_path):
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file.create_dataset("a", shape=(6890, 3, 10**9), dtype="f4", chunks=(6890, 3, 1))
+        file["faces"] = FACES
+    with pytest.raises(InputError, match="expected the values of 'a' in the file, found 0 bytes"):
+        load_clip(tmp_path / "a.hdf5")
+
+
+def test_links_to_other_files_are_not_followed(tmp_path):
+    other = write_with(tmp_path / "other.hdf5", a=POINTS, faces=FACES)
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file["a"] = h5py.ExternalLink(str(other), "/a")
+        file["faces"] = FACES
+    with pytest.raises(InputError, match=r"expected datasets of shape \(V, 3, T\)"):
+        load_clip(tmp_path / "a.hdf5")
+    (tmp_path / "secret").write_bytes(np.ones((4, 3, 2)).tobytes())
+    with h5py.File(tmp_path / "b.hdf5", "w") as file:
+        file.create_dataset("a", shape=(4, 3, 2), dtype="f8", external=[(str(tmp_path / "secret"), 0, 192)])
+        file["faces"] = FACES
+    with pytest.raises(InputError, match=r"expected datasets of shape \(V, 3, T\)"):
+        load_clip(tmp_path / "b.hdf5")
+
+
+def test_without_h5py_the_extra_is_named(path, monkeypatch):
+    import importlib.util
+
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "h5py" else found(name))
+    with pytest.raises(InputError, match=r"pip install 'mimesh\[hdf5\]'"):
+        load_clip(path)

@@ -1,0 +1,47 @@
+"""Arithmetic and memory of trainings, counted before they run."""
+
+import dataclasses
+
+import pytest
+import torch
+from trainings import TINY
+
+from mimesh.learn import checkpoint
+from mimesh.learn.cost import activation_bytes, operations_spent, training_operations
+from mimesh.learn.tasks.npt import NPTTask
+from mimesh.learn.train import TrainingRun, train
+
+
+def kept(vertices, **changes):
+    config = dataclasses.replace(TINY, data=dataclasses.replace(TINY.data, vertices=vertices), **changes)
+    task = NPTTask(config, torch.device("cpu"))
+    return activation_bytes(task, task.make_model(), task.source(0))
+
+
+def test_activations_grow_with_vertices_and_not_with_weights():
+    assert kept(512) / kept(128) == pytest.approx(4.0, rel=0.1)
+    widths = sum([3, *TINY.model.encoder, *TINY.model.decoder])
+    assert 4 * 128 * widths < kept(128) < 4 * 128 * widths * 20
+
+
+def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
+    """Meshes of more vertices towards the end count as such; so do the pairs of a training that this one began with."""
+    short = dataclasses.replace(TINY, pairs=4)
+    train(short, tmp_path)
+    dense = dataclasses.replace(short, pairs=8, data=dataclasses.replace(TINY.data, vertices=128))
+    state = checkpoint.load(train(dense, tmp_path) / "last.safetensors")
+    task = NPTTask(short, torch.device("cpu"))
+    first = training_operations(task, task.make_model(), 4)
+    assert state.operations == pytest.approx(3 * first)
+    assert state.changes[-1]["was"]["data.vertices"] == 64
+    follower = dataclasses.replace(state, before=({"pairs": 4, "seconds_trained": 1, "operations": 7.0},))
+    assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
+
+
+def test_the_log_says_what_a_training_takes(tmp_path):
+    run = TrainingRun.start(TINY, tmp_path)
+    said = run.cost()
+    assert "a step of 2 pairs is" in said
+    assert "PFLOP in all" in said
+    assert "GiB for its gradient" in said
+    assert '"kind": "cost"' in (train(TINY, tmp_path / "run") / "log.jsonl").read_text()

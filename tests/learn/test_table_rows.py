@@ -1,0 +1,101 @@
+"""Training the networks of a table: all rows and seeds, resumed where it was stopped, measured in their place."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from mimesh.cli import app
+from mimesh.core.errors import InputError
+from mimesh.evaluate import tables
+from mimesh.evaluate.tables import TABLES, Row, Table, over_seeds
+from mimesh.learn import checkpoint, table_rows
+from mimesh.learn.table_rows import ROWS, TrainedRow, row_config, rows_of, train_row
+from mimesh.methods.find import is_table_model, weights_path
+
+TINY = ("model.encoder=[8,16,16]", "model.decoder=[16,8,8]", "data.vertices=32", "batch=2", "validation_pairs=1")
+
+
+@pytest.fixture
+def small_table(monkeypatch, tmp_path):
+    """A table of two networks that train in a second, one of them far too long for a table, and `copy`."""
+    rows = (
+        Row("NPT", "npt-equal", 1.1, 9.3),
+        Row("no edge", "npt-no-edge"),
+        Row("long", "npt-full"),
+        Row("copy", "copy"),
+    )
+    monkeypatch.setitem(tables.TABLES, "npt-2", Table("small", "human-npt", rows))
+    recipes = {"npt-equal": TrainedRow("npt", TINY), "npt-no-edge": TrainedRow("npt", (*TINY, "edge=off"))}
+    recipes["npt-full"] = TrainedRow("npt", (*TINY, "pairs=4", "minutes=0"), equal_time=False, long=True)
+    monkeypatch.setattr(table_rows, "ROWS", recipes)
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["table", "npt-2", "--pairs", "1", "--minutes", "0.001", *words])
+
+
+@pytest.mark.usefixtures("small_table")
+def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
+    done = run("--train", "--seeds", "2", "--long", "-o", "table.json")
+    assert done.exit_code == 0, done.output
+    report = json.loads((tmp_path / "table.json").read_text())
+    methods = {row["method"] for row in report["results"]}
+    trained = {f"runs/tables/seed{seed}/{row}" for seed in (0, 1) for row in ("npt-equal", "npt-no-edge", "npt-full")}
+    assert methods == {*trained, "copy"}
+    seeds = [checkpoint.load(tmp_path / f"runs/tables/seed{seed}/npt-equal/last.safetensors") for seed in (0, 1)]
+    assert [state.config.seed for state in seeds] == [0, 1]
+    errors = [row["pmd_e4"] for row in report["results"] if row["split"] == "seen" and "npt-equal" in row["method"]]
+    assert errors[0] != errors[1]
+    (line,) = [line for line in done.output.splitlines() if line.startswith("| NPT |")]
+    mean, deviation = sum(errors) / 2, abs(errors[0] - errors[1]) / 2**0.5
+    assert f"| {mean:.3g} ± {deviation:.2g} |" in line or f"| {mean:.0f} ± {deviation:.2g} |" in line
+    assert "mean over 2 seeds" in done.output
+    assert "6 trainings" in done.output
+
+
+@pytest.mark.usefixtures("small_table")
+def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
+    train_row("npt-equal", 0, 0.001, tmp_path)
+    written = (tmp_path / "npt-equal.onnx").stat().st_mtime_ns
+    train_row("npt-equal", 0, 0.001, tmp_path)
+    assert (tmp_path / "npt-equal.onnx").stat().st_mtime_ns == written
+    with pytest.raises(InputError, match="expected no training, or one with this configuration"):
+        train_row("npt-equal", 0, 0.002, tmp_path)
+
+
+@pytest.mark.usefixtures("small_table")
+def test_options_of_a_training_need_the_training(tmp_path):
+    done = run("--seeds", "3")
+    assert isinstance(done.exception, InputError)
+    assert "add --train" in str(done.exception)
+
+
+def test_rows_that_take_hours_are_trained_only_where_asked():
+    assert "npt-full" not in rows_of("npt-1", long=False)
+    assert "npt-full" in rows_of("npt-1", long=True)
+    assert rows_of("npt-1", long=False) == ["mime-table"]  # its network without the fit is the same network
+    with pytest.raises(InputError, match="expected a table"):
+        rows_of("npt-3", long=False)
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_every_recipe_is_a_configuration(row):
+    config = row_config(row, 3, 21.0)
+    assert config.seed == 3
+    assert (config.minutes == 21) == ROWS[row].equal_time
+    assert any(row == entry.method for table in TABLES.values() for entry in table.rows)
+
+
+def test_networks_of_tables_may_lie_in_another_folder():
+    assert weights_path("npt-equal").as_posix() == "ablations/npt-equal.onnx"
+    assert weights_path("runs/tables/seed1/mime-table-network").as_posix() == "runs/tables/seed1/mime-table.onnx"
+    assert not is_table_model("runs/npt-other")
+
+
+def test_figures_over_seeds_are_means_with_their_deviation():
+    rows = [{"pairs": 2, "pmd_e4": value, "pmd_e4_ci95": 9.0, "mm": value / 2} for value in (1.0, 2.0, 3.0)]
+    assert over_seeds(rows) == {"pairs": 2, "pmd_e4": 2.0, "pmd_e4_ci95": 1.0, "mm": 1.0}
+    assert over_seeds(rows[:1]) == rows[0]
+    assert over_seeds([]) is None

@@ -1,0 +1,267 @@
+"""Recordings of a body model become the recorded surface: vertices of plain loops, y up, with betas and frame rate."""
+
+from __future__ import annotations
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+from motion_files import Z_UP
+from scipy.spatial.transform import Rotation
+from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arrays, write_model
+
+from mimesh.cli import run
+from mimesh.core.errors import InputError
+from mimesh.io import load_clip, load_mesh, load_recorded_clip
+from mimesh.motions.smpl_clip import fitted_pose
+
+FRAMES = 3
+
+
+def recording(joints: int, betas: int = 16, frames: int = FRAMES, seed: int = 3) -> dict:
+    """The arrays of an AMASS archive with z up: a person who stands and moves every joint."""
+    rng = np.random.default_rng(seed)
+    pose = 0.2 * rng.standard_normal((frames, joints, 3))
+    pose[:, 0] = (Rotation.from_matrix(Z_UP) * Rotation.from_rotvec(pose[:, 0])).as_rotvec()
+    return {
+        "poses": pose.reshape(frames, -1),
+        "trans": rng.random((frames, 3)),
+        "betas": rng.standard_normal(betas),
+        "mocap_framerate": 120.0,
+        "gender": "female",
+        "dmpls": np.zeros((frames, 8)),
+    }
+
+
+def write_take(path, **arrays):
+    np.savez(path, **arrays)
+    return path
+
+
+def surface(arrays: dict, take: dict, joints: int) -> np.ndarray:
+    """The vertices of a recording on a model with as many joints, by loops, turned from z up to y up by hand."""
+    betas = take["betas"][: arrays["shapedirs"].shape[2]]
+    poses = take["poses"].reshape(len(take["poses"]), joints, 3)
+    frames = [loop_vertices(arrays, betas, *frame) for frame in zip(poses, take["trans"], strict=True)]
+    x, y, z = np.moveaxis(np.array(frames), -1, 0)
+    return np.stack([x, z, -y], axis=-1)
+
+
+@pytest.mark.parametrize(("joints", "shapes"), [(24, 10), (52, 16)])
+def test_an_archive_becomes_the_recorded_surface(joints, shapes, tmp_path, capsys):
+    arrays, take = smpl_arrays(joints, shapes), recording(joints)
+    model = write_model(tmp_path / "model.pkl", arrays, chumpy=True)
+    path = write_take(tmp_path / "take.npz", **take)
+    assert run(["convert", str(path), str(tmp_path / "mesh.npz"), "--body-model", str(model), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert (facts["frames"], facts["fps"], facts["vertices"]) == (FRAMES, 120.0, 6890)
+    assert any("recorded with the female model" in note for note in facts["notes"])
+    assert any("the first 10 of 16 betas" in note for note in facts["notes"]) == (shapes == 10)
+    with np.load(tmp_path / "mesh.npz") as written:
+        np.testing.assert_allclose(written["vertices"], surface(arrays, take, joints), atol=1e-5)
+        np.testing.assert_array_equal(written["faces"], arrays["f"])
+    clip, _ = load_recorded_clip(path, model)
+    height = np.ptp(clip.vertices[0], axis=0)
+    assert height.argmax() in (0, 1)  # upright: arms or body, not depth
+    assert (clip.mesh.up, clip.mesh.name) == ("+y", "take")
+    np.testing.assert_allclose(np.linalg.norm(clip.headings, axis=1), 1.0)
+    assert (clip.headings[:, 2] > 0.5).all()
+
+
+def test_without_a_body_model_the_shipped_body_moves_as_before(tmp_path):
+    path = write_take(tmp_path / "take.npz", **recording(52))
+    assert load_clip(path).vertices.shape == (FRAMES, 6890, 3)
+    assert load_clip(path).skeleton is not None
+
+
+def test_an_archive_with_y_up_keeps_its_axes(tmp_path):
+    arrays, take = small_arrays(24, 30), recording(24)
+    take["poses"][:, :3] = 0.1
+    frames = [
+        loop_vertices(arrays, take["betas"][:3], pose.reshape(24, 3), trans)
+        for pose, trans in zip(take["poses"], take["trans"], strict=True)
+    ]
+    clip, _ = load_recorded_clip(write_take(tmp_path / "a.npz", **take), write_model(tmp_path / "m.npz", arrays))
+    np.testing.assert_allclose(clip.vertices, frames, atol=1e-5)
+
+
+def test_poses_stored_in_parts_are_joined(tmp_path):
+    model = write_model(tmp_path / "m.npz", small_arrays(55, 30))
+    take = recording(55)
+    whole, _ = load_recorded_clip(write_take(tmp_path / "a.npz", **take), model)
+    poses = take.pop("poses")
+    parts = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
+    ends = np.cumsum(list(parts.values()))[:-1]
+    split = dict(zip(parts, np.split(poses, ends, axis=1), strict=True))
+    joined, notes = load_recorded_clip(write_take(tmp_path / "b.npz", **take, **split), model)
+    np.testing.assert_array_equal(joined.vertices, whole.vertices)
+    assert not any("joints" in note for note in notes)
+
+
+def test_another_frame_rate_keeps_the_duration(tmp_path):
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    path = write_take(tmp_path / "a.npz", **recording(24, frames=9))
+    clip, _ = load_recorded_clip(path, model)
+    half, _ = load_recorded_clip(path, model, fps=60.0)
+    assert (half.fps, len(half)) == (60.0, 5)
+    np.testing.assert_allclose(half.vertices, clip.vertices[::2], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("poses", "model", "shared", "fingers", "words"),
+    [
+        (52, 24, 22, False, "the first 22 are taken"),  # SMPL's hands are not SMPL+H's first fingers
+        (24, 52, 22, False, "the first 22 are taken"),
+        (52, 55, 22, True, "the first 22 and the fingers are taken"),
+        (55, 52, 22, True, "the first 22 and the fingers are taken"),
+        (22, 52, 22, False, "the first 22 are taken"),
+        (24, 33, 24, False, "the first 24 are taken"),
+        (52, 5, 5, False, "the first 5 are taken"),
+    ],
+)
+def test_poses_of_another_model_are_cut_or_padded(poses, model, shared, fingers, words):
+    rotvec = np.random.default_rng(0).random((2, poses, 3)) + 1
+    fitted, notes = fitted_pose(rotvec, model)
+    assert fitted.shape == (2, model, 3)
+    np.testing.assert_array_equal(fitted[:, :shared], rotvec[:, :shared])
+    last = model - 30 if fingers else model
+    assert (fitted[:, shared:last] == 0).all()
+    np.testing.assert_array_equal(fitted[:, last:], rotvec[:, poses - (model - last) :])
+    assert f"poses of {poses} joints on a model of {model}: {words}" in notes[0]
+    assert fitted_pose(rotvec, poses)[1] == ()
+
+
+@pytest.mark.parametrize("frames", [None, 4])
+def test_a_registration_gives_the_registered_surface(frames, tmp_path, capsys):
+    """As in MG-dataset: a pickle with pose, betas and trans; axes are the file's."""
+    arrays, rng = small_arrays(24, 30), np.random.default_rng(0)
+    pose, trans = rng.random((frames or 1, 72)), rng.random((frames or 1, 3))
+    entries = {"pose": pose, "betas": rng.random(10), "trans": trans, "gender": "male"}
+    if frames is None:
+        entries |= {"pose": pose[0], "trans": trans[0]}
+    with chumpy_modules():
+        entries["betas"] = Ch(entries["betas"])
+        (tmp_path / "registration.pkl").write_bytes(pickle.dumps(entries, 2))
+    model = write_model(tmp_path / "m.pkl", arrays)
+    paths = (tmp_path / "registration.pkl", tmp_path / "person.obj")
+    assert run(["convert", *map(str, paths), "--body-model", str(model), "--frame", "0"]) == 0
+    betas = np.asarray(getattr(entries["betas"], "x", entries["betas"]))[:3]
+    expected = [loop_vertices(arrays, betas, p.reshape(24, 3), t) for p, t in zip(pose, trans, strict=True)]
+    np.testing.assert_allclose(load_mesh(tmp_path / "person.obj").vertices, expected[0], atol=1e-5)
+    clip, _ = load_recorded_clip(paths[0], model)
+    np.testing.assert_allclose(clip.vertices, expected, atol=1e-5)
+    assert run(["look", str(paths[0])]) == 2  # alone it is no mesh
+    assert "--body-model" in capsys.readouterr().err
+
+
+def test_missing_betas_are_noted(tmp_path):
+    take = recording(24)
+    del take["betas"], take["gender"]
+    arrays = small_arrays(24, 30)
+    clip, notes = load_recorded_clip(write_take(tmp_path / "a.npz", **take), write_model(tmp_path / "m.npz", arrays))
+    assert notes == ("a.npz: no betas: the model's mean shape is taken",)
+    zero = surface(arrays, {**take, "betas": np.zeros(1)}, 24)
+    np.testing.assert_allclose(clip.vertices, zero, atol=1e-5)
+
+
+def test_betas_of_every_frame_must_be_one_persons(tmp_path):
+    model, take = write_model(tmp_path / "m.npz", small_arrays(24, 30)), recording(24)
+    once, _ = load_recorded_clip(write_take(tmp_path / "a.npz", **take), model)
+    many = {**take, "betas": np.tile(take["betas"], (FRAMES, 1))}
+    again, _ = load_recorded_clip(write_take(tmp_path / "b.npz", **many), model)
+    np.testing.assert_array_equal(once.vertices, again.vertices)
+    many["betas"][1, 2] += 1
+    with pytest.raises(InputError, match="expected one person in 'betas', found 3 rows that differ"):
+        load_recorded_clip(write_take(tmp_path / "c.npz", **many), model)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"trans": None}, "save 'trans' as well"),
+        ({"poses": np.zeros((FRAMES, 73))}, "expected three numbers for each joint in 'poses', found 73"),
+        ({"poses": np.zeros((FRAMES, 9))}, r"'poses' to be numbers of shape \(T, 66\) or wider"),
+        ({"poses": np.full((FRAMES, 72), np.nan)}, "NaN or infinity in frame 0 of 'poses'"),
+        ({"trans": np.zeros((2, 3))}, "as many rows in 'trans' as in 'poses', found 2 and 3"),
+        ({"betas": np.array([np.inf])}, "NaN or infinity in frame 0 of 'betas'"),
+        ({"betas": np.array(["x"])}, "'betas' to be numbers"),
+        ({"mocap_framerate": -1.0}, "positive frame rate"),
+    ],
+)
+def test_wrong_archives_give_one_line(changes, message, tmp_path):
+    arrays = {name: value for name, value in {**recording(24), **changes}.items() if value is not None}
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    with pytest.raises(InputError, match=message) as error:
+        load_recorded_clip(write_take(tmp_path / "a.npz", **arrays), model)
+    assert "\n" not in str(error.value)
+
+
+def test_wrong_pickles_give_one_line(tmp_path):
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    good = {"pose": np.zeros(72), "betas": np.zeros(10), "trans": np.zeros(3)}
+    for changes, message in [
+        ({"pose": np.zeros(71)}, "three numbers for each joint in 'pose', found 71"),
+        ({"trans": np.zeros(6)}, "expected three numbers of 'trans' for each of 1 poses, found 6"),
+        ({"pose": "standing"}, "expected 'pose' to be an array of numbers"),
+        ({"betas": None}, "expected 'betas' to be an array of numbers"),
+    ]:
+        (tmp_path / "r.pkl").write_bytes(pickle.dumps({**good, **changes}))
+        with pytest.raises(InputError, match=message):
+            load_recorded_clip(tmp_path / "r.pkl", model)
+    with pytest.raises(InputError, match="expected the arrays pose, betas and trans, found no pose; "):
+        load_recorded_clip(write_model(tmp_path / "n.pkl", small_arrays()), model)
+
+
+def test_other_files_take_no_body_model(tmp_path, capsys):
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    np.savez(tmp_path / "mesh.npz", vertices=np.eye(3), faces=[[0, 1, 2]])
+    (tmp_path / "mesh.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    for name in ("mesh.npz", "mesh.obj"):
+        assert run(["convert", str(tmp_path / name), str(tmp_path / "out.npz"), "--body-model", str(model)]) == 2
+        assert "expected an AMASS archive" in capsys.readouterr().err
+    take = write_take(tmp_path / "a.npz", **recording(24))
+    assert run(["convert", str(take), str(tmp_path / "out.npz"), "--body-model", str(tmp_path / "none.pkl")]) == 2
+    assert "none.pkl: expected a file or folder, found nothing of that name" in capsys.readouterr().err
+    assert run(["convert", str(take), str(model), "--body-model", str(model)]) == 2
+    assert "expected an output apart from the inputs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", [".pkl", ".npz"])
+def test_a_body_model_is_a_mesh_at_rest(suffix, tmp_path, capsys):
+    arrays = smpl_arrays()
+    path = write_model(tmp_path / f"SMPL{suffix}", arrays)
+    assert run(["look", str(path)]) == 0
+    printed = capsys.readouterr().out
+    assert "6,890" in printed
+    assert "its mean shape at rest" in printed
+    for target in ("body.obj", "body.npz"):
+        assert run(["convert", str(path), str(tmp_path / target)]) == 0
+        mesh = load_mesh(tmp_path / target)
+        np.testing.assert_allclose(mesh.vertices, arrays["v_template"], atol=1e-5)
+        np.testing.assert_array_equal(mesh.faces, arrays["f"])
+
+
+def test_a_registration_beside_its_frames_is_no_frame(tmp_path):
+    for k in range(3):
+        points = "\n".join(f"v {x} {k} 0" for x in range(3))
+        (tmp_path / f"{k:05d}.obj").write_text(f"{points}\nv 0 5 0\nf 1 2 4\n")
+        (tmp_path / f"{k:05d}.pkl").write_bytes(pickle.dumps({"pose": np.zeros(72)}))
+    assert len(load_clip(tmp_path)) == 3
+
+
+def test_animate_drives_with_the_recorded_surface(tmp_path, capsys):
+    """`copy` gives the driving's own vertices back: all distances are those of the surface, up to one scale."""
+    arrays, take = smpl_arrays(), recording(24)
+    model, path = write_model(tmp_path / "m.npz", arrays), write_take(tmp_path / "take.npz", **take)
+    assert run(["convert", str(model), str(tmp_path / "hero.obj")]) == 0
+    command = ["animate", str(tmp_path / "hero.obj"), str(path), "-m", "copy", "--no-preview"]
+    assert run([*command, "-o", str(tmp_path / "out.npz"), "--body-model", str(model), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert any("the first 10 of 16 betas" in note for note in facts["report"]["notes"])
+    assert facts["fps"] == 120.0
+    moved, true = load_clip(tmp_path / "out.npz").vertices, surface(arrays, take, 24)
+    edges, true_edges = ((v[:, 1:] - v[:, :-1]).reshape(-1, 3) for v in (moved, true))
+    lengths, true_lengths = (np.linalg.norm(edge, axis=1) for edge in (edges, true_edges))
+    scale = lengths.sum() / true_lengths.sum()
+    np.testing.assert_allclose(lengths, scale * true_lengths, atol=1e-4)
