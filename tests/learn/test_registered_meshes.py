@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -17,11 +18,13 @@ from mimesh.core.errors import InputError  # noqa: E402
 from mimesh.core.geometry import edges  # noqa: E402
 from mimesh.core.mesh import Mesh  # noqa: E402
 from mimesh.core.normalization import bbox_centre, radius  # noqa: E402
+from mimesh.evaluate.measure import TRAINED_ON, training_facts  # noqa: E402
 from mimesh.evaluate.protocols import HUMAN_NPT  # noqa: E402
 from mimesh.io import load_mesh, save_mesh  # noqa: E402
 from mimesh.learn import checkpoint  # noqa: E402
 from mimesh.learn.body_sampler import DataConfig  # noqa: E402
 from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.export import DATA  # noqa: E402
 from mimesh.learn.models.aniformer import AniFormerConfig  # noqa: E402
 from mimesh.learn.registered_meshes import RegisteredMeshes  # noqa: E402
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, MeshWindowSource  # noqa: E402
@@ -305,6 +308,11 @@ def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
     assert not (tmp_path / "run").exists()
 
 
+def test_reports_and_cards_describe_every_kind_of_data():
+    kinds = set(get_args(get_type_hints(DataConfig)["kind"]))
+    assert set(TRAINED_ON) == set(DATA) == kinds
+
+
 def test_the_configurations_of_the_papers_take_meshes(folder, clips):
     for model in ("npt", "aniformer"):
         for name in ("small", "table", "paper", "full"):
@@ -346,6 +354,9 @@ def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeyp
     assert card["data"] == "registered meshes or clips of a folder (`meshes`)"
     assert card["meshes"] == state.meshes
     assert card["metrics"]["val"].keys() == {"seen_pmd_e4", "unseen_pmd_e4", "fresh_pmd_e4", "val_pmd_e4"}
+    assert training_facts("mine.onnx")["trained"].endswith(
+        "12 pairs of 32 vertices; registered meshes, 4 people x 5 poses"
+    )
     save_mesh(person(5, None, FACES), tmp_path / "hero.obj")
     save_mesh(person(6, 3, FACES), tmp_path / "pose.obj")
     assert run(["transfer", "hero.obj", "pose.obj", "-m", "mine.onnx", "-o", "out.obj", "--no-preview"]) == 0
