@@ -33,9 +33,16 @@ def train(
     leave_out: Annotated[
         list[str] | None, typer.Option(help="Pack (sub-folder) of --characters that is not used.", metavar="PACK")
     ] = None,
+    meshes: Annotated[
+        Path | None,
+        typer.Option(help="Folder of registered meshes (npt) or clips (aniformer) to train on.", metavar="DIR"),
+    ] = None,
+    pattern: Annotated[
+        str, typer.Option(help="How the files of --meshes are named, such as '{person}-{pose}.ply'.")
+    ] = "",
     json: Json = False,
 ) -> None:
-    """Train a network on data made as it goes.
+    """Train a network on data made as it goes, or on your own.
 
     Needs the [train] extra; uses CUDA where there is one. Ctrl-C and SIGTERM save first; --resume continues exactly.
     """
@@ -56,6 +63,8 @@ def train(
         clips,
         leave_out or [],
         lambda title: progress(title, json),
+        meshes,
+        pattern,
     )
     if not is_first_process():
         return

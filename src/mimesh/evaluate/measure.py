@@ -63,6 +63,7 @@ TRAINED_ON = {
     "clips80": "16 people x 80 motions",
     "clips": "random people and motions",
     "hands": "random hands",
+    "meshes": "registered meshes",
 }
 """Description of each kind of training data (`data.kind` of a configuration), for reports."""
 AXES: dict[str, Any] = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
@@ -97,6 +98,8 @@ def training_facts(method: str) -> dict[str, Any]:
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text())
     data = TRAINED_ON[card["config"]["data"]["kind"]]
+    if "meshes" in card:
+        data += f", {card['meshes']['people']} people x {card['meshes']['poses']} poses"
     if "characters" in card:
         data += f" and {sum(card['characters']['makers'].values())} characters of other makers"
     stages = [card, *card.get("before", [])]
@@ -109,7 +112,8 @@ def training_facts(method: str) -> dict[str, Any]:
 
 def vertices_of_meshes(card: dict[str, Any]) -> str:
     """Say from a card how many vertices the meshes of a training had, and since when."""
-    count = f"{card['config']['data']['vertices'] or 6890:,}"
+    whole = card["meshes"]["vertices"] if "meshes" in card else 6890
+    count = f"{card['config']['data']['vertices'] or whole:,}"
     changes = [change for change in card.get("changes", []) if "data.vertices" in change and "was" in change]
     if not changes:
         return f"{count} vertices"

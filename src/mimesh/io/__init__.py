@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from jaxtyping import Float
 
 from ..core.animated_rig import AnimatedRig, RigAnimation
 from ..core.errors import InputError
@@ -34,7 +35,7 @@ from .formats import (
     MOTIONS,
     gltf_file,
 )
-from .frame_folder import read_sequence, write_sequence
+from .frame_folder import read_frame, read_sequence, write_sequence
 from .mtl import copy_companions
 from .obj_source import ObjSource
 from .ply import PlySource
@@ -111,6 +112,18 @@ def load_clip(
             return check_clip(read_gltf_clip(path, fps, animation, progress), path)
     mesh = load_mesh(path)
     return Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
+
+
+def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.ndarray, "V 3"]:
+    """Read the vertices of a mesh that must have the topology of a first one; quick for OBJ and PLY files.
+
+    Raises:
+        InputError: as `load_mesh`, or another topology.
+    """
+    path = Path(path)
+    _must_exist(path)
+    with _reading(path):
+        return read_frame(path, first, first_path, _load_frame)
 
 
 def load_recorded_clip(

@@ -48,7 +48,7 @@ def read_sequence(
     """
     paths = find_frames(folder, suffixes)
     first = read(paths[0])
-    later = (_read_frame(path, first, paths[0], read) for path in paths[1:])
+    later = (read_frame(path, first, paths[0], read) for path in paths[1:])
     frames = itertools.chain([first.vertices], later)
     return Clip(first, store_frames(frames, len(paths), len(first.vertices), progress=progress), fps)
 
@@ -133,8 +133,8 @@ def _series(path: Path) -> str:
     return _NUMBER.sub("#", path.stem) + path.suffix.lower()
 
 
-def _read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
-    """Read the vertices of a later frame, by the format's fast path where possible.
+def read_frame(path: Path, first: Mesh, first_path: Path, read: Callable[[Path], Mesh]) -> Float[np.ndarray, "V 3"]:
+    """Read the vertices of a mesh that has the topology of a first one, by the format's fast path where possible.
 
     Raises:
         InputError: the frame cannot be read, or its topology differs from that of the first frame.

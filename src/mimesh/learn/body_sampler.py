@@ -1,7 +1,4 @@
-"""Random people in random poses, made on the device: shapes, poses, skinning, normalisation, vertex subsets.
-
-A batch is a pure function of the seed and its step, so a resumed training gets what an uninterrupted one would have.
-"""
+"""Random people in random poses, made on the device: shapes, poses, skinning, normalisation."""
 
 from __future__ import annotations
 
@@ -19,21 +16,22 @@ from ..bodies import RiggedBody
 from ..bodies.contacts import contact_bank
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
-from ..core import geometry
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
 from ..motions import pose_bank
 from .bodies import TorchBody, rotvec_to_rotmat
+from .vertex_sampler import VertexSampler
 
 
 @dataclass(frozen=True)
 class DataConfig:
     """What training meshes are made of."""
 
-    kind: Literal["table6", "wide", "clips80", "clips", "hands"] = "table6"
+    kind: Literal["table6", "wide", "clips80", "clips", "hands", "meshes"] = "table6"
     """`table6`: NPT's 16 people x 400 poses of its Table 6. `wide`: endless people; rest, Table 6, joint limits, frames
     of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions.
-    `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers."""
+    `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers. `meshes`:
+    registered meshes or clips of a folder."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -47,9 +45,10 @@ class DataConfig:
     contacts: float = 0.0
     """`wide`: share of people whose body parts touch each other."""
     characters: float = 0.0
-    """`mime` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of primitives."""
+    """`mime`, `npt` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of
+    primitives."""
     leave_out: tuple[str, ...] = ()
-    """`mime` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
+    """`mime`, `npt` (`wide`) and `hands`: packs of the folder of characters that are not trained on."""
     low_poly: float = 0.0
     """`mime`, `wide`: share of meshes that are low-poly, as points with the normals of 200 to 1,200 flat triangles."""
     scans: float = 0.0
@@ -59,6 +58,12 @@ class DataConfig:
     between: float = 0.0
     """`clips80`: share of windows and frames that lie on a straight way between two poses within the joint limits,
     instead of in one of the 80 motions."""
+    pattern: str = ""
+    """`meshes`: how the files are named, such as "{person}-{pose}.ply"; empty: found (`mesh_layouts.LAYOUTS`)."""
+    up: str = ""
+    """`meshes`: axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
+    front: str = ""
+    """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
 
 
 TABLE_KINDS = ("table6", "clips80")
@@ -77,20 +82,14 @@ SHAPE_LIMIT = 2.5
 """Shape coefficients are clipped to so many standard deviations."""
 
 
-class BodySampler:
+class BodySampler(VertexSampler):
     """Draws people, poses and vertices of one kind of data on one device; subclasses make batches of them."""
 
     def __init__(self, config: DataConfig, body: RiggedBody, device: torch.device, seed: int) -> None:
-        self.config, self.seed, self.device = config, seed, device
+        vertices, by_area = config.vertices, config.kind == "wide"
+        super().__init__(body.vertices, body.faces, vertices, device, seed, config.reflect, by_area)
+        self.config = config
         self.body = TorchBody(body).to(device)
-        self.edges = torch.from_numpy(geometry.edges(body.faces)).to(device)
-        self.order = torch.from_numpy(geometry.spatial_order(body.vertices)).to(device)
-        area = torch.from_numpy(geometry.vertex_areas(body.vertices, body.faces)).float().to(device)[self.order]
-        # Of the vertices in spatial order: cumulative share of their number, and of their area.
-        self.cumulative = torch.stack([torch.ones_like(area).cumsum(0) / len(area), area.cumsum(0) / area.sum()])
-        self.first_neighbour, self.neighbours = (
-            torch.from_numpy(a).to(device) for a in geometry.neighbours(body.faces)
-        )
         self.extreme = torch.from_numpy(extreme_vertices(body)).to(device)
         self._load(body)
 
@@ -110,13 +109,6 @@ class BodySampler:
             self.motion_frames = self._tensor(pose_bank("train"))
             self.lowered = self._tensor(lowered_arms(body))
             self.contacts = [self._tensor(array) for array in contact_bank()]
-
-    def _tensor(self, array: np.ndarray) -> Tensor:
-        return torch.from_numpy(array).float().to(self.device)
-
-    def _generator(self, step: int) -> torch.Generator:
-        """Make the random numbers of a step."""
-        return torch.Generator(self.device).manual_seed(self.seed * 1_000_003 + step)
 
     def _sample_pairs(
         self, size: int, rng: torch.Generator
@@ -165,7 +157,7 @@ class BodySampler:
             rotmat = rotvec_to_rotmat(pose)
             driving = row == 1
             reach = math.radians(self.config.heading) * (1.0 if driving else 0.25)
-            rotmat[:, 0] = self._random_headings(size, reach, rng) @ rotmat[:, 0]
+            rotmat[:, 0] = random_headings(size, reach, rng) @ rotmat[:, 0]
             if self.config.tumble and driving:
                 rotmat[:, 0] = self._random_tumbles(size, rng) @ rotmat[:, 0]
             poses.append(rotmat)
@@ -191,20 +183,11 @@ class BodySampler:
         shapes, poses = (bank[drawn] for bank in self.contacts)
         return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
 
-    def _random_index(self, count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
-        return torch.randint(count, shape, generator=rng, device=self.device)
-
     def _random_between(
         self, bounds: Float[Tensor, "2 J 3"], size: int, rng: torch.Generator
     ) -> Float[Tensor, "B J 3"]:
         part = torch.rand(size, *bounds.shape[1:], generator=rng, device=self.device)
         return bounds[0] + part * (bounds[1] - bounds[0])
-
-    def _random_headings(self, size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
-        """Draw rotations about the vertical by up to `reach` radians to either side."""
-        angle = reach * (2 * torch.rand(size, generator=rng, device=self.device) - 1)
-        zero = torch.zeros_like(angle)
-        return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
 
     def _random_tumbles(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
         """Draw a uniform random rotation for the configured share, and none for the others.
@@ -216,41 +199,6 @@ class BodySampler:
         rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
         some = torch.rand(size, 1, generator=rng, device=self.device) < self.config.tumble
         return rotvec_to_rotmat(rotvec * some)
-
-    def _sample_vertices(
-        self, size: int, rng: torch.Generator
-    ) -> tuple[Int[Tensor, "B V"], Int[Tensor, "B U"], Int[Tensor, "B E 2"], float]:
-        """Draw indices of identity and truth, of driving, edges among the former, and edges of the mesh over these.
-
-        With a subset, every second identity vertex is a random neighbour of the one before it, so that edge losses have
-        edges to measure.
-        """
-        total, wanted = self.body.vertex_count, self.config.vertices
-        if wanted == 0:
-            order = torch.rand(2, size, total, generator=rng, device=self.device).argsort(-1)
-            rank = order[0].argsort(-1)
-            edges = rank[:, self.edges.flatten()].unflatten(1, self.edges.shape)
-            return order[0], order[1], edges, 1.0
-        index = self._stratified_vertices(size, wanted // 2, rng)
-        start, end = self.first_neighbour[index], self.first_neighbour[index + 1]
-        pick = torch.rand(index.shape, generator=rng, device=self.device) * (end - start)
-        index = torch.stack([index, self.neighbours[start + pick.long()]], -1).flatten(1)
-        edges = torch.arange(index.shape[1], device=self.device).view(1, -1, 2).expand(size, -1, -1)
-        return index, self._stratified_vertices(size, index.shape[1], rng), edges, 2.0 * len(self.edges) / total
-
-    def _stratified_vertices(self, size: int, count: int, rng: torch.Generator) -> Int[Tensor, "B N"]:
-        """Draw vertices, one from each of `count` equal cells of the body, in random order.
-
-        InstanceNorm takes means over them, and those vary far less than over vertices drawn independently. Half of the
-        `wide` meshes are as dense as the body's file everywhere, the others lean towards even density by area, as
-        other meshes may be.
-        """
-        even = torch.rand(size, 1, generator=rng, device=self.device) * 2 - 1
-        even = even.clamp_min(0) if self.config.kind == "wide" else torch.zeros_like(even)
-        cell = torch.arange(count, device=self.device) + torch.rand(size, count, generator=rng, device=self.device)
-        cumulative = self.cumulative[0] + even * (self.cumulative[1] - self.cumulative[0])
-        drawn = self.order[torch.searchsorted(cumulative, cell / count).clamp_max(len(self.order) - 1)]
-        return drawn.gather(1, torch.rand(size, count, generator=rng, device=self.device).argsort(1))
 
     def _normalized_mesh(
         self,
@@ -276,15 +224,12 @@ class BodySampler:
             radius = (whole - centre).norm(dim=-1).amax(1)[:, None, None]
         return (points - centre) / radius, radius
 
-    def _reflect(self, rng: torch.Generator, *meshes: Float[Tensor, "B ... 3"]) -> None:
-        """Mirror the first pairs of a batch in place, x to -x: the configured share of them.
 
-        Pairs of a batch are drawn independently of their place in it, so the first ones are as good as any. A share
-        that is not a whole number of pairs is rounded up or down at random: it is right in the mean.
-        """
-        part = torch.rand((), generator=rng, device=self.device).item()
-        for mesh in meshes:
-            mesh[: math.floor(self.config.reflect * len(mesh) + part), ..., 0] *= -1.0
+def random_headings(size: int, reach: float, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
+    """Draw rotations about the vertical by up to `reach` radians to either side."""
+    angle = reach * (2 * torch.rand(size, generator=rng, device=rng.device) - 1)
+    zero = torch.zeros_like(angle)
+    return rotvec_to_rotmat(torch.stack([zero, angle, zero], -1))
 
 
 @cache

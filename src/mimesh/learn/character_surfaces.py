@@ -15,7 +15,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -125,6 +125,8 @@ class TrainingCharacters:
     """The characters themselves."""
     clips: TrainingClips | None = None
     """Clips of another folder."""
+    part: ClassVar[str] = "characters"
+    """Where checkpoints and cards have the facts."""
 
     @classmethod
     def none(cls, body: RiggedBody) -> TrainingCharacters:

@@ -36,6 +36,7 @@ POSITION = (
     "validated",
     "precision",
     "characters",
+    "meshes",
     "changes",
     "operations",
 )
@@ -70,6 +71,8 @@ class Checkpoint:
 
     operations: float | None = None
     """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
+    meshes: dict[str, Any] = field(default_factory=dict)
+    """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
 
     def spent(self) -> dict[str, int | float]:
         """Give the time, the pairs and, if known, the operations of this training so far."""

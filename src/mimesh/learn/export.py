@@ -30,6 +30,7 @@ DATA = {
     "clips80": "16 people x 80 motions of 30 frames: seconds of the shipped motions, walks and splines",
     "clips": "endless people of the shipped body; windows of the shipped motions at up to 3 times their speed, ways "
     "between poses within the joint limits; headings",
+    "meshes": "registered meshes or clips of a folder (`meshes`)",
     "hands": "hands of random people of the shipped body and of characters, fingers in random gestures; mittens, "
     "blocks and hands without fingers",
 }
@@ -42,6 +43,8 @@ MIME_DATA = (
 """Description of `wide` where `mime` is trained on it."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
+NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
+"""What is added to `wide` where `npt` is trained on characters too."""
 STORED_BITS = (16, 8)
 """Of a weight, as `mimesh export` writes it."""
 FULL_BITS = 32
@@ -169,6 +172,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "pflop": float(f"{operations_spent(trained) / 1e15:.3g}"),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
+        **({"meshes": trained.meshes} if trained.meshes else {}),
         **({"changes": list(trained.changes)} if trained.changes else {}),
         "metrics": {"val": {f"{k}_pmd_e4": round(v, 3) for k, v in trained.metrics.items()}},
     }
@@ -177,7 +181,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
 def described_data(config: TrainConfig) -> str:
     """Say in words what a training had as data."""
     if config.network != "mime" or config.data.kind != "wide":
-        return DATA[config.data.kind]
+        return DATA[config.data.kind] + (NPT_CHARACTERS if config.network == "npt" and config.data.characters else "")
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
 
 

@@ -6,7 +6,6 @@ import contextlib
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -16,7 +15,6 @@ import torch
 from torch import Tensor, nn
 
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
 from .config import changed_config, load_config
@@ -25,14 +23,12 @@ from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
 from .processes import Processes, joined_processes
 from .stop_request import StopRequest
-from .tasks.base import BatchSource, Task, TrainConfig, shipped_body
+from .tasks.base import BatchSource, Task, TrainConfig, UserData
 from .tasks.find import NETWORKS, find_task
-from .training_clips import TrainingClips
 from .training_log import TrainingLog
+from .user_data import Folders, ProgressBar, read_user_data, refuse_other_data
 from .validation import Validation
 
-ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
-"""Makes a progress bar with a title."""
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate")
 MIXTURE = ("vertices", "characters", "contacts", "low_poly", "scans", "between")
 RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
@@ -62,6 +58,8 @@ def train_command(
     clips: Path | None = None,
     leave_out: Sequence[str] = (),
     bar: ProgressBar = no_bar,
+    meshes: Path | None = None,
+    pattern: str = "",
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
@@ -72,13 +70,17 @@ def train_command(
         clips: folder of motions whose poses mime is trained on.
         leave_out: packs of the folder of characters that are not used.
         bar: makes a progress bar with a title.
+        meshes: folder of registered meshes or clips to train on instead of the shipped body.
+        pattern: how its files are named (`mesh_layouts`); empty: found.
     """
     if model not in NETWORKS:
         raise InputError(f"{model}: expected a model that can be trained ({', '.join(NETWORKS)}), found another")
+    folders = Folders(characters, clips, meshes, pattern)
     with joined_processes() as processes:
         if resume is not None:
             fixed = [f"--set {change}" for change in changes if change.partition("=")[0] not in RESUMABLE]
             fixed += [f"--weights {weights}"] * bool(weights) + [f"--leave-out {pack}" for pack in leave_out]
+            fixed += [f"--pattern {pattern}"] * bool(pattern)
             if fixed:
                 raise InputError(
                     f"{fixed[0]}: expected no changes with --resume but --set {', '.join(RESUMABLE)} and --clips, "
@@ -86,26 +88,27 @@ def train_command(
                 )
             settings, folder = resumed_config(resume, changes), resume
         else:
-            settings, folder = new_config(model, config, out, changes, characters is not None, leave_out)
-        pool = read_characters(settings, characters, clips, bar)
+            settings, folder = new_config(model, config, out, changes, folders, leave_out)
+        pool = read_user_data(settings, folders, bar)
         if weights is not None:
             processes.of_first(lambda: begin_with(settings, weights, folder, pool))
         return train(settings, folder, max_minutes, pool, processes)
 
 
 def new_config(
-    model: str, config: str, out: Path | None, changes: Sequence[str], characters: bool, leave_out: Sequence[str]
+    model: str, config: str, out: Path | None, changes: Sequence[str], folders: Folders, leave_out: Sequence[str]
 ) -> tuple[TrainConfig, Path]:
     """Read the configuration of a new training, and name its folder.
 
     Raises:
         InputError: the folder holds a training.
     """
-    settings = load_config(config, model, changes)
-    share = [f"data.characters={CHARACTER_SHARE}"] if characters and not settings.data.characters else []
+    settings = load_config(config, model, [*folders.settings(), *changes])
+    share = [f"data.characters={CHARACTER_SHARE}"] if folders.characters and not settings.data.characters else []
     packs = [f"data.leave_out={json.dumps(list(leave_out))}"] if leave_out else []
-    settings = load_config(config, model, [*changes, *share, *packs])
+    settings = load_config(config, model, [*folders.settings(), *changes, *share, *packs])
     words = [*(change.partition("=")[2] for change in changes), *(f"without-{pack}" for pack in leave_out)]
+    words += ["meshes"] if folders.meshes else []
     folder = out or Path("runs") / "-".join([model, Path(config).stem, *words])
     if (folder / "last.safetensors").exists():
         raise InputError(
@@ -127,40 +130,7 @@ def resumed_config(folder: Path, changes: Sequence[str]) -> TrainConfig:
     return changed_config(config, changes) if changes else config
 
 
-def read_characters(
-    config: TrainConfig, folder: Path | None, clips: Path | None = None, bar: ProgressBar = no_bar
-) -> TrainingCharacters | None:
-    """Read the characters that a configuration asks for, and the clips of a folder; None for neither.
-
-    Raises:
-        InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
-    """
-    if clips is not None and (config.network, config.data.kind) != ("mime", "wide"):
-        raise InputError(f"--clips: expected mime and data.kind wide, found {config.network}; leave it out")
-    if config.data.leave_out and folder is None:
-        raise InputError(f"--leave-out {config.data.leave_out[0]}: expected it with --characters, found it without")
-    if bool(config.data.characters) != (folder is not None):
-        needed, given = ("a folder", "none") if folder is None else ("none", str(folder))
-        raise InputError(
-            f"--characters: expected {needed} with data.characters {config.data.characters:g}, found {given}; "
-            "it is the share of the training that characters of a folder have"
-        )
-    if folder is None and clips is None:
-        return None
-    body, found = shipped_body(), TrainingCharacters.none(shipped_body())
-    if folder is not None:
-        with bar("reading characters") as progress:
-            data = config.data
-            found = TrainingCharacters.read(
-                folder, body, leave_out=data.leave_out, low_poly=data.low_poly > 0, progress=progress
-            )
-    if clips is not None:
-        with bar("reading clips") as progress:
-            found = found.with_clips(TrainingClips.read(clips, body, progress))
-    return found
-
-
-def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: TrainingCharacters | None = None) -> None:
+def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData | None = None) -> None:
     """Write the first checkpoint of a training whose network is that of another checkpoint; all else is new.
 
     Raises:
@@ -181,7 +151,7 @@ def train(
     config: TrainConfig,
     folder: Path,
     max_minutes: float | None = None,
-    pool: TrainingCharacters | None = None,
+    pool: UserData | None = None,
     processes: Processes | None = None,
 ) -> Path:
     """Train to the end of the schedule, or until a time limit or a signal; continue the training in the folder if any.
@@ -190,11 +160,11 @@ def train(
 
     Args:
         max_minutes: wall-clock time, counted from this call.
-        pool: characters to train on, where the configuration asks for them.
+        pool: what the user brings, where the configuration asks for it.
         processes: those that share the training; None: this one alone, or those that `torchrun` started.
 
     Raises:
-        InputError: the characters are not those of the training so far, or the batch cannot be divided.
+        InputError: the user's data are not those of the training so far, or the batch cannot be divided.
         KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
     if processes is None:
@@ -208,7 +178,7 @@ def train(
             log.note("precision", run.reason, precision=run.task.precision)
             log.note("cost", run.cost())
             if pool:
-                log.note("characters", pool.described())
+                log.note(pool.part, pool.described())
             if run.changes:
                 log.note("changes", json.dumps(run.changes[-1]))
             run_to_end(run, validation, folder, log, stop)
@@ -279,7 +249,7 @@ class TrainingRun:
         cls,
         config: TrainConfig,
         folder: Path,
-        pool: TrainingCharacters | None = None,
+        pool: UserData | None = None,
         processes: Processes | None = None,
     ) -> TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
@@ -301,14 +271,8 @@ class TrainingRun:
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = task.source(config.seed)
         step_model: Any = torch.compile(model) if config.compile else model
-        if state and not (pool or TrainingCharacters.none(shipped_body())).continues(state.characters):
-            parts = [state.characters, state.characters.get("clips", {})]
-            what = "characters and clips" if "clips" in state.characters else "characters"
-            raise InputError(
-                f"{folder}: expected the {what} of the training so far "
-                f"({', '.join(maker for part in parts for maker in part.get('makers', ()))}), found others; "
-                f"begin a new training with --weights {last}"
-            )
+        if state:
+            refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
         run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
         if state:
             checkpoint.unpack(state, model, ema, optimizers)
@@ -414,19 +378,18 @@ class TrainingRun:
             return
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
-        facts = self.task.characters.facts if self.task.characters else {}
-        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, facts, self.changes, self.operations)
+        brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
+        rest = {"changes": self.changes, "operations": self.operations, **brought}
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)
 
 
-def changes_at_resume(
-    state: checkpoint.Checkpoint, config: TrainConfig, pool: TrainingCharacters | None
-) -> list[dict[str, Any]]:
+def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
     values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in RESUMABLE}
     changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
     was = {key: old for key, (new, old) in values.items() if new != old}
-    if pool and pool.clips and "clips" not in state.characters:
+    if isinstance(pool, TrainingCharacters) and pool.clips and "clips" not in state.characters:
         changed["clips"] = pool.clips.facts["makers"]
     return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []
 

@@ -46,7 +46,7 @@ def source(pool):
 
 def test_an_identity_at_rest_is_moved_to_the_truth_exactly(source, monkeypatch):
     """By linear blend skinning with its own joints and weights, whatever its proportions, props and missing joints."""
-    monkeypatch.setattr("mimesh.learn.tasks.mime.OWN_REST", 1.0)
+    monkeypatch.setattr("mimesh.learn.tasks.mime_characters.OWN_REST", 1.0)
     for step in range(3):
         batch = source.batch(12, step)
         own, driving, truth = batch.identity, batch.driving, batch.truth
@@ -93,7 +93,7 @@ def test_packs_take_turns(pool):
 
 
 def test_large_heads_have_more_of_the_points(source):
-    figures = source.figures.draw(64, torch.Generator().manual_seed(1))
+    figures = source.pairs.figures.draw(64, torch.Generator().manual_seed(1))
     head = BODY.joint("Head")
     one = torch.ones_like(figures.length)
     large = one.clone()
@@ -101,21 +101,25 @@ def test_large_heads_have_more_of_the_points(source):
     share = []
     for scale in (one, large):
         some = dataclasses.replace(figures, length=scale, girth=scale, lacking=torch.zeros_like(figures.lacking))
-        index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
-        rotation = source.bank.alignment[figures.which]
-        share.append(source.bank.posed(some, source.bank.shaped(some, index), rotation).weights[..., head].mean())
+        index = source.pairs.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+        rotation = source.pairs.bank.alignment[figures.which]
+        share.append(
+            source.pairs.bank.posed(some, source.pairs.bank.shaped(some, index), rotation).weights[..., head].mean()
+        )
     assert share[1] > 1.5 * share[0]
 
 
 def test_missing_hands_have_no_points(source):
-    figures = source.figures.draw(32, torch.Generator().manual_seed(1))
-    ends = source.figures.ends[0]
+    figures = source.pairs.figures.draw(32, torch.Generator().manual_seed(1))
+    ends = source.pairs.figures.ends[0]
     lacking = ends.expand(32, -1)
     some = dataclasses.replace(
         figures, lacking=lacking, props=dataclasses.replace(figures.props, there=torch.zeros_like(figures.props.there))
     )
-    index = source.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
-    posed = source.bank.posed(some, source.bank.shaped(some, index), source.bank.alignment[figures.which])
+    index = source.pairs.bank.choose(some, 200, torch.Generator().manual_seed(2), 0.0)
+    posed = source.pairs.bank.posed(
+        some, source.pairs.bank.shaped(some, index), source.pairs.bank.alignment[figures.which]
+    )
     strongest = posed.weights.argmax(-1)
     assert not ends[strongest].any()
     assert not posed.turning[:, ends].any()
@@ -123,10 +127,12 @@ def test_missing_hands_have_no_points(source):
 
 def test_props_are_moved_by_one_joint(source, monkeypatch):
     monkeypatch.setattr("mimesh.learn.props.SHARE", 1.0)
-    figures = source.figures.draw(16, torch.Generator().manual_seed(3))
-    total = source.bank.points.shape[1]
+    figures = source.pairs.figures.draw(16, torch.Generator().manual_seed(3))
+    total = source.pairs.bank.points.shape[1]
     index = torch.arange(total, total + figures.props.there.shape[1]).expand(16, -1)
-    posed = source.bank.posed(figures, source.bank.shaped(figures, index), source.bank.alignment[figures.which])
+    posed = source.pairs.bank.posed(
+        figures, source.pairs.bank.shaped(figures, index), source.pairs.bank.alignment[figures.which]
+    )
     assert ((posed.weights == 1).sum(-1) == 1).all()
     assert figures.props.there.float().mean(1).min() > 0
 
@@ -152,11 +158,11 @@ def test_a_training_on_characters_says_whose_they_are_and_resumes_with_the_same(
     assert checkpoint.load(out / "last.safetensors").step > saved.step
 
 
-def test_characters_are_for_mime_and_wide_data_only(pool):
+def test_characters_are_for_some_networks_and_wide_data_only(pool):
     with pytest.raises(InputError, match=r"data.characters from 0 to 1 with data.kind wide"):
         load_config("table", "mime", ["data.characters=0.5"])
-    with pytest.raises(InputError, match=r"expected data.characters 0 with npt"):
-        train_command("npt", "small", None, None, None, [], None, pool)
+    with pytest.raises(InputError, match=r"expected data.characters 0 with aniformer"):
+        train_command("aniformer", "small", None, None, None, [], None, pool)
 
 
 def test_a_folder_alone_gives_characters_half_of_every_batch(pool, tmp_path):
@@ -219,7 +225,7 @@ def test_clips_alone_join_the_poses_of_people(clips, tmp_path):
 
 
 def test_low_poly_pairs_are_exact_and_change_no_other_batches(pool, source, monkeypatch):
-    monkeypatch.setattr("mimesh.learn.tasks.mime.OWN_REST", 1.0)
+    monkeypatch.setattr("mimesh.learn.tasks.mime_characters.OWN_REST", 1.0)
     characters = TrainingCharacters.read(pool, BODY, low_poly=True)
     config = dataclasses.replace(source.config, low_poly=1.0)
     batch = SurfaceSource(config, BODY, CPU, 0, characters).batch(12, 0)

@@ -28,8 +28,9 @@ from ...motions.clips import split_windows
 from ...motions.motion import mirror, rotmat_to_rotvec
 from .. import losses
 from ..bodies import rotvec_to_rotmat
-from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
+from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig, random_headings
 from ..losses import edge_vectors, match_frames, mean_squared_distance
+from ..mesh_pairs import HeldOutMeshes, MeshSampler
 from ..models.aniformer import AniFormer, AniFormerConfig
 from ..validation import clip_error
 from .base import OnnxInterface, Task, TrainConfig
@@ -64,9 +65,9 @@ class AniFormerTrainConfig(TrainConfig):
         """Raise InputError for windows that cannot be cut, attended to or compared."""
         super().check(where)
         model = self.model
-        if self.data.kind not in ("clips", "clips80"):
+        if self.data.kind not in ("clips", "clips80", "meshes"):
             raise InputError(
-                f"{where}: expected data.kind clips or clips80 with aniformer, found {self.data.kind}; set it"
+                f"{where}: expected data.kind clips, clips80 or meshes with aniformer, found {self.data.kind}; set it"
             )
         if not 1 <= model.frames <= FRAMES:
             raise InputError(f"{where}, frames: expected 1 to {FRAMES}, found {model.frames}")
@@ -150,7 +151,7 @@ class WindowSource(BodySampler):
         speed = 1 + self._random_index(MAX_SPEED, (size, 1), rng)
         captured = rotvec_to_rotmat(self.captured[first + speed * frame])
         straight = self._straight_windows(size, self.frames, rng)
-        heading = self._random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
+        heading = random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
         window[:, :, 0] = heading @ window[:, :, 0]
@@ -169,6 +170,16 @@ class WindowSource(BodySampler):
         scale = None if radius is None else radius.repeat_interleave(frames, dim=0)
         points, radii = self._normalized_mesh(shape, rotmat.flatten(0, 1), index, scale)
         return points.unflatten(0, (-1, frames)), radii.view(-1, frames)
+
+
+class MeshWindowSource(MeshSampler):
+    """Makes batches of windows of registered clips."""
+
+    def batch(self, size: int, step: int) -> WindowBatch:
+        """Make the windows of a step."""
+        drawn = self.sample(size, step)
+        meshes = (drawn.identity, drawn.driving, drawn.truth)
+        return WindowBatch(*meshes, drawn.unit, drawn.edges, drawn.edges_of_mesh)
 
 
 def reconstruction(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
@@ -289,15 +300,19 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
 
     @property
     def protocol(self) -> protocols.Protocol:
-        """Clips."""
+        """Clips: those held out where the data are clips of a folder."""
+        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
+            return held_out
         return CLIPS_ANIFORMER
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""
         return AniFormer(self.config.model)
 
-    def source(self, seed: int) -> WindowSource:
+    def source(self, seed: int) -> WindowSource | MeshWindowSource:
         """Build the generator of windows."""
+        if self.meshes:
+            return MeshWindowSource(self.config.data, self.meshes, self.device, seed)
         return WindowSource(self.config.data, self.config.model.frames, self.body, self.device, seed)
 
     def loss(self, model: AniFormer, batch: WindowBatch, step: int) -> Tensor:

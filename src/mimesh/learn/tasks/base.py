@@ -16,6 +16,10 @@ from ...core.errors import InputError
 from ...evaluate import protocols
 from ..body_sampler import DataConfig
 from ..character_surfaces import TrainingCharacters
+from ..registered_meshes import RegisteredMeshes
+
+UserData = TrainingCharacters | RegisteredMeshes
+"""What the user brings to a training."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +71,12 @@ class TrainConfig:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
-        if self.data.characters and self.network not in ("mime", "hands"):
+        if self.data.characters and self.network not in ("mime", "hands", "npt"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
+        if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):
+            raise InputError(f"{where}: expected data.kind meshes with npt or aniformer, found it with {self.network}")
         if self.accumulate < 1 or self.batch % self.accumulate:
             raise InputError(
                 f"{where}: expected accumulate to divide batch, found {self.accumulate} and {self.batch}; change one"
@@ -129,9 +135,19 @@ class Task(ABC, Generic[Config, Network]):
         config: Config,
         device: torch.device,
         precision: str = "fp32",
-        characters: TrainingCharacters | None = None,
+        brought: UserData | None = None,
     ) -> None:
-        self.config, self.device, self.precision, self.characters = config, device, precision, characters
+        self.config, self.device, self.precision, self.brought = config, device, precision, brought
+
+    @property
+    def characters(self) -> TrainingCharacters | None:
+        """The characters and clips that the user brought, if any."""
+        return self.brought if isinstance(self.brought, TrainingCharacters) else None
+
+    @property
+    def meshes(self) -> RegisteredMeshes | None:
+        """The registered meshes that the user brought, if any."""
+        return self.brought if isinstance(self.brought, RegisteredMeshes) else None
 
     @property
     def body(self) -> RiggedBody:
@@ -189,4 +205,5 @@ class Task(ABC, Generic[Config, Network]):
     @property
     def vertices(self) -> int:
         """Vertices of each training mesh."""
-        return self.config.data.vertices or len(self.body.vertices)
+        whole = self.meshes.points.shape[1] if self.meshes else len(self.body.vertices)
+        return self.config.data.vertices or whole

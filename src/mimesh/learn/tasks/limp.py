@@ -26,7 +26,7 @@ from ..losses import edge_vectors, mean_squared_distance
 from ..models.limp import LIMP, LIMPConfig
 from ..validation import clip_error, pair_error
 from .base import OnnxInterface, Task, TrainConfig
-from .npt import PairBatch, PairSource
+from .npt_batches import PairBatch, PairSource
 
 NEAR = 0.15
 """Metres along the surface up to which two vertices of the template count as near."""

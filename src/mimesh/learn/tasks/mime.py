@@ -21,13 +21,12 @@ from ...core.errors import InputError
 from ...core.mesh import Mesh
 from ...evaluate.metrics import pmd_of_pair
 from ...evaluate.pairs import Pair
-from ..bodies import world_rotations
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
 from ..primitives import primitive_people
 from .base import OnnxInterface, Task, TrainConfig
-from .mime_characters import OWN_REST, CharacterBank, FigureSampler
+from .mime_characters import CharacterPairs
 from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
 from .mime_scans import gather_points, repeat_visible, scanned
 
@@ -115,7 +114,8 @@ class SurfaceSource(BodySampler):
         if config.characters:
             assert characters is not None
             surfaces = [*characters.surfaces, *primitive_people(body)]
-            self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
+            drawn = (self.count, math.radians(config.heading) / 4, MISSING, config.low_poly)
+            self.pairs = CharacterPairs(surfaces, body, device, *drawn)
         if characters is not None:
             self.motion_frames = torch.cat([self.motion_frames, self._tensor(characters.all_poses)])
 
@@ -141,31 +141,9 @@ class SurfaceSource(BodySampler):
         return identity, driving, self.surface.posed(people[0], poses[1], index[0])
 
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
-        """Make the same of pairs of characters. Half of the identities stand as in their files."""
-        _, (identity_pose, driving_pose), _ = self._sample_pairs(size, rng)
-        identity, driving = (self.figures.draw(size, rng, self.config.low_poly) for _ in range(2))
-        index = [
-            self.bank.choose(figures, self.count, rng, share)
-            for figures, share in zip((identity, driving), MISSING, strict=True)
-        ]
-        has, both_have = self.bank.turning(identity.which), self.bank.turning(driving.which)
-        both_have = both_have & has  # joints that one of two lacks stay straight in both, so that the truth is exact
-        rest = self._random_headings(size, math.radians(self.config.heading) / 4, rng)[:, None]
-        rest = rest @ self.bank.alignment[identity.which]
-        posed = self._world(identity_pose, has)
-        own = self._uniform(size, rng)[..., None] < OWN_REST
-        turned = self._world(driving_pose, both_have)
-        surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
-        return (
-            self.bank.posed(identity, surface, torch.where(own, rest, posed)),
-            self.bank.posed(driving, other, turned),
-            self.bank.posed(identity, surface, turned),
-        )
-
-    def _world(self, local: Float[Tensor, "B J 3 3"], known: Bool[Tensor, "B J"]) -> Float[Tensor, "B J 3 3"]:
-        """Compute world rotations of joints; those that are not known turn with their parents."""
-        eye = torch.eye(3, device=local.device)
-        return world_rotations(torch.where(known[..., None, None], local, eye), self.body.parents)
+        """Make the same of pairs of characters."""
+        pairs = self.pairs.draw(self._sample_pairs(size, rng)[1], rng)
+        return pairs.identity, pairs.driving, pairs.truth
 
     def _dress(
         self, shapes: Float[Tensor, "2 B K"], touching: Bool[Tensor, "2 B"], rng: torch.Generator

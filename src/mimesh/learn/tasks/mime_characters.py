@@ -16,7 +16,8 @@ from torch import Tensor, nn
 from ...bodies import RiggedBody
 from ...bodies.character_limbs import SIDES
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
-from ..bodies import posed_joints, scaled_joints, skinned, skinned_surface
+from ..bodies import posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
+from ..body_sampler import random_headings
 from ..character_surfaces import CharacterSurface
 from ..props import Props, PropSampler
 from .mime_people import MAX_HOLE, PosedSurface, random_bumps, random_levels, without_bumps
@@ -230,3 +231,70 @@ class FigureSampler:
 
     def _normal(self, rng: torch.Generator, *size: int) -> Tensor:
         return torch.randn(*size, generator=rng, device=self.device)
+
+
+@dataclass(frozen=True)
+class PosedPair:
+    """B pairs of two characters. The points of `truth` are those of `identity`, which `rest` has at rest."""
+
+    identity: PosedSurface
+    driving: PosedSurface
+    truth: PosedSurface
+    rest: RestSurface
+    pose: Float[Tensor, "B J 3 3"]
+    """Local rotations of the driving pose; joints that one of the two lacks are straight."""
+
+
+class CharacterPairs:
+    """Draws pairs of characters of a bank; each call is a pure function of its arguments."""
+
+    def __init__(
+        self,
+        surfaces: list[CharacterSurface],
+        body: RiggedBody,
+        device: torch.device,
+        count: int,
+        heading: float,
+        missing: tuple[float, float],
+        low_poly: float = 0.0,
+    ) -> None:
+        """Put characters on the device.
+
+        Args:
+            count: points of each mesh.
+            heading: by which identities at rest are turned at most, in radians.
+            missing: share of identities and of driving meshes that lack the points of a ball.
+            low_poly: share of figures that are low-poly.
+        """
+        self.bank, self.figures = CharacterBank(surfaces, body).to(device), FigureSampler(surfaces, body, device)
+        self.count, self.heading, self.missing, self.low_poly = count, heading, missing, low_poly
+        self.parents = body.parents
+
+    def draw(self, poses: Float[Tensor, "2 B J 3 3"], rng: torch.Generator) -> PosedPair:
+        """Draw pairs in poses of the shipped body (local rotations). Half of the identities stand as in their files."""
+        size = poses.shape[1]
+        identity, driving = (self.figures.draw(size, rng, self.low_poly) for _ in range(2))
+        index = [
+            self.bank.choose(figures, self.count, rng, share)
+            for figures, share in zip((identity, driving), self.missing, strict=True)
+        ]
+        has, both_have = self.bank.turning(identity.which), self.bank.turning(driving.which)
+        both_have = both_have & has  # joints that one of two lacks stay straight in both, so that the truth is exact
+        rest = random_headings(size, self.heading, rng)[:, None] @ self.bank.alignment[identity.which]
+        posed = world_rotations(of_known(poses[0], has), self.parents)
+        own = torch.rand(size, 1, 1, 1, generator=rng, device=rng.device) < OWN_REST
+        pose = of_known(poses[1], both_have)
+        turned = world_rotations(pose, self.parents)
+        surface, other = self.bank.shaped(identity, index[0]), self.bank.shaped(driving, index[1])
+        return PosedPair(
+            self.bank.posed(identity, surface, torch.where(own, rest, posed)),
+            self.bank.posed(driving, other, turned),
+            self.bank.posed(identity, surface, turned),
+            surface,
+            pose,
+        )
+
+
+def of_known(local: Float[Tensor, "B J 3 3"], known: Bool[Tensor, "B J"]) -> Float[Tensor, "B J 3 3"]:
+    """Keep the rotations of known joints; the others turn with their parents."""
+    return torch.where(known[..., None, None], local, torch.eye(3, device=local.device))

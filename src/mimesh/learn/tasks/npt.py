@@ -9,14 +9,16 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from ...core.errors import InputError
 from ...evaluate import protocols
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
 from ...evaluate.pairs import Pair
-from ..body_sampler import BodySampler
 from ..losses import edge_ratio, edge_vectors, mean_squared_distance, reconstruction
+from ..mesh_pairs import HeldOutMeshes
 from ..models.npt import NPT, NPTConfig
 from ..validation import clip_error, pair_error
 from .base import OnnxInterface, Task, TrainConfig
+from .npt_batches import POINTS, CharacterPairSource, MeshPairSource, PairBatch, PairSource
 
 
 @dataclass(frozen=True)
@@ -30,33 +32,16 @@ class NPTTrainConfig(TrainConfig):
     edge_weight: float = 5e-4
     """Lambda of Eq. 4."""
 
-
-@dataclass(frozen=True)
-class PairBatch:
-    """Normalised meshes of B pairs. Vertex i of `truth` is vertex i of `identity`; `driving` is in another order."""
-
-    identity: Float[Tensor, "B V 3"]
-    driving: Float[Tensor, "B U 3"]
-    truth: Float[Tensor, "B V 3"]
-    edges: Int[Tensor, "B E 2"]
-    edges_of_mesh: float
-    """Edges a vertex of the whole mesh over edges a vertex given here."""
-
-
-class PairSource(BodySampler):
-    """Makes batches of pairs."""
-
-    def batch(self, size: int, step: int) -> PairBatch:
-        """Make the pairs of a step."""
-        rng = self._generator(step)
-        (identity_shape, driving_shape), (identity_pose, driving_pose), _ = self._sample_pairs(size, rng)
-        index, driving_index, edges, share = self._sample_vertices(size, rng)
-        identity, radius = self._normalized_mesh(identity_shape, identity_pose, index)
-        driving, _ = self._normalized_mesh(driving_shape, driving_pose, driving_index)
-        scale = radius if self.config.target_scale == "identity" else None
-        truth, _ = self._normalized_mesh(identity_shape, driving_pose, index, scale)
-        self._reflect(rng, identity, driving, truth)
-        return PairBatch(identity, driving, truth, edges, share)
+    def check(self, where: str) -> None:
+        """Raise InputError for characters with data that they cannot be a part of."""
+        super().check(where)
+        data = self.data
+        fits = 0.0 < data.characters <= 1.0 and data.kind == "wide" and 0 < data.vertices <= POINTS
+        if data.characters and not fits:
+            raise InputError(
+                f"{where}: expected data.characters from 0 to 1 with data.kind wide and up to {POINTS} data.vertices, "
+                f"found {data.characters} with {data.kind} and {data.vertices or 'all'}; take the configuration small"
+            )
 
 
 def edge_paper(result: Float[Tensor, "B V 3"], edges: Int[Tensor, "B E 2"]) -> Float[Tensor, ""]:
@@ -100,15 +85,21 @@ class NPTTask(Task[NPTTrainConfig, NPT]):
 
     @property
     def protocol(self) -> protocols.Protocol:
-        """Pairs, or clips where the data are clips."""
+        """Pairs, or clips where the data are clips; those held out where the data are meshes of a folder."""
+        if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
+            return held_out
         return CLIPS_ANIFORMER if self.config.data.kind in ("clips", "clips80") else protocols.HUMAN_NPT
 
     def make_model(self) -> NPT:
         """Build the network with fresh weights."""
         return NPT(self.config.model)
 
-    def source(self, seed: int) -> PairSource:
+    def source(self, seed: int) -> PairSource | MeshPairSource:
         """Build the generator of pairs."""
+        if self.meshes:
+            return MeshPairSource(self.config.data, self.meshes, self.device, seed)
+        if self.characters:
+            return CharacterPairSource(self.config.data, self.body, self.device, seed, self.characters)
         return PairSource(self.config.data, self.body, self.device, seed)
 
     def loss(self, model: NPT, batch: PairBatch, step: int) -> Tensor:

@@ -1,0 +1,371 @@
+"""Training on a folder of registered meshes or clips: what batches hold, what is held out, refused and resumed."""
+
+import dataclasses
+import json
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from people import person  # noqa: E402
+from registered import FACES, write_clips, write_meshes  # noqa: E402
+from trainings import TINY, assert_steps_are_pure, losses  # noqa: E402
+
+from mimesh.cli import run  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.core.geometry import edges  # noqa: E402
+from mimesh.core.mesh import Mesh  # noqa: E402
+from mimesh.core.normalization import bbox_centre, radius  # noqa: E402
+from mimesh.evaluate.measure import TRAINED_ON, training_facts  # noqa: E402
+from mimesh.evaluate.protocols import HUMAN_NPT  # noqa: E402
+from mimesh.io import load_mesh, save_mesh  # noqa: E402
+from mimesh.learn import checkpoint  # noqa: E402
+from mimesh.learn.body_sampler import DataConfig  # noqa: E402
+from mimesh.learn.config import load_config  # noqa: E402
+from mimesh.learn.export import DATA  # noqa: E402
+from mimesh.learn.models.aniformer import AniFormerConfig  # noqa: E402
+from mimesh.learn.registered_meshes import RegisteredMeshes  # noqa: E402
+from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, MeshWindowSource  # noqa: E402
+from mimesh.learn.tasks.find import find_task  # noqa: E402
+from mimesh.learn.tasks.npt import MeshPairSource  # noqa: E402
+from mimesh.learn.train import TrainingRun, train, train_command  # noqa: E402
+from mimesh.learn.validation import Validation  # noqa: E402
+
+CPU = torch.device("cpu")
+AXES = {"up": "+y", "front": "+z"}
+ALL = DataConfig("meshes", 0)
+MESHES = dataclasses.replace(TINY, data=DataConfig("meshes", 64), precision="fp32")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("meshes")
+    write_meshes(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def clips(tmp_path_factory):
+    path = tmp_path_factory.mktemp("clips")
+    write_clips(path)
+    return path
+
+
+def centred(points):
+    return points - bbox_centre(points)
+
+
+def normalised(points):
+    return centred(points) / radius(centred(points))
+
+
+def name_of(points, files):
+    """Find the file whose vertices some points are, in any order, and the vertex of each."""
+    (found,) = [
+        (name, np.linalg.norm(points[:, None] - file[None], axis=-1).argmin(1))
+        for name, file in files.items()
+        if np.abs(np.sort(points, axis=0) - np.sort(file, axis=0)).max() < 1e-5
+    ]
+    return found
+
+
+def who(name):
+    i, _, b = name.removeprefix("id").removesuffix(".ply").partition("_")
+    return int(i), int(b)
+
+
+def test_batches_hold_what_the_files_hold(folder):
+    """Truth vertex i is that of identity vertex i, driving meshes are other people in another order of their own."""
+    files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(folder).items()}
+    source = MeshPairSource(ALL, RegisteredMeshes.read(folder, **AXES), CPU, 0)
+    seen = set()
+    for step in range(6):
+        batch = source.batch(4, step)
+        for identity, driving, truth in zip(
+            batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
+        ):
+            (i, a), order = name_of(identity, files)
+            (j, b), other = name_of(driving, files)
+            assert i != j
+            assert a != b
+            assert sorted(order) == sorted(other) == list(range(len(order)))
+            assert (order != other).mean() > 0.9
+            np.testing.assert_allclose(truth, files[i, b][order], atol=1e-6)
+            seen |= {(i, a), (j, b), (i, b)}
+    assert {i for i, _ in seen} == {0, 1, 2}  # person 3 and pose 4 are held out
+    assert {b for _, b in seen} == {0, 1, 2, 3}
+
+
+def test_the_truth_may_keep_the_identity_s_unit(folder):
+    meshes = {who(name): mesh.vertices for name, mesh in write_meshes(folder).items()}
+    files = {name: normalised(points) for name, points in meshes.items()}
+    config = dataclasses.replace(ALL, target_scale="identity")
+    batch = MeshPairSource(config, RegisteredMeshes.read(folder, **AXES), CPU, 0).batch(3, 0)
+    for identity, driving, truth in zip(
+        batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
+    ):
+        ((i, a), order), ((_, b), _) = name_of(identity, files), name_of(driving, files)
+        expected = centred(meshes[i, b]) / radius(centred(meshes[i, a]))
+        np.testing.assert_allclose(truth, expected[order], atol=1e-5)
+
+
+def test_subsets_have_edges_of_the_mesh(folder):
+    meshes = write_meshes(folder)
+    files = {name: normalised(mesh.vertices) for name, mesh in meshes.items()}
+    pairs = set(map(tuple, edges(person(0, 0, FACES).faces)))
+    batch = MeshPairSource(dataclasses.replace(ALL, vertices=40), RegisteredMeshes.read(folder, **AXES), CPU, 0).batch(
+        2, 0
+    )
+    assert batch.identity.shape == batch.driving.shape == batch.truth.shape == (2, 40, 3)
+    for points, rows in zip(batch.identity.numpy(), batch.edges.numpy(), strict=True):
+        near = {name: np.linalg.norm(points[:, None] - file[None], axis=-1) for name, file in files.items()}
+        distance = min(near.values(), key=lambda d: d.min(1).max())
+        assert distance.min(1).max() < 1e-6
+        vertex = distance.argmin(1)
+        assert {tuple(sorted(vertex[row])) for row in rows} <= pairs
+
+
+@pytest.mark.parametrize("vertices", [0, 32])
+def test_a_step_is_a_pure_function(folder, clips, vertices):
+    config = DataConfig("meshes", vertices, reflect=0.5)
+    assert_steps_are_pure(MeshPairSource(config, RegisteredMeshes.read(folder, **AXES), CPU, 3))
+    assert_steps_are_pure(MeshWindowSource(config, RegisteredMeshes.read(clips, 3, **AXES), CPU, 3))
+
+
+def test_not_every_person_needs_every_pose(tmp_path):
+    """Person 0 alone has pose 0; person 2 has pose 1 only, which is its own identity."""
+    write_meshes(tmp_path, 3, 3, leave_out=[(1, 0), (2, 0), (2, 2)])
+    meshes = RegisteredMeshes.read(tmp_path, **AXES)
+    assert meshes.split.seen is None  # nothing can be held out of so few
+    assert meshes.split.training.counts == (6, 5, 5)
+    assert "6 can be identity, 5 driving, 5 truth; validated on `val` of the shipped body" in meshes.described()
+    source = MeshPairSource(ALL, meshes, CPU, 0)
+    files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(tmp_path, 3, 3).items()}
+    batch = source.batch(300, 0)
+    found = {
+        (name_of(identity, files)[0], name_of(driving, files)[0])
+        for identity, driving in zip(batch.identity.numpy(), batch.driving.numpy(), strict=True)
+    }
+    assert found == {
+        ((0, 0), (1, 1)), ((0, 2), (1, 1)), ((0, 0), (2, 1)), ((0, 2), (2, 1)), ((1, 2), (0, 1)), ((1, 2), (2, 1)),
+        ((2, 1), (0, 1)), ((2, 1), (1, 1)), ((0, 0), (1, 2)), ((0, 1), (1, 2)), ((1, 1), (0, 2)),
+    }  # fmt: skip
+
+
+def test_validation_is_on_new_people_in_known_and_new_poses(folder):
+    files = {who(name): normalised(mesh.vertices) for name, mesh in write_meshes(folder).items()}
+    task = find_task("npt")(MESHES, CPU, "fp32", RegisteredMeshes.read(folder, **AXES))
+    validation = Validation(task)
+    for kind, poses in (("seen", {0, 1, 2, 3}), ("unseen", {4})):
+        for k in range(8):
+            trial = validation.trial(kind, k)
+            (i, a), order = name_of(normalised(trial.identity.vertices), files)
+            (j, b), _ = name_of(normalised(trial.driving.vertices), files)
+            assert (i, b in poses, a < 4, j != i) == (3, True, True, True)
+            np.testing.assert_allclose(normalised(trial.truth), files[i, b][order], atol=1e-5)
+    assert not np.array_equal(order, np.arange(len(order)))
+    model = task.make_model()
+    figures = validation.measure(model)
+    assert figures is not None
+    assert figures["val"] == (figures["unseen"] + figures["fresh"]) / 2
+
+
+def test_windows_are_the_same_frames_of_two_people(clips):
+    written = write_clips(clips)
+    files = {
+        (int(name[1]), int(name[7]), t): normalised(points)
+        for name, clip in written.items()
+        for t, points in enumerate(clip.vertices)
+    }
+    meshes = RegisteredMeshes.read(clips, 3, **AXES)
+    batch = MeshWindowSource(ALL, meshes, CPU, 0).batch(6, 0)
+    for identity, driving, truth in zip(
+        batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
+    ):
+        (i, motion, _), order = name_of(identity, files)
+        named = [name_of(frame, files) for frame in driving]
+        (j, other, start), _ = named[0]
+        assert (i != j, motion != other) == (True, True)
+        assert [name for name, _ in named] == [(j, other, start + t) for t in range(3)]
+        assert all(np.array_equal(other_order, named[0][1]) for _, other_order in named)
+        for t in range(3):
+            np.testing.assert_allclose(truth[t], files[i, other, start + t][order], atol=1e-6)
+    config = AniFormerTrainConfig(data=DataConfig("meshes", 32), validation_pairs=2)
+    trial = Validation(find_task("aniformer")(config, CPU, "fp32", meshes)).trial("unseen", 0)
+    assert trial.clip.vertices.shape == trial.truth_frames.shape == (3, len(order), 3)
+    (i, _, _), order = name_of(normalised(trial.identity.vertices), files)
+    (_, motion, start), _ = name_of(normalised(trial.clip.vertices[0]), files)
+    assert (i, motion) == (3, 3)
+    np.testing.assert_allclose(normalised(trial.truth_frames[2]), files[3, 3, start + 2][order], atol=1e-5)
+
+
+def test_npt_takes_each_frame_of_a_clip_as_a_pose(clips):
+    files = {
+        (int(name[1]), int(name[7]), t): normalised(points)
+        for name, clip in write_clips(clips).items()
+        for t, points in enumerate(clip.vertices)
+    }
+    batch = MeshPairSource(ALL, RegisteredMeshes.read(clips, **AXES), CPU, 0).batch(8, 0)
+    for identity, driving, truth in zip(
+        batch.identity.numpy(), batch.driving.numpy(), batch.truth.numpy(), strict=True
+    ):
+        ((i, other, _), order), ((j, motion, t), _) = name_of(identity, files), name_of(driving, files)
+        assert (i != j, other != motion) == (True, True)
+        np.testing.assert_allclose(truth, files[i, motion, t][order], atol=1e-6)
+
+
+def test_clips_of_a_motion_are_used_to_their_common_length(tmp_path):
+    write_clips(tmp_path, 2, 2, lambda i, m: 4 + i if m == 0 else 6)
+    meshes = RegisteredMeshes.read(tmp_path, 3, **AXES)
+    assert meshes.described().endswith(
+        "clips of walk0 have several lengths: the first frames, as many as the shortest has, are used"
+    )
+    source = MeshWindowSource(ALL, meshes, CPU, 0)
+    drawn = source.triples.draw(500, torch.Generator().manual_seed(0)).truth
+    # Clips are stored one after another: 4, 6, 5 and 6 frames, of which the last of the third is not used.
+    assert set(drawn.flatten().tolist()) == {*range(14), *range(15, 21)}
+    with pytest.raises(InputError, match="expected clips of 7 frames or more, found at most 6"):
+        RegisteredMeshes.read(tmp_path, 7, **AXES)
+
+
+def test_meshes_are_turned_to_y_up_alike_whatever_the_axes_of_the_files(folder, tmp_path):
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # y up becomes z up, +z front becomes -y
+    for name, mesh in write_meshes(folder).items():
+        save_mesh(Mesh(mesh.vertices @ turn.T, mesh.faces), tmp_path / name)
+    upright, turned = RegisteredMeshes.read(folder), RegisteredMeshes.read(tmp_path)
+    assert [(m.facts["up"], m.facts["front"]) for m in (upright, turned)] == [("+y", "+z"), ("+z", "-y")]
+    np.testing.assert_allclose(turned.points, upright.points, atol=1e-6)
+    given = RegisteredMeshes.read(tmp_path, up="z", front="x")
+    assert "up +z, front +x" in given.described()
+    with pytest.raises(InputError, match=r"data\.up: expected one of"):
+        RegisteredMeshes.read(tmp_path, up="sky")
+
+
+def test_damaged_files_and_other_topologies_are_refused_by_name(tmp_path):
+    write_meshes(tmp_path, 3, 4)
+    (tmp_path / "id0_1.ply").write_bytes((tmp_path / "id0_1.ply").read_bytes()[:-400])
+    save_mesh(person(1, 2, 2 * FACES), tmp_path / "id1_2.ply")
+    save_mesh(Mesh(np.zeros_like(person(0, 0, FACES).vertices), person(0, 0, FACES).faces), tmp_path / "id2_2.ply")
+    meshes = RegisteredMeshes.read(tmp_path, **AXES)
+    said = meshes.described()
+    assert meshes.facts["meshes"] == 9
+    assert "refused id0_1.ply: " in said
+    assert "refused id1_2.ply: expected the topology of id0_0.ply" in said
+    assert "refused id2_2.ply: expected a mesh with some size" in said
+
+
+@pytest.mark.parametrize(
+    ("people", "poses", "message"),
+    [(1, 3, r"two people in one pose, found none \(id\{person:d\}_\{pose\}: 3 meshes of 1 people in 3 poses\)")],
+)
+def test_a_folder_without_a_pair_is_refused(tmp_path, people, poses, message):
+    write_meshes(tmp_path, people, poses)
+    with pytest.raises(InputError, match=message):
+        RegisteredMeshes.read(tmp_path, **AXES)
+
+
+def test_a_folder_of_many_topologies_is_refused(tmp_path):
+    for b, faces in enumerate((200, 300, 400, 500)):
+        save_mesh(person(0, b, faces), tmp_path / f"id0_{b}.ply")
+    with pytest.raises(
+        InputError, match=r"one topology, found 3 of 4 .*such as id0_1\.ply: expected the topology of id0"
+    ):
+        RegisteredMeshes.read(tmp_path, **AXES)
+
+
+def test_resume_continues_exactly_and_with_the_same_meshes_only(folder, tmp_path):
+    meshes = RegisteredMeshes.read(folder, **AXES)
+    expected = losses(TrainingRun.start(MESHES, tmp_path / "none", meshes), 6)
+    first = TrainingRun.start(MESHES, tmp_path / "none", meshes)
+    start = losses(first, 3)
+    first.save(tmp_path / "last.safetensors")
+    again = TrainingRun.start(MESHES, tmp_path, RegisteredMeshes.read(folder, **AXES))
+    assert start + losses(again, 3) == expected
+    other = tmp_path / "other"
+    write_meshes(other, 3)
+    with pytest.raises(
+        InputError, match=r"expected the meshes of the training so far \(.*20 of 4 people\), found others"
+    ):
+        TrainingRun.start(MESHES, tmp_path, RegisteredMeshes.read(other, **AXES))
+    with pytest.raises(InputError, match=r"--meshes: expected a folder with data\.kind meshes, found none"):
+        train_command("npt", "small", None, tmp_path, 0.001)
+
+
+def test_options_that_do_not_go_together_are_refused(folder, tmp_path):
+    for model, changes, options, message in (
+        ("mime", [], {"meshes": folder}, "expected data.kind meshes with npt or aniformer"),
+        ("npt", ["data.kind=table6"], {"meshes": folder}, "expected none with data.kind table6"),
+        ("npt", ["data.kind=meshes"], {}, "expected a folder with data.kind meshes"),
+        ("npt", [], {"pattern": "{person}_{pose}"}, "--pattern {person}_{pose}: expected it with --meshes"),
+        ("npt", [], {"meshes": folder, "clips": folder}, "expected it without --characters and --clips"),
+        ("aniformer", [], {"meshes": folder}, "expected clips of 3 frames or more, found at most 1"),
+    ):
+        with pytest.raises(InputError) as error:
+            train_command(model, "small", tmp_path / "run", None, 0.001, changes, **options)
+        assert message in str(error.value)
+    assert not (tmp_path / "run").exists()
+
+
+def test_reports_and_cards_describe_every_kind_of_data():
+    kinds = set(get_args(get_type_hints(DataConfig)["kind"]))
+    assert set(TRAINED_ON) == set(DATA) == kinds
+
+
+def test_the_configurations_of_the_papers_take_meshes(folder, clips):
+    for model in ("npt", "aniformer"):
+        for name in ("small", "table", "paper", "full"):
+            assert load_config(name, model, ["data.kind=meshes", "data.between=0"]).data.kind == "meshes"
+
+
+def test_train_on_what_generate_writes(tmp_path, monkeypatch):
+    few = dataclasses.replace(HUMAN_NPT, people=3, poses=4)
+    monkeypatch.setattr("mimesh.evaluate.generate.find_protocol", lambda *_: few)
+    assert run(["generate", "human-npt", "--split", "train", "-o", str(tmp_path / "table")]) == 0
+    config = dataclasses.replace(MESHES, pairs=160, batch=4, validate_every=80, learning_rate=3e-3, decay=0.0, ema=0.0)
+    out = train(config, tmp_path / "run", None, RegisteredMeshes.read(tmp_path / "table"))
+    figures = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
+    first, last = (line for line in figures if line["kind"] == "validation")
+    assert last["fresh"] < first["fresh"]
+    facts = checkpoint.load(out / "last.safetensors").meshes
+    assert (facts["people"], facts["poses"], facts["vertices"]) == (3, 4, 6890)
+    assert facts["held_out"] == {"people": ["2"], "poses": ["3"]}
+
+
+def train_by_command(network, config, data, folder):
+    """Train and resume in `folder`/run, and return the checkpoint."""
+    values = dataclasses.asdict(config) | {"data": {"vertices": 32}, "pairs": 8, "validate_every": 8}
+    (folder / "tiny.yaml").write_text(json.dumps(values))
+    out = str(folder / "run")
+    assert run(["train", network, "--config", str(folder / "tiny.yaml"), "--meshes", str(data), "-o", out]) == 0
+    assert run(["train", network, "--resume", out, "--meshes", str(data), "--set", "pairs=12"]) == 0
+    state = checkpoint.load(folder / "run" / "last.safetensors")
+    assert state.step * config.batch == 12
+    return state
+
+
+def test_train_export_and_transfer_by_the_command_line(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    state = train_by_command("npt", MESHES, folder, tmp_path)
+    assert "meshes 0 pairs: id{person:d}_{pose}: 20 meshes of 4 people in 5 poses" in capsys.readouterr().err
+    assert run(["export", "run/last.safetensors", "-o", "mine.onnx"]) == 0
+    card = json.loads((tmp_path / "mine.json").read_text())
+    assert card["data"] == "registered meshes or clips of a folder (`meshes`)"
+    assert card["meshes"] == state.meshes
+    assert card["metrics"]["val"].keys() == {"seen_pmd_e4", "unseen_pmd_e4", "fresh_pmd_e4", "val_pmd_e4"}
+    assert training_facts("mine.onnx")["trained"].endswith(
+        "12 pairs of 32 vertices; registered meshes, 4 people x 5 poses"
+    )
+    save_mesh(person(5, None, FACES), tmp_path / "hero.obj")
+    save_mesh(person(6, 3, FACES), tmp_path / "pose.obj")
+    assert run(["transfer", "hero.obj", "pose.obj", "-m", "mine.onnx", "-o", "out.obj", "--no-preview"]) == 0
+    assert load_mesh(tmp_path / "out.obj").vertices.shape == person(5, None, FACES).vertices.shape
+
+
+def test_train_aniformer_on_clips_by_the_command_line(clips, tmp_path, capsys):
+    small = AniFormerConfig(encoder=(8, 16, 16), layers=(16, 8, 8, 8), heads=1, attention="frames")
+    config = AniFormerTrainConfig(model=small, batch=2, learning_rate=1e-3, validation_pairs=1)
+    state = train_by_command("aniformer", config, clips, tmp_path)
+    assert "meshes 0 pairs: {person}/{pose}: 16 clips (96 frames) of 4 people in 4 motions" in capsys.readouterr().err
+    assert {"seen", "unseen", "fresh", "val"} == set(state.metrics)
