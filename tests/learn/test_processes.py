@@ -14,7 +14,9 @@ from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
 from mimesh.learn.processes import is_first_process, joined_processes
 from mimesh.learn.tasks.npt import NPTTask
+from mimesh.learn.tasks.npt_batches import PairSource
 from mimesh.learn.train import TrainingRun, train
+from mimesh.learn.vertex_sampler import share_of
 
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
 
@@ -111,3 +113,28 @@ def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):
     }
     with pytest.raises(InputError, match="expected a multiple of 3"):
         TrainingRun.start(dataclasses.replace(PARTS, accumulate=3), tmp_path)
+
+
+def test_samples_go_on_where_the_number_of_parts_changes(tmp_path, monkeypatch):
+    """No sample is drawn twice."""
+    drawn = []
+    make = PairSource.batch
+    monkeypatch.setattr(
+        PairSource, "batch", lambda self, size, step: drawn.append((size, step)) or make(self, size, step)
+    )
+    run = TrainingRun.start(dataclasses.replace(PARTS, accumulate=4), tmp_path)
+    run.advance()
+    run.save(tmp_path / "last.safetensors")
+    again = TrainingRun.start(dataclasses.replace(PARTS, accumulate=1), tmp_path)
+    again.advance()
+    again.advance()
+    assert drawn == [(1, 0), (1, 1), (1, 2), (1, 3), (4, 4), (4, 5)]
+
+
+@pytest.mark.parametrize(("size", "share"), [(1, 0.5), (3, 0.5), (4, 0.1), (16, 0.35), (20, 0.55), (8, 1.0), (8, 0.0)])
+def test_a_share_of_small_parts_is_right_over_the_steps(size, share):
+    counts = [share_of(size, share, step) for step in range(200)]
+    assert sum(counts) == round(200 * size * share)
+    assert max(counts) - min(counts) <= 1
+    if float(size * share).is_integer():
+        assert set(counts) == {size * share}

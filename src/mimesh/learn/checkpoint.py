@@ -39,6 +39,7 @@ POSITION = (
     "meshes",
     "changes",
     "operations",
+    "samples",
 )
 """Fields of a Checkpoint that are neither configuration nor tensors."""
 
@@ -73,6 +74,9 @@ class Checkpoint:
     """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
     meshes: dict[str, Any] = field(default_factory=dict)
     """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
+
+    samples: int | None = None
+    """Parts of batches so far (`TrainingRun.samples`); None in checkpoints that do not say."""
 
     def spent(self) -> dict[str, int | float]:
         """Give the time, the pairs and, if known, the operations of this training so far."""

@@ -91,6 +91,7 @@ def train_command(
             settings, folder = new_config(model, config, out, changes, folders, leave_out)
         pool = read_user_data(settings, folders, bar)
         if weights is not None:
+            processes.largest(0.0)  # all have seen that the folder is empty before the first one writes there
             processes.of_first(lambda: begin_with(settings, weights, folder, pool))
         return train(settings, folder, max_minutes, pool, processes)
 
@@ -243,6 +244,8 @@ class TrainingRun:
     """What was changed where the training was resumed, as in `Checkpoint`."""
     operations: float = 0.0
     """Floating-point operations so far, without those of the optimizer."""
+    samples: int = 0
+    """Parts of batches so far, over all processes: their number may change where a training is resumed."""
 
     @classmethod
     def start(
@@ -280,6 +283,7 @@ class TrainingRun:
             run.metrics = state.metrics or None
             run.validated = state.step if state.validated is None else state.validated
             run.changes = (*state.changes, *changes_at_resume(state, config, pool))
+            run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
             spent = state.operations  # not in checkpoints of earlier versions
             run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
         return run
@@ -321,8 +325,8 @@ class TrainingRun:
     def advance(self) -> Tensor:
         """Take one optimizer step and give this process's mean loss, which stays on the device.
 
-        The batch has `accumulate` parts in each process, and part i of step s is the generator's sample s * parts + i:
-        which process computes it makes no difference. Random numbers of a loss are those of the sample, too.
+        The batch has `accumulate` parts in each process. Parts are the generator's next samples, in this order: which
+        process computes one makes no difference. Random numbers of a loss are those of the sample, too.
         """
         started = self.clock()
         config, processes = self.config, self.processes
@@ -333,7 +337,7 @@ class TrainingRun:
             optimizer.zero_grad(set_to_none=True)
         losses = []
         for part in range(processes.rank, parts, processes.count):
-            sample = self.step * parts + part
+            sample = self.samples + part
             batch = self.source.batch(config.batch // parts, sample)
             loss = self.task.loss(self.step_model, batch, sample)
             (loss / config.accumulate).backward()
@@ -348,6 +352,7 @@ class TrainingRun:
             for name, average in self.ema.items():
                 average.lerp_(current[name], 1.0 - config.ema)
         self.step += 1
+        self.samples += parts
         self.operations += training_operations(self.task, self.model, config.batch)
         self.metrics = None
         self.seconds += self.clock() - started
@@ -379,7 +384,7 @@ class TrainingRun:
         tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
         position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
         brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
-        rest = {"changes": self.changes, "operations": self.operations, **brought}
+        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)
 

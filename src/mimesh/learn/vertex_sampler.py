@@ -12,6 +12,15 @@ from torch import Tensor
 from ..core import geometry
 
 
+def share_of(size: int, share: float, step: int) -> int:
+    """Give how many of the `size` pairs of a step a share is: rounded up or down, so that it is right over the steps.
+
+    Parts of a batch may be so small that rounding each in the same way would leave a share out.
+    """
+    before, after = (math.floor(round(share * size * count, 6)) for count in (step, step + 1))
+    return after - before
+
+
 class VertexSampler:
     """Draws vertices of one topology on one device; subclasses draw the meshes and make batches of them.
 

@@ -25,6 +25,7 @@ from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
 from ..primitives import primitive_people
+from ..vertex_sampler import share_of
 from .base import OnnxInterface, Task, TrainConfig
 from .mime_characters import CharacterPairs
 from .mime_people import People, PeopleSampler, PosedSurface, SurfaceBody, plain_people
@@ -122,7 +123,7 @@ class SurfaceSource(BodySampler):
     def batch(self, size: int, step: int) -> SurfaceBatch:
         """Make the pairs of a step."""
         rng = self._generator(step)
-        figures = round(self.config.characters * size)
+        figures = share_of(size, self.config.characters, step)
         groups = [self._people(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []
         identity, driving, truth = (PosedSurface.joined(surfaces) for surfaces in zip(*groups, strict=True))

@@ -14,7 +14,7 @@ from ...bodies import RiggedBody
 from ..body_sampler import BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..mesh_pairs import MeshSampler
-from ..vertex_sampler import pairs_of_rows
+from ..vertex_sampler import pairs_of_rows, share_of
 from .mime_characters import CharacterPairs
 
 POINTS = 1024
@@ -84,7 +84,7 @@ class CharacterPairSource(PairSource):
 
     def batch(self, size: int, step: int) -> PairBatch:
         """Make the pairs of a step."""
-        rng, figures = self._generator(step), round(self.config.characters * size)
+        rng, figures = self._generator(step), share_of(size, self.config.characters, step)
         groups = [self._people(size - figures, rng)] if figures < size else []
         groups += [self._figures(figures, rng)] if figures else []
         return PairBatch.joined(groups)
