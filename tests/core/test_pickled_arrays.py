@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import pickle
 import pickletools
@@ -248,6 +249,30 @@ BOMBS = {
     + b"sb" * 50_000
     + b"s.",
 }
+
+
+def selections(depth: int) -> bytes:
+    """A pickle whose entry "a" is a selection from a selection by itself, `depth` times: 2^depth arrays to make."""
+    level = b"cchumpy.reordering\nSelect\n)\x81}(U\x01ah%cU\x04idxsh%cubq%c0"
+    array = pickle.dumps(np.zeros(1, np.int64), 2)[2:-1] + b"q\x640"
+    names = [100, *range(101, 101 + depth)]
+    chain = b"".join(level % (below, below, name) for below, name in itertools.pairwise(names))
+    return b"\x80\x02" + array + chain + b"}U\x01ah%cs." % names[-1]
+
+
+TWINS = b"K\x01" + b"2\x86" * 60
+"""A tuple of a tuple of ... twice each: to print, to hash and to compare it takes 2^60 steps."""
+BOMBS |= {
+    "nested tuples as a type": b"\x80\x02}U\x01acnumpy.core.multiarray\nscalar\ncnumpy\ndtype\n("
+    + TWINS + b"K\x00K\x01tRU\x0812345678\x86Rs.",
+    "nested tuples as the type of an array": array_pickle(b"K\x01\x85").replace(b"U\x02f8", TWINS),
+    "nested tuples as an order": b"\x80\x02}U\x01acnumpy.core.numeric\n_frombuffer\n(U\x0812345678cnumpy\ndtype\n"
+    + b"(U\x02f8K\x00K\x01tRK\x01\x85" + TWINS + b"tRs.",
+    "selections of selections": selections(40),
+    "number of ten thousand digits as a key": b"\x80\x02}\x8b\x70\x17\x00\x00" + b"\x01" * 6000 + b"K\x01s.",
+    "keys of one hash": b"\x80\x02}("
+    + b"".join(b"\x8a\x0b" + (k * (2**61 - 1)).to_bytes(11, "little") + b"N" for k in range(1, 40_000)) + b"u.",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BOMBS)

@@ -56,15 +56,25 @@ def test_wins_are_counted_over_the_reports(tmp_path):
 
 
 def test_rows_of_the_papers_tables_stand_apart_from_what_users_get(tmp_path):
-    rows = [row("npt-table", "seen", 7.0), row("npt", "seen", 12.0), row("mime-table-network", "seen", 3.0)]
+    rows = [row("npt-full", "seen", 7.0), row("npt", "seen", 12.0), row("mime-table-network", "seen", 3.0)]
     fits = row("mime", "seen", 0.3, given="trained on our body, which it fits")
     page = results_page(written(tmp_path, report("human-npt", [*rows, fits])))
     ours, papers = page.split("## The papers' tables")
-    assert "`npt-table`" not in ours
+    assert "`npt-full`" not in ours
     assert "`mime-table-network`" not in ours
     assert set(table_after(ours, "### Table 6, the papers' training poses")) == {"`npt`"}
     assert set(table_after(ours, "With the shipped body's model:")) == {"`mime`"}
-    assert "| `npt-table` | 1.1 | 9.3 | 7 |" in papers
+    assert "| `npt-full` | 1.1 | 9.3 | 7 |" in papers
+
+
+def test_mirror_images_stand_beside_their_pairs(tmp_path):
+    rows = [row(method, kind, 4.0) for method in ("npt", "copy") for kind in ("seen", "unseen")]
+    mirrored = [row("npt", "seen, mirrored", 90.0), row("npt", "unseen, mirrored", 80.0)]
+    plain = results_page(written(tmp_path, report("human-npt", rows)))
+    assert "### Mirror images" not in plain
+    page = results_page(written(tmp_path, report("human-npt", rows), report("human-npt", mirrored)))
+    assert "| `npt` | 4 | 90 | 4 | 80 |" in page.split("### Mirror images")[1]
+    assert page.split("### Table 6, the papers' training poses")[1].split("###")[0].count("| `npt` |") == 1
 
 
 def test_warnings_have_their_share_and_curve(tmp_path):

@@ -78,6 +78,8 @@ def test_mirror_images_are_as_hard_for_a_method_without_a_side():
         assert b["pmd_e4"] == pytest.approx(a["pmd_e4"])
         assert set(a["each"]["pair"]).isdisjoint(b["each"]["pair"])
     assert mirror["provenance"]["config"]["mirror"] is True
+    looked_at = evaluate_command("noise", ["identity"], pairs=1, mirror=True)["sets"]
+    assert looked_at["holes, mirrored"]["role"] == "development"
     with pytest.raises(InputError, match="--mirror: expected a test set of single meshes"):
         evaluate_command("fingers", ["mime"], mirror=True)
 

@@ -122,7 +122,17 @@ def test_written_lists_are_read_again(folder):
 
 
 @pytest.mark.parametrize(
-    "content", ["{", "[1.7]", "1.7", '{"id0_0.obj": "tall"}', '{"id0_0.obj": -1}', '{"id0_0.obj": true}', "\0"]
+    "content",
+    [
+        "{",
+        "[1.7]",
+        "1.7",
+        '{"id0_0.obj": "tall"}',
+        '{"id0_0.obj": -1}',
+        '{"id0_0.obj": true}',
+        '{"id0_0.obj": 1' + "0" * 400 + "}",
+        "\0",
+    ],
 )
 def test_damaged_heights_are_refused(tmp_path, content):
     (tmp_path / "seen.heights.json").write_text(content)

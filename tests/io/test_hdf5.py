@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 
 import numpy as np
 import pytest
@@ -136,6 +137,28 @@ def test_a_dataset_that_claims_more_than_it_stores_is_refused(tmp_path):
         file["faces"] = FACES
     with pytest.raises(InputError, match="expected the values of 'a' in the file, found 0 bytes"):
         load_clip(tmp_path / "a.hdf5")
+
+
+def test_a_chunk_that_would_fill_the_memory_is_refused(tmp_path):
+    """A dataset in one chunk would be unpacked whole for every block of frames: minutes for a file of two megabytes."""
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        shape = (200_000, 3, 200)
+        data = file.create_dataset("a", shape=shape, dtype="f4", chunks=shape, compression="gzip")
+        data.id.write_direct_chunk((0, 0, 0), b"0" * 250_000)
+        file["faces"] = FACES
+    with pytest.raises(InputError, match="expected chunks of at most 256 MiB in 'a', found 457; save it in smaller"):
+        load_clip(tmp_path / "a.hdf5")
+
+
+def test_chunks_of_many_frames_are_unpacked_once(tmp_path):
+    """100,000 frames in one chunk, more than HDF5 keeps: unpacked for every 32 frames, it would take minutes."""
+    points = np.random.default_rng(0).random((30, 3, 1)).astype(np.float32) + np.zeros(100_000, np.float32)
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file.create_dataset("a", data=points, chunks=points.shape, compression="gzip", compression_opts=1)
+        file["faces"] = FACES
+    started = time.process_time()
+    np.testing.assert_array_equal(load_clip(tmp_path / "a.hdf5").vertices, np.moveaxis(points, 2, 0))
+    assert time.process_time() - started < 5
 
 
 def test_links_to_other_files_are_not_followed(tmp_path):

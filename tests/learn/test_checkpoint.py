@@ -125,6 +125,24 @@ def test_weights_of_eight_bits_are_a_quarter_and_begin_a_training(tmp_path):
     assert losses(TrainingRun.start(config, tmp_path / "next"), 1)[0] < 2
 
 
+def test_a_compact_checkpoint_may_be_packed_again(tmp_path):
+    """From 16 bits to 8, and from 8 to 8, which changes nothing: scales of small weights would be zero in float16."""
+    config = dataclasses.replace(TINY, model=NPTConfig(encoder=(64, 128, 128), decoder=(131, 64, 64)), precision="fp32")
+    run = TrainingRun.start(config, tmp_path / "none")
+    with torch.no_grad():
+        for value in run.model.parameters():
+            value.mul_(1e-4)
+    whole, half, small, again = (tmp_path / f"{name}.safetensors" for name in ("whole", "half", "small", "again"))
+    run.save(whole)
+    checkpoint.save_compact(whole, half, weights_only=True)
+    checkpoint.save_compact(half, small, weights_only=True, bits=8)
+    checkpoint.save_compact(small, again, weights_only=True, bits=8)
+    assert small.stat().st_size < 0.7 * half.stat().st_size
+    first, second = (checkpoint.load(path).weights() for path in (small, again))
+    for name, value in first.items():
+        torch.testing.assert_close(second[name], value, rtol=2e-3, atol=1e-9, msg=name)
+
+
 def test_a_compact_checkpoint_without_the_average_begins_a_new_one(tmp_path):
     run = TrainingRun.start(TINY, tmp_path / "none")
     losses(run, 3)

@@ -8,13 +8,14 @@ from trainings import TINY
 
 from mimesh.learn import checkpoint
 from mimesh.learn.cost import activation_bytes, operations_spent, training_operations
+from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTask
 from mimesh.learn.train import TrainingRun, train
 
 
-def kept(vertices, **changes):
+def kept(vertices, precision="fp32", **changes):
     config = dataclasses.replace(TINY, data=dataclasses.replace(TINY.data, vertices=vertices), **changes)
-    task = NPTTask(config, torch.device("cpu"))
+    task = NPTTask(config, torch.device("cpu"), precision)
     return activation_bytes(task, task.make_model(), task.source(0))
 
 
@@ -22,6 +23,13 @@ def test_activations_grow_with_vertices_and_not_with_weights():
     assert kept(512) / kept(128) == pytest.approx(4.0, rel=0.1)
     widths = sum([3, *TINY.model.encoder, *TINY.model.decoder])
     assert 4 * 128 * widths < kept(128) < 4 * 128 * widths * 20
+
+
+def test_copies_of_weights_in_16_bits_are_not_counted_for_every_pair():
+    """A wide network on 16 vertices: most of what one pair keeps are its weights in bfloat16."""
+    wide = NPTConfig(encoder=(64, 256, 512), decoder=(515, 256, 128))
+    full, half = (kept(16, precision, model=wide) for precision in ("fp32", "bf16"))
+    assert half < full
 
 
 def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):

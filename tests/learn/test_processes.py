@@ -12,6 +12,7 @@ from trainings import TINY
 
 from mimesh.core.errors import InputError
 from mimesh.learn import checkpoint
+from mimesh.learn.processes import is_first_process, joined_processes
 from mimesh.learn.tasks.npt import NPTTask
 from mimesh.learn.train import TrainingRun, train
 
@@ -31,6 +32,34 @@ def test_parts_give_the_gradient_of_their_pairs_together(tmp_path):
         assert mine.grad is not None
         assert expected.grad is not None
         torch.testing.assert_close(mine.grad, expected.grad)
+
+
+def test_parts_have_random_numbers_of_their_own(tmp_path, monkeypatch):
+    """LIMP's loss compares random pairs of vertices: a step's parts must not all compare the same ones."""
+    run, numbers = TrainingRun.start(PARTS, tmp_path), []
+    loss = run.task.loss
+    monkeypatch.setattr(run.task, "loss", lambda model, batch, step: numbers.append(step) or loss(model, batch, step))
+    run.advance()
+    run.advance()
+    assert numbers == [0, 1, 2, 3]
+
+
+def test_a_rank_without_other_processes_writes(monkeypatch):
+    """Clusters set RANK for other reasons; without WORLD_SIZE this process is alone."""
+    monkeypatch.setenv("RANK", "1")
+    monkeypatch.delenv("WORLD_SIZE", raising=False)
+    assert is_first_process()
+    with joined_processes() as processes:
+        assert processes.first
+
+
+def test_more_processes_than_devices_are_refused(monkeypatch):
+    for name, value in (("RANK", 1), ("LOCAL_RANK", 1), ("WORLD_SIZE", 2)):
+        monkeypatch.setenv(name, str(value))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    with pytest.raises(InputError, match="--nproc-per-node: expected at most 1"), joined_processes():
+        pass
 
 
 def launch(folder, config, *more, count=2):

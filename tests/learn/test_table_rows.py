@@ -52,7 +52,7 @@ def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
     mean, deviation = sum(errors) / 2, abs(errors[0] - errors[1]) / 2**0.5
     assert f"| {mean:.3g} ± {deviation:.2g} |" in line or f"| {mean:.0f} ± {deviation:.2g} |" in line
     assert "mean over 2 seeds" in done.output
-    assert "6 trainings" in done.output
+    assert "6 trainings: 0 CPU minutes, and those that end after a number of pairs" in done.output
 
 
 @pytest.mark.usefixtures("small_table")
@@ -61,6 +61,9 @@ def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
     written = (tmp_path / "npt-equal.onnx").stat().st_mtime_ns
     train_row("npt-equal", 0, 0.001, tmp_path)
     assert (tmp_path / "npt-equal.onnx").stat().st_mtime_ns == written
+    (tmp_path / "npt-equal.json").unlink()  # as where the process was killed before it wrote the card
+    train_row("npt-equal", 0, 0.001, tmp_path)
+    assert (tmp_path / "npt-equal.json").exists()
     with pytest.raises(InputError, match="expected no training, or one with this configuration"):
         train_row("npt-equal", 0, 0.002, tmp_path)
 
@@ -70,6 +73,8 @@ def test_options_of_a_training_need_the_training(tmp_path):
     done = run("--seeds", "3")
     assert isinstance(done.exception, InputError)
     assert "add --train" in str(done.exception)
+    done = CliRunner().invoke(app, ["table", "npt-2", "--train", "--minutes", "0"])
+    assert "--minutes: expected a positive number" in str(done.exception)
 
 
 def test_rows_that_take_hours_are_trained_only_where_asked():

@@ -29,6 +29,8 @@ NUMBERS = {
 """Types of arrays that are read, as NumPy names them in a pickle."""
 LARGEST_SPARSE = 1 << 24
 """Entries, zeros included, up to which a sparse matrix is accepted: joints times vertices, 1.6 million for SMPL+H."""
+LARGEST_KEY = 1 << 60
+"""Numbers below this are keys of dictionaries: each has a hash of its own, while many larger ones may share theirs."""
 # What the pickle machine and NumPy raise for a damaged pickle.
 _DAMAGE = (
     pickle.UnpicklingError, ValueError, TypeError, KeyError, IndexError, AttributeError, EOFError, OverflowError,
@@ -193,10 +195,14 @@ def _put(entries: object, items: list) -> dict:
     A tuple of a tuple of ... twice each has a hash that takes time exponential in its depth.
     """
     keys, values = items[::2], items[1::2]
-    if not isinstance(entries, dict) or not all(isinstance(key, str | bytes | int | float) for key in keys):
+    if not isinstance(entries, dict) or not all(map(_is_key, keys)):
         raise ValueError("a dictionary with odd keys")
     entries.update(zip(keys, values, strict=True))
     return entries
+
+
+def _is_key(key: object) -> bool:
+    return isinstance(key, str | bytes | float) or (isinstance(key, int) and abs(key) < LARGEST_KEY)
 
 
 _PLAIN = (
@@ -235,10 +241,24 @@ def _array(value: object) -> np.ndarray:
     return np.asarray(value)
 
 
+def _part(value: object) -> np.ndarray:
+    """Make an array that another one is made of: it must hold its numbers itself.
+
+    If selections of selections were among them, a short pickle could ask for one array 2^40 times.
+    """
+    if isinstance(value, _Call) and (value.target.name not in ("_reconstruct", "_frombuffer") or _holds_object(value)):
+        raise ValueError(f"a part made by {value.target.name}")
+    return _array(value)
+
+
+def _holds_object(call: _Call) -> bool:
+    return call.target.name == "_reconstruct" and _type_name(call.state[-3]).startswith("O")
+
+
 def _stored(call: _Call) -> np.ndarray:
     """numpy.core.multiarray._reconstruct: the state is (version, shape, type, column-major, bytes)."""
     shape, dtype, column_major, data = call.state[-4:]
-    if str(dtype.arguments[0]).startswith("O"):  # an array of one object is that object
+    if _holds_object(call):  # an array of one object is that object
         (content,) = data
         return _array(content)
     return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order="F" if column_major else "C")
@@ -248,7 +268,7 @@ def _buffer(call: _Call) -> np.ndarray:
     """numpy.core.numeric._frombuffer(bytes, type, shape, order), from protocol 5 on."""
     data, dtype, shape, order = call.arguments[:4]
     if order not in ("C", "F"):
-        raise ValueError(f"an array in the order {order!r:.10}")
+        raise ValueError("an array in another order than C and F")
     return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order=order)
 
 
@@ -260,7 +280,7 @@ def _scalar(call: _Call) -> np.ndarray:
 
 def _compressed(call: _Call) -> np.ndarray:
     """csr_matrix and csc_matrix: row or column k has the entries indptr[k] to indptr[k + 1] of indices and data."""
-    data, indices, starts = (_array(call.state[name]).reshape(-1) for name in ("data", "indices", "indptr"))
+    data, indices, starts = (_part(call.state[name]).reshape(-1) for name in ("data", "indices", "indptr"))
     if starts[0] != 0 or starts[-1] != len(indices) or (starts[1:] < starts[:-1]).any():
         raise ValueError("a sparse matrix whose indptr do not divide its indices")
     lines = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -270,7 +290,7 @@ def _compressed(call: _Call) -> np.ndarray:
 def _coordinates(call: _Call) -> np.ndarray:
     """coo_matrix: entry k is at row[k], col[k]; newer versions of SciPy call both coords."""
     rows, columns = call.state["coords"] if "coords" in call.state else (call.state["row"], call.state["col"])
-    return _scattered(call, (_array(rows), _array(columns)), _array(call.state["data"]))
+    return _scattered(call, (_part(rows), _part(columns)), _part(call.state["data"]))
 
 
 def _scattered(call: _Call, places: tuple[np.ndarray, np.ndarray], data: np.ndarray) -> np.ndarray:
@@ -294,7 +314,7 @@ def _variable(call: _Call) -> np.ndarray:
 
 def _selection(call: _Call) -> np.ndarray:
     """chumpy.reordering.Select: entries idxs of the flattened array a, in another shape."""
-    chosen = _array(call.state["a"]).reshape(-1)[_array(call.state["idxs"])]
+    chosen = _array(call.state["a"]).reshape(-1)[_part(call.state["idxs"])]
     shape = call.state.get("preferred_shape")
     return chosen if shape is None else chosen.reshape(shape)
 
@@ -306,10 +326,18 @@ def _no_array(call: _Call) -> np.ndarray:
 
 def _dtype(call: _Call) -> np.dtype:
     """numpy.dtype(name, ...), whose state has the byte order in second place."""
-    name, order = call.arguments[0], call.state[1] if call.state else "="
+    name, order = _type_name(call), call.state[1] if call.state else "="
     if call.target.name != "dtype" or name not in NUMBERS or order not in ("<", ">", "=", "|"):
         raise ValueError(f"an array of the type {name!r:.20}")
     return np.dtype(name).newbyteorder(order)
+
+
+def _type_name(call: _Call) -> str:
+    """Return the name of a numpy.dtype; anything else may take forever to compare or print (`_put`)."""
+    name = call.arguments[0]
+    if not isinstance(name, str):
+        raise ValueError("an array of a type without a name")
+    return name
 
 
 def _bytes(value: object) -> bytes:

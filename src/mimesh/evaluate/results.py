@@ -21,6 +21,7 @@ from .markdown import (
     not_applicable,
     warnings_table,
 )
+from .protocols import HUMAN_NPT
 from .tables import TABLES, paper_table
 
 FITS_SHIPPED_BODY = ("our body model and its joint limits", "trained on our body, which it fits")
@@ -174,6 +175,8 @@ correspondence. The row `identity` is the identity, not moved. The row `truth` s
 REPRODUCTION = """The rows of the papers' tables, trained and tested as the papers say, on the shipped body instead of
 SMPL: compare orders, not digits. All were trained with a small share of the paper's compute, on one CPU core. *Seen*
 are the poses or motions of the training."""
+MIRRORED = """The pairs of `human-npt` and their mirror images (`mimesh evaluate human-npt --mirror`), PMD x1e-4, mean.
+A network that was trained on one side only is many times worse on the other."""
 CONFIDENCE = """`mime` warns where it expects a large error. *Uncertainty* is the expected error over its threshold, or
 what is missing of a limb or how far it is folded over theirs if that is larger; above 1 the user is warned. Bad results
 should be warned of, good ones should not. Pairs without a true mesh are not counted, and the kinds of `noise` are the
@@ -195,6 +198,8 @@ def results_page(folder: Path) -> str:
         parts += _makers_tables(rows) if section is CHARACTERS else []
     parts += ["## The papers' tables", REPRODUCTION]
     parts += [part for name in TABLES for part in (f"### Table {name}", paper_table(name, *reports.values()))]
+    if mirror := _mirror_table(rows):
+        parts += ["### Mirror images", MIRRORED, mirror]
     parts += ["## Warnings", CONFIDENCE, *_confidence_tables(rows), "## Where the figures come from"]
     parts += [_origin(stem, report) for stem, report in reports.items()]
     return "\n\n".join(part.strip() for part in parts) + "\n"
@@ -288,6 +293,17 @@ def _set_facts(test_set: Set) -> str:
         notes += [f"The nearest training frame is {median:g} degrees away (mean over the joints) in the median, at "
                   f"least {least:g}"]  # fmt: skip
     return f"{text} {'. '.join(notes)}{'.' if notes else ''}"
+
+
+def _mirror_table(rows: dict[Key, list[dict[str, Any]]]) -> str:
+    """Format the errors on the pairs of `human-npt` beside those on their mirror images; empty if none was measured."""
+    kinds = [f"{kind}{end}" for kind in HUMAN_NPT.kinds for end in ("", ", mirrored")]
+    by_method = {kind: {row["method"]: row for row in rows.get((HUMAN_NPT.name, kind), [])} for kind in kinds}
+    lines = [
+        [f"`{method}`", *(cell(by_method[kind].get(method), "pmd_e4") for kind in kinds)]
+        for method in by_method[kinds[1]]
+    ]
+    return markdown_table(["method", *kinds], lines) if lines else ""
 
 
 def _makers_tables(rows: dict[Key, list[dict[str, Any]]]) -> list[str]:

@@ -107,7 +107,7 @@ def evaluate_command(
             label = f"{kind}, mirrored" if mirror else kind
             rows.append({**summary(method, label, figures), "weights": weights})
             if label not in sets:  # every method gets the same pairs
-                sets[label] = set_facts(chosen, split, label, [metrics["pair"] for metrics in figures])
+                sets[label] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures], mirror)
             if dump is not None:
                 from .dump import dump_worst
 
@@ -197,11 +197,14 @@ def _whole_lines(path: Path):
             yield json.loads(line)
 
 
-def set_facts(protocol: Protocol, split: str, kind: str, pairs: list[str]) -> dict[str, Any]:
-    """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`."""
+def set_facts(protocol: Protocol, split: str, kind: str, pairs: list[str], mirror: bool = False) -> dict[str, Any]:
+    """Return the role and the checksum of a set of pairs, and how it compares with the one of `frozen_sets`.
+
+    Mirror images have the role of their set, and no frozen one.
+    """
     if isinstance(protocol, ListedPairs):
         return {"role": "own files", "sha256": set_checksum(pairs), "frozen": "unknown"}
-    stored = frozen_sets().get((protocol.name, split, kind))
+    stored = None if mirror else frozen_sets().get((protocol.name, split, kind))
     frozen = "unknown" if stored is None else stored.compare(pairs)
     return {"role": role(protocol.name, split, kind), "sha256": set_checksum(pairs), "frozen": frozen}
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,9 +26,11 @@ DEFAULT_FPS = 60.0
 FACES = "faces"
 """Name of the dataset of the triangles."""
 BLOCK = 32
-"""Frames read at once: those of a dataset lie side by side in the file."""
+"""Frames read at once, or all that share a chunk: those of a dataset lie side by side in the file."""
 LARGEST_RATIO = 2000
 """Largest ratio of a dataset's size to what it takes in the file; that of deflate is at most 1032."""
+LARGEST_CHUNK = 1 << 28
+"""Bytes up to which a compressed piece of a dataset is accepted, as it is unpacked whole, and that are read at once."""
 
 
 def clip_lengths(path: Path) -> dict[str, int]:
@@ -118,6 +121,14 @@ def _clips(file: Any, path: Path) -> dict[str, Any]:
     return clips
 
 
+def _frames_at_once(data: Any) -> int:
+    """Give the frames of a block, such that a chunk is unpacked once, unless so many would be too large."""
+    if data.chunks is None:
+        return BLOCK
+    frame = data.shape[0] * 3 * data.dtype.itemsize
+    return max(BLOCK, min(data.chunks[2], LARGEST_CHUNK // max(frame, 1)))
+
+
 def _is_own_dataset(file: Any, name: str) -> bool:
     """Whether an entry is a dataset with a name that can be printed and values that lie in this file."""
     import h5py
@@ -135,12 +146,19 @@ def _check_stored(data: Any, name: str, path: Path) -> None:
             f"{path}: expected the values of '{name}' in the file, found {data.id.get_storage_size()} bytes for "
             f"{data.shape}; copy or download it again"
         )
+    chunk = math.prod(data.chunks or ()) * data.dtype.itemsize
+    if chunk > LARGEST_CHUNK:
+        raise InputError(
+            f"{path}: expected chunks of at most {LARGEST_CHUNK >> 20} MiB in '{name}', found {chunk >> 20}; "
+            "save it in smaller ones"
+        )
 
 
 def _frames(data: Any) -> Iterator[Float[np.ndarray, "V 3"]]:
     """Yield the frames of a dataset (V, 3, T)."""
-    for t in range(0, data.shape[2], BLOCK):
-        yield from np.moveaxis(data[:, :, t : t + BLOCK], 2, 0)
+    block = _frames_at_once(data)
+    for t in range(0, data.shape[2], block):
+        yield from np.moveaxis(data[:, :, t : t + block], 2, 0)
 
 
 def _faces(file: Any, path: Path) -> Int[np.ndarray, "F 3"]:

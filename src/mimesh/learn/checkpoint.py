@@ -66,8 +66,7 @@ class Checkpoint:
     """Makers, numbers, licences and checksum of the characters trained on (`TrainingCharacters.facts`), if any."""
     changes: tuple[dict[str, Any], ...] = ()
     """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
-    values before. Where its
-    network was averaged with others, `averaged` lists them (`average`).
+    values before. Where its network was averaged with others, `averaged` lists them (`average`).
     """
 
     operations: float | None = None
@@ -132,20 +131,18 @@ def save_compact(
 ) -> None:
     """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
 
-    With 8 `bits` each row of a matrix of weights is rounded to int8 with its own scale: a quarter.
-
+    With 8 `bits` each row of a matrix of weights is rounded to int8 with its own scale: weights take a quarter.
     Without the `average` a third less; a training that continues begins a new one. With `weights_only`, average and
     optimizer state are left out: a start for another training (`--weights`).
 
     `load` reads it as any other and a training continues from it, from rounded numbers. Adam's squares of small
     gradients would be zero in float16.
     """
-    load(path)  # raises InputError
+    found = load(path).tensors  # in float32, also where the file is compact already
     with safe_open(path, "pt") as file:
         metadata = file.metadata()
-        left_out = ("ema.", "optimizer.") if weights_only else () if average else ("ema.",)
-        kept = (key for key in file.keys() if not key.startswith(left_out))  # noqa: SIM118 (not a dict)
-        tensors = {key: file.get_tensor(key) for key in kept}
+    left_out = ("ema.", "optimizer.") if weights_only else () if average else ("ema.",)
+    tensors = {key: value for key, value in found.items() if not key.startswith(left_out)}
     for key, value in list(tensors.items()):
         if value.dtype != torch.float32 or not value.ndim:
             continue

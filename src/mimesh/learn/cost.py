@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
 
@@ -37,20 +39,25 @@ def operations_spent(trained: Checkpoint) -> float:
 
 
 def activation_bytes(task: Task, model: nn.Module, source: BatchSource) -> int:
-    """Count the bytes that the forward pass of one pair keeps for the backward pass.
+    """Count the bytes that the forward pass keeps of each pair for the backward pass: of two pairs, less those of one.
 
-    Weights are not among them. A part of a batch needs as many times that as it has pairs.
+    A part of a batch needs as many times that as it has pairs. Weights, and the copies of them in 16 bits that matrix
+    products of that precision keep once for all pairs, are not among them.
     """
+    one, two = (_saved_bytes(task, model, source.batch(size, 0)) for size in (1, 2))
+    return two - one
+
+
+def _saved_bytes(task: Task, model: nn.Module, batch: Any) -> int:
+    """Sum the storage of all tensors that the loss of a batch saves for its gradient."""
     kept: dict[int, int] = {}
-    weights = {parameter.untyped_storage().data_ptr() for parameter in model.parameters()}
 
     def keep(tensor: Tensor) -> Tensor:
         storage = tensor.untyped_storage()
-        if storage.data_ptr() not in weights:
-            kept[storage.data_ptr()] = storage.nbytes()
+        kept[storage.data_ptr()] = storage.nbytes()
         return tensor
 
     with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
-        loss = task.loss(model, source.batch(1, 0), 0)
+        loss = task.loss(model, batch, 0)
     del loss
     return sum(kept.values())

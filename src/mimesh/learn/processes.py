@@ -14,6 +14,8 @@ import torch.distributed as dist
 from torch import nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
+from ..core.errors import InputError
+
 WAIT = timedelta(hours=2)
 """Longest time that processes wait for each other: the first one validates alone."""
 Answer = TypeVar("Answer")
@@ -67,14 +69,23 @@ def joined_processes() -> Iterator[Processes]:
     """Join the processes that `torchrun` started, which says so in the environment; without it there is one.
 
     Each process has a CUDA device of its own, or the CPU.
+
+    Raises:
+        InputError: this machine has fewer CUDA devices than processes.
     """
-    rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+    rank, count = _rank_and_count()
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     if count == 1:
         yield Processes(0, 1, device)
         return
     if device.type == "cuda":
-        device = torch.device("cuda", int(os.environ["LOCAL_RANK"]))
+        number, devices = int(os.environ["LOCAL_RANK"]), torch.cuda.device_count()
+        if number >= devices:
+            raise InputError(
+                f"--nproc-per-node: expected at most {devices} processes, one for each CUDA device, found more; "
+                "start fewer, or let parts of a batch follow one another with --set accumulate"
+            )
+        device = torch.device("cuda", number)
         torch.cuda.set_device(device)
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAIT)
     try:
@@ -85,4 +96,10 @@ def joined_processes() -> Iterator[Processes]:
 
 def is_first_process() -> bool:
     """Tell whether this process is the only one, or the first of those that `torchrun` started."""
-    return os.environ.get("RANK", "0") == "0"
+    return _rank_and_count()[0] == 0
+
+
+def _rank_and_count() -> tuple[int, int]:
+    """Read what `torchrun` says; a rank without a number of processes is left from something else."""
+    count = int(os.environ.get("WORLD_SIZE", "1"))
+    return (int(os.environ["RANK"]) if count > 1 else 0), count

@@ -85,15 +85,18 @@ def train_table(
     Args:
         folder: gets a folder `seed0`, `seed1` ... for each seed.
         say: told what is trained before each network, and how long all take.
+
+    Raises:
+        InputError: no such table, no time, or a folder with trainings of another configuration.
     """
+    if not 0 < minutes < float("inf"):  # 0 in a configuration means that its number of pairs counts: days
+        raise InputError(f"--minutes: expected a positive number, found {minutes:g}; give another")
     rows = rows_of(table, long)
     folders = [folder / f"seed{seed}" for seed in range(seeds)]
     work = [(row, seed) for seed in range(seeds) for row in rows]
-    timed = sum(row_config(*one, minutes).minutes for one in work)
-    say(
-        f"{len(work)} trainings: {timed:.0f} CPU minutes"
-        + (", and those that end after a number of pairs" if long else "")
-    )
+    timed = [row_config(*one, minutes).minutes for one in work]
+    untimed = "" if all(timed) else ", and those that end after a number of pairs"
+    say(f"{len(work)} trainings: {sum(timed):.0f} CPU minutes{untimed}")
     for number, (row, seed) in enumerate(work, start=1):
         say(f"{number} of {len(work)}: {row}, seed {seed}")
         train_row(row, seed, minutes, folders[seed])
@@ -115,6 +118,6 @@ def train_row(row: str, seed: int, minutes: float, folder: Path) -> None:
         raise InputError(
             f"{run}: expected no training, or one with this configuration, found another; choose another folder"
         )
-    if not onnx.exists():
+    if not (onnx.exists() and onnx.with_suffix(".json").exists()):  # the card is written last
         train(config, run)
         export_command(last, onnx, BITS)

@@ -322,7 +322,7 @@ class TrainingRun:
         """Take one optimizer step and give this process's mean loss, which stays on the device.
 
         The batch has `accumulate` parts in each process, and part i of step s is the generator's sample s * parts + i:
-        which process computes it makes no difference.
+        which process computes it makes no difference. Random numbers of a loss are those of the sample, too.
         """
         started = self.clock()
         config, processes = self.config, self.processes
@@ -333,8 +333,9 @@ class TrainingRun:
             optimizer.zero_grad(set_to_none=True)
         losses = []
         for part in range(processes.rank, parts, processes.count):
-            batch = self.source.batch(config.batch // parts, self.step * parts + part)
-            loss = self.task.loss(self.step_model, batch, self.step)
+            sample = self.step * parts + part
+            batch = self.source.batch(config.batch // parts, sample)
+            loss = self.task.loss(self.step_model, batch, sample)
             (loss / config.accumulate).backward()
             losses.append(loss.detach())
         processes.average_gradients(self.model)
