@@ -189,7 +189,7 @@ def test_augmentations_and_clips_may_begin_where_a_training_is_resumed(pool, cli
     train_command("mime", "small", None, out, 0.001, changes, None, pool, clips)
     state = checkpoint.load(out / "last.safetensors")
     assert (state.config.data.low_poly, state.config.data.scans) == (0.5, 0.25)
-    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips"}]
+    assert [set(change) for change in state.changes] == [{"after_pairs", "data.low_poly", "data.scans", "clips", "was"}]
     assert state.characters["sha256"] == before.characters["sha256"]
     assert list(state.characters["clips"]["makers"].values()) == [1]
     with pytest.raises(InputError, match="expected the characters and clips of the training so far"):
