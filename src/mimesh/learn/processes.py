@@ -90,6 +90,7 @@ def joined_processes() -> Iterator[Processes]:
     dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAIT)
     try:
         yield Processes(rank, count, device)
+        dist.barrier()  # nobody leaves while another still waits for an answer
     finally:
         dist.destroy_process_group()
 
