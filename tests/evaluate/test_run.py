@@ -61,6 +61,20 @@ def test_evaluating_a_network_is_reproducible(tmp_path):
         assert a["pmd_e4"] == b["pmd_e4"] > 0
 
 
+def test_a_report_of_another_question_is_not_replaced(tmp_path):
+    out = tmp_path / "figures.json"
+    evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
+    evaluate_command("human-npt", ["copy", "identity"], out, split="val", pairs=1)  # of the same pairs: more methods
+    before = out.read_bytes()
+    for other in ({"pairs": 2}, {"pairs": 1, "mirror": True}):
+        with pytest.raises(InputError, match="expected no file, or a report of the same test set"):
+            evaluate_command("human-npt", ["copy"], out, split="val", **other)
+    out.write_text("notes of mine")
+    with pytest.raises(InputError, match="choose another name"):
+        evaluate_command("human-npt", ["copy"], out, split="val", pairs=1)
+    assert out.read_text() == "notes of mine" != before
+
+
 def test_mirror_images_are_as_hard_for_a_method_without_a_side():
     """`copy` has the same figures; a network of random weights has others, on meshes whose triangles face outwards."""
     pair = HUMAN_NPT.pair("val", "unseen", 0)

@@ -77,6 +77,14 @@ def test_options_of_a_training_need_the_training(tmp_path):
     assert "--minutes: expected a positive number" in str(done.exception)
 
 
+@pytest.mark.usefixtures("small_table")
+def test_missing_weights_are_noticed_before_anything_is_trained(tmp_path):
+    done = run("--train")
+    assert isinstance(done.exception, InputError)
+    assert "--long" in str(done.exception)
+    assert not (tmp_path / "runs").exists()
+
+
 def test_rows_that_take_hours_are_trained_only_where_asked():
     assert "npt-full" not in rows_of("npt-1", long=False)
     assert "npt-full" in rows_of("npt-1", long=True)
@@ -100,7 +108,10 @@ def test_networks_of_tables_may_lie_in_another_folder():
 
 
 def test_figures_over_seeds_are_means_with_their_deviation():
-    rows = [{"pairs": 2, "pmd_e4": value, "pmd_e4_ci95": 9.0, "mm": value / 2} for value in (1.0, 2.0, 3.0)]
-    assert over_seeds(rows) == {"pairs": 2, "pmd_e4": 2.0, "pmd_e4_ci95": 1.0, "mm": 1.0}
+    rows = [
+        {"pairs": 2, "pmd_e4": value, "pmd_e4_ci95": 9.0, "pmd_e4_median": 4.0, "mm": value / 2}
+        for value in (1.0, 2.0, 3.0)
+    ]
+    assert over_seeds(rows) == {"pairs": 2, "pmd_e4": 2.0, "pmd_e4_ci95": 1.0, "pmd_e4_median": 4.0, "mm": 1.0}
     assert over_seeds(rows[:1]) == rows[0]
     assert over_seeds([]) is None

@@ -60,7 +60,10 @@ def test_a_time_limit_stops_and_saves(tmp_path):
     state = checkpoint.load(folder / "last.safetensors")
     assert 0 < state.step < 10**6
     assert not (folder / "best.safetensors").exists()
-    assert "time given is over" in (folder / "log.jsonl").read_text()
+    log = (folder / "log.jsonl").read_text()
+    assert "time given is over" in log
+    assert "the learning rate had not begun to fall" in log
+    assert "set minutes" in log
 
 
 @pytest.mark.parametrize("pairs", [10**9, 2])

@@ -86,7 +86,9 @@ def evaluate(
         print_json(figures)
     elif not quiet:
         print(markdown(figures))
-        print_next("table", "npt-1")
+        print("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
+        if figures["protocol"] == "human-npt":
+            print_next("table", "npt-1")
 
 
 def table(
@@ -168,7 +170,9 @@ def figure(
 def generate(
     protocol: Protocol,
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")],
-    split: Annotated[str, typer.Option(help="test, val, or train (human-npt: 6,400 files).")] = "test",
+    split: Annotated[
+        str, typer.Option(help="test, val, or train (human-npt: 6,400 files, 4 GB; --pairs: poses).")
+    ] = "test",
     pairs: Pairs = 0,
     data: Data = None,
     frames_as: Annotated[

@@ -42,7 +42,7 @@ def generate_command(
     shuffle before use. The split `train` of human-npt is the table of 16 people x 400 poses.
 
     Args:
-        pairs: number of pairs of each kind; 0 for the protocol's own.
+        pairs: number of pairs of each kind, of `train` of poses of each person; 0 for the protocol's own.
         data: folder of a protocol that reads one.
         frames_as: ".obj" or ".ply" writes each clip as a folder of frames; None: as CLIP_SUFFIX.
 
@@ -57,7 +57,7 @@ def generate_command(
     if frames_as not in (None, *FRAME_SUFFIXES):
         raise InputError(f"--frames-as: expected {' or '.join(FRAME_SUFFIXES)}, found {frames_as}; choose one of them")
     if split == "train":
-        return {"files": _write_table(chosen, out, progress)}
+        return {"files": _write_table(chosen, out, pairs, progress)}
     chosen.check(split)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds if _has_truth(chosen, split, kind)}
     done = 0
@@ -113,8 +113,8 @@ def _write(part: Mesh | Clip, folder: Path, frames_as: str | None, written: dict
     return name
 
 
-def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> int:
-    """Write every training person in every training pose and return the number of files."""
+def _write_table(protocol: Protocol, out: Path, count: int, progress: Progress | None) -> int:
+    """Write every training person in every training pose, or the first `count`, and return the number of files."""
     if not isinstance(protocol, HumanNpt) or protocol.name != HUMAN_NPT.name:
         raise InputError(
             f"{protocol.name}: expected {HUMAN_NPT.name} for the split train, found a test set without training data; "
@@ -122,7 +122,7 @@ def _write_table(protocol: Protocol, out: Path, progress: Progress | None) -> in
         )
     out.mkdir(parents=True, exist_ok=True)
     people = [protocol.person("train", i) for i in range(protocol.people)]
-    poses = [protocol.pose("train", i) for i in range(protocol.poses)]
+    poses = [protocol.pose("train", i) for i in range(min(count, protocol.poses) or protocol.poses)]
     total = len(people) * len(poses)
     for k in range(total):
         mesh = people[k // len(poses)].posed_mesh(poses[k % len(poses)])

@@ -81,9 +81,16 @@ def extra_inputs(method: str) -> str:
     if method in EXTRA_INPUTS:
         return EXTRA_INPUTS[method]
     network = find_method(method)
+    body = "own meshes" if trained_on(method) == "meshes" else "our body"
     if needs_true_size(network):
-        return "trained on our body, true size"
-    return "trained on our body, which it fits" if getattr(network, "fits_body", False) else "trained on our body"
+        return f"trained on {body}, true size"
+    return "trained on our body, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
+
+
+def trained_on(method: str) -> str | None:
+    """Give the kind of data (`data.kind`) that a network's card names; None without a card."""
+    card = weights_path(method).with_suffix(".json")
+    return json.loads(card.read_text())["config"]["data"]["kind"] if card.exists() else None
 
 
 def training_facts(method: str) -> dict[str, Any]:

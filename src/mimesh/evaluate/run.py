@@ -87,6 +87,8 @@ def evaluate_command(
     made = provenance(config)
     code = {} if out is None else code_of(chosen, methods)
     question = {**config, "protocol": settings(chosen), "machine": machine(), **libraries()}
+    if out is not None:
+        keep_other_report(out, chosen.name, config)
     ledger = PartialReport(out and out.with_name(out.name + ".partial"), question, code)
     counts = {kind: chosen.count(kind, pairs, split) for kind in chosen.kinds}
     total, done, rows, sets = sum(counts.values()) * len(methods), 0, [], {}
@@ -125,6 +127,25 @@ def evaluate_command(
             temporary.write_text(report_text(report))
         ledger.close()
     return report
+
+
+def keep_other_report(out: Path, protocol: str, config: dict[str, Any]) -> None:
+    """Check that a report would not replace one of another test set or of other options.
+
+    Raises:
+        InputError: it would.
+    """
+    if not out.exists():
+        return
+    try:
+        before = json.loads(out.read_text())
+        same = (before["protocol"], before["provenance"]["config"]) == (protocol, json.loads(json.dumps(config)))
+    except (OSError, ValueError, KeyError, TypeError):
+        same = False
+    if not same:
+        raise InputError(
+            f"{out}: expected no file, or a report of the same test set and options, found another; choose another name"
+        )
 
 
 def report_text(report: dict[str, Any]) -> str:

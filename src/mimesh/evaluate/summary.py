@@ -57,12 +57,15 @@ def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, 
 
 
 def _distribution(name: str, figures: list[dict[str, Any]]) -> dict[str, float]:
-    """Compute mean, half of its 95 % interval, median, 90th percentile and maximum of a metric, by the key's ending."""
+    """Compute mean, half of its 95 % interval, median, 90th percentile and maximum of a metric, by the key's ending.
+
+    One pair has no interval.
+    """
     values = np.array([metrics[name] for metrics in figures])
     groups = [[metrics.get(label, str(k)) for k, metrics in enumerate(figures)] for label in ("identity", "driving")]
     return {
         "": float(values.mean()),
-        "_ci95": half_interval(values, *groups),
+        **({"_ci95": half_interval(values, *groups)} if len(values) > 1 else {}),
         "_median": float(np.median(values)),
         "_p90": float(np.quantile(values, 0.9)),
         "_max": float(values.max()),

@@ -230,7 +230,7 @@ def over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any] | None:
         if isinstance(value, float) and not key.endswith("_ci95") and all(key in row for row in rows):
             values = [float(row[key]) for row in rows]
             combined[key] = float(np.mean(values))
-            if f"{key}_ci95" in combined:
+            if f"{key}_median" in rows[0]:
                 combined[f"{key}_ci95"] = float(np.std(values, ddof=1))
     return combined
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import logging
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
@@ -102,6 +103,7 @@ def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
     """Export a network; all inputs and outputs are float32."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the exporter's own deprecations
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)  # torchvision, which is not needed
         program = torch.onnx.export(
             interface.module.eval(),
             interface.example,
@@ -161,7 +163,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
     return {
         "name": out.stem,
         "file": out.name,
-        "license": "Apache-2.0",
+        "license": "not stated" if trained.config.data.kind == "meshes" else "Apache-2.0",
         "data": described_data(trained.config),
         "config": config,
         "seed": config["seed"],

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from ..core.errors import InputError
 from ..evaluate.tables import find_table, methods_in
-from ..methods.find import REDUCED_MODELS
+from ..methods.find import REDUCED_MODELS, check_weights
 from . import checkpoint
 from .config import load_config
 from .export import export_command
@@ -87,11 +87,15 @@ def train_table(
         say: told what is trained before each network, and how long all take.
 
     Raises:
-        InputError: no such table, no time, or a folder with trainings of another configuration.
+        InputError: no such table, no time, a row that is not trained and has no weights, or a folder with trainings
+            of another configuration.
     """
     if not 0 < minutes < float("inf"):  # 0 in a configuration means that its number of pairs counts: days
         raise InputError(f"--minutes: expected a positive number, found {minutes:g}; give another")
     rows = rows_of(table, long)
+    for method in (row.method for row in find_table(table).rows):
+        if REDUCED_MODELS.get(method, method) not in rows:
+            check_weights(method)
     folders = [folder / f"seed{seed}" for seed in range(seeds)]
     work = [(row, seed) for seed in range(seeds) for row in rows]
     timed = [row_config(*one, minutes).minutes for one in work]

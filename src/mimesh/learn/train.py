@@ -185,7 +185,7 @@ def train(
             run_to_end(run, validation, folder, log, stop)
             if stop():
                 rest = "; the validation that was due is left to it" if run.validation_due() else ""
-                log.note("stopped", f"{stop.reason()}; --resume {folder} continues{rest}")
+                log.note("stopped", f"{stop.reason()}; --resume {folder} continues{rest}{run.unfinished()}")
     return folder
 
 
@@ -314,6 +314,16 @@ class TrainingRun:
         if self.config.minutes:
             return self.seconds / (60.0 * self.config.minutes)
         return self.step * self.config.batch / self.config.pairs
+
+    def unfinished(self) -> str:
+        """Say what a training that ends so early lacks: its learning rate has not risen, or has not fallen."""
+        pairs, share = self.step * self.config.batch, self.share()
+        advice = "for a short training set minutes (its length), warmup (pairs) and validate_every with --set"
+        if pairs < self.config.warmup:
+            return f"; after {pairs:,} of {self.config.warmup:,} pairs the learning rate was still rising: {advice}"
+        if self.config.decay and share < 1.0 - self.config.decay:
+            return f"; after {share:.0%} of its length the learning rate had not begun to fall: {advice}"
+        return ""
 
     def validation_due(self) -> bool:
         """Tell whether the steps since the last validation passed a multiple of `validate_every` pairs, or the end."""

@@ -50,11 +50,14 @@ def read_user_data(config: TrainConfig, folders: Folders, bar: ProgressBar) -> U
     Raises:
         InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
     """
-    if (config.data.kind == "meshes") != (folders.meshes is not None):
-        needed, given = ("none", str(folders.meshes)) if folders.meshes else ("a folder", "none")
+    if config.data.kind == "meshes" and folders.meshes is None:
         raise InputError(
-            f"--meshes: expected {needed} with data.kind {config.data.kind}, found {given}; "
-            "the option alone sets data.kind meshes, of npt and aniformer"
+            "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
+        )
+    if config.data.kind != "meshes" and folders.meshes is not None:
+        raise InputError(
+            f"--meshes {folders.meshes}: expected a training of npt or aniformer on meshes, found one on "
+            f"{config.data.kind}; leave it out"
         )
     if folders.meshes is None:
         return read_characters(config, folders, bar)
