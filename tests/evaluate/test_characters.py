@@ -291,8 +291,9 @@ def test_estimates_are_not_written_as_true_results(folder, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {
         *(f"val-{kind}" for kind in WITHIN),
         *(f"val-{kind}.txt" for kind in WITHIN),
+        *(f"val-{kind}.heights.json" for kind in WITHIN),
     }
-    assert written["files"] == 3 * (2 * 3 + 1)
+    assert written["files"] == 3 * (2 * 3 + 2)
 
 
 @pytest.mark.skipif(not POOL, reason="MIMESH_CHARACTERS names no pool of characters")

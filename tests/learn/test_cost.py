@@ -10,7 +10,7 @@ from mimesh.learn import checkpoint
 from mimesh.learn.cost import activation_bytes, operations_spent, training_operations
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.train import TrainingRun, train
+from mimesh.learn.train import TrainingRun, begin_with, train
 
 
 def kept(vertices, precision="fp32", **changes):
@@ -44,6 +44,19 @@ def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     assert state.changes[-1]["was"]["data.vertices"] == 64
     follower = dataclasses.replace(state, before=({"pairs": 4, "seconds_trained": 1, "operations": 7.0},))
     assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
+
+
+def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_that(tmp_path):
+    """Which may have had fewer vertices; it does not say what it has spent."""
+    old = dataclasses.replace(TINY, pairs=4)
+    path = train(old, tmp_path / "old") / "last.safetensors"
+    checkpoint.save(path, dataclasses.replace(checkpoint.load(path), operations=None))
+    dense = dataclasses.replace(TINY, pairs=4, data=dataclasses.replace(TINY.data, vertices=128))
+    begin_with(dense, path, tmp_path / "new")
+    state = checkpoint.load(train(dense, tmp_path / "new") / "last.safetensors")
+    task = NPTTask(old, torch.device("cpu"))
+    first = training_operations(task, task.make_model(), 4)
+    assert operations_spent(state) == pytest.approx(3 * first)
 
 
 def test_the_log_says_what_a_training_takes(tmp_path):

@@ -20,8 +20,11 @@ from .vertex_sampler import VertexSampler
 
 
 @dataclass(frozen=True)
-class MeshSamples:
-    """Chosen vertices of B pairs, normalised. Vertex i of `truth` is vertex i of `identity`; T is 1 for meshes."""
+class WindowBatch:
+    """Normalised windows of B pairs. Vertex i of `truth` is vertex i of `identity`; `driving` has another order.
+
+    T is 1 for meshes.
+    """
 
     identity: Float[Tensor, "B V 3"]
     driving: Float[Tensor, "B T V 3"]
@@ -43,7 +46,7 @@ class MeshSampler(VertexSampler):
         self.radius = self._tensor(meshes.radius)
         self.triples = meshes.split.training.to(device)
 
-    def sample(self, size: int, step: int) -> MeshSamples:
+    def sample(self, size: int, step: int) -> WindowBatch:
         """Draw the pairs of a step."""
         rng = self._generator(step)
         frames = self.triples.draw(size, rng)
@@ -55,7 +58,7 @@ class MeshSampler(VertexSampler):
         if self.keep_unit:
             truth, unit = truth * unit[..., None, None], torch.ones_like(unit)
         self._reflect(rng, identity, driving, truth)
-        return MeshSamples(identity, driving, truth, unit, edges, share)
+        return WindowBatch(identity, driving, truth, unit, edges, share)
 
 
 @dataclass(frozen=True, eq=False)

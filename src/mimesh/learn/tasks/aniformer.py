@@ -30,7 +30,7 @@ from .. import losses
 from ..bodies import rotvec_to_rotmat
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig, random_headings
 from ..losses import edge_vectors, match_frames, mean_squared_distance
-from ..mesh_pairs import HeldOutMeshes, MeshSampler
+from ..mesh_pairs import HeldOutMeshes, MeshSampler, WindowBatch
 from ..models.aniformer import AniFormer, AniFormerConfig
 from ..validation import clip_error
 from .base import OnnxInterface, Task, TrainConfig
@@ -85,20 +85,6 @@ class AniFormerTrainConfig(TrainConfig):
                 f"{where}: expected results of {least} frames or more for losses.motion "
                 f"{self.losses.motion}, found {frames}; set losses.motion to off"
             )
-
-
-@dataclass(frozen=True)
-class WindowBatch:
-    """Normalised windows. Vertex i of `truth` is vertex i of `identity`; `driving` has another order."""
-
-    identity: Float[Tensor, "B V 3"]
-    driving: Float[Tensor, "B T V 3"]
-    truth: Float[Tensor, "B T V 3"]
-    unit: Float[Tensor, "B T"]
-    """Radii by which the frames of `truth` were divided, over that of `identity`."""
-    edges: Int[Tensor, "B E 2"]
-    edges_of_mesh: float
-    """Edges a vertex of the whole mesh over edges a vertex given here."""
 
 
 class WindowSource(BodySampler):
@@ -177,9 +163,7 @@ class MeshWindowSource(MeshSampler):
 
     def batch(self, size: int, step: int) -> WindowBatch:
         """Make the windows of a step."""
-        drawn = self.sample(size, step)
-        meshes = (drawn.identity, drawn.driving, drawn.truth)
-        return WindowBatch(*meshes, drawn.unit, drawn.edges, drawn.edges_of_mesh)
+        return self.sample(size, step)
 
 
 def reconstruction(result: Float[Tensor, "B T V 3"], truth: Float[Tensor, "B T V 3"]) -> Float[Tensor, ""]:
