@@ -144,7 +144,9 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData 
     run = TrainingRun.start(config, folder, pool)
     run.model.load_state_dict(model.state_dict())
     run.ema = {name: value.detach().clone() for name, value in model.state_dict().items()} if config.ema else {}
-    counted = {"operations": operations_of(trained.config, trained.spent()["pairs"])}  # older checkpoints do not say
+    counted = {
+        "operations": operations_of(trained.config, int(trained.spent()["pairs"]))
+    }  # older checkpoints do not say
     run.before = (*trained.before, counted | trained.spent())
     run.save(folder / "last.safetensors")
 
