@@ -15,6 +15,8 @@ import torch
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
+from .cost import training_operations
+
 if TYPE_CHECKING:
     from .train import TrainingRun
 
@@ -29,8 +31,7 @@ class TrainingLog:
         self.lines, self.board, self.run = lines, board, run
         self.losses: list[Tensor] = []
         self.time, self.mark = time.monotonic(), run.seconds
-        # Forward plus backward: three times the forward arithmetic.
-        self.flops = 3 * run.task.flops_per_pair(run.model)
+        self.flops = training_operations(run.task, run.model, 1)
 
     @classmethod
     @contextlib.contextmanager
