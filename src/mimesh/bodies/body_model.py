@@ -92,7 +92,7 @@ def load_body(name_or_path: str | Path = "human") -> RiggedBody:
     if path.suffix != ".npz":
         path = Path(str(resources.files("mimesh.bodies") / f"{name_or_path}.npz"))
     if not path.exists():
-        raise InputError(f"{name_or_path}: expected a shipped body (human) or a .npz file, found neither")
+        raise InputError(f"{name_or_path}: expected a shipped body (human, quadruped) or a .npz file, found neither")
     with np.load(path) as data:
         # Weights are stored as the largest few of each vertex, in half precision.
         weights = np.zeros((len(data["vertices"]), len(data["parents"])))
@@ -147,7 +147,21 @@ ON_SKIN = {
 }
 """Landmarks on the skin at a joint: joint and direction. The vertex near which a ray from the joint leaves the body."""
 LANDMARKS = (*EXTREMES, *ON_SKIN)
-"""Names of all 13 landmarks in order; the first 5 are the ends of the body."""
+"""Names of all 13 landmarks of a human in order; the first 5 are the ends of the body."""
+QUADRUPED_EXTREMES = {
+    "nose": ("Head", (0.0, -0.33, 0.94)),
+    **{f"{side} forefoot": (f"{side.title()}Fingers", (0.0, 0.0, 1.0)) for side in ("left", "right")},
+    **{f"{side} hind foot": (f"{side.title()}Toes", (0.0, 0.0, 1.0)) for side in ("left", "right")},
+}
+QUADRUPED_ON_SKIN = {
+    "withers": ("Chest", (0.0, 1.0, 0.0)),
+    "croup": ("Hips", (0.0, 1.0, 0.0)),
+    "root of the tail": ("Tail2", (0.0, 1.0, 0.0)),
+    "neck": ("Neck3", (0.0, 0.0, -1.0)),
+    **{f"{side} elbow": (f"{side.title()}Forearm", (0.0, 0.0, -1.0)) for side in ("left", "right")},
+    **{f"{side} knee": (f"{side.title()}Shin", (0.0, 0.0, 1.0)) for side in ("left", "right")},
+}
+"""The same of a quadruped."""
 NEAR = 0.06
 """Largest distance (metres) of an extreme from the line through its joint; a palm or a foot is narrower."""
 DISTANCE_COST = 0.1
@@ -155,9 +169,11 @@ DISTANCE_COST = 0.1
 
 
 def landmarks(body: RiggedBody) -> dict[str, int]:
-    """Find the vertex index of each of LANDMARKS on a human body, at rest; it is the same for all shapes and poses."""
-    found = {name: _extreme(body, joint, np.array(direction)) for name, (joint, direction) in EXTREMES.items()}
-    return found | {name: _on_skin(body, joint, np.array(direction)) for name, (joint, direction) in ON_SKIN.items()}
+    """Find the vertex index of 13 landmarks on a shipped body, at rest; it is the same for all shapes and poses."""
+    quadruped = body.name == "quadruped"
+    extremes, on_skin = (QUADRUPED_EXTREMES, QUADRUPED_ON_SKIN) if quadruped else (EXTREMES, ON_SKIN)
+    found = {name: _extreme(body, joint, np.array(direction)) for name, (joint, direction) in extremes.items()}
+    return found | {name: _on_skin(body, joint, np.array(direction)) for name, (joint, direction) in on_skin.items()}
 
 
 def _line_coordinates(

@@ -65,7 +65,7 @@ _CENTRE_LIMITS: dict[str, tuple[Range, Range, Range]] = {
 """Limits of the trunk, neck and head."""
 
 
-def _mirror_ranges(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
+def mirror_ranges(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Range]:
     """Compute the limits of the other side: reflection at x = 0 keeps rotations about x and negates the others."""
     x, (y0, y1), (z0, z1) = ranges
     return x, (-y1, -y0), (-z1, -z0)
@@ -74,7 +74,7 @@ def _mirror_ranges(ranges: tuple[Range, Range, Range]) -> tuple[Range, Range, Ra
 JOINT_LIMITS: dict[str, tuple[Range, Range, Range]] = {
     **_CENTRE_LIMITS,
     **{f"Left{bone}": ranges for bone, ranges in _LEFT_LIMITS.items()},
-    **{f"Right{bone}": _mirror_ranges(ranges) for bone, ranges in _LEFT_LIMITS.items()},
+    **{f"Right{bone}": mirror_ranges(ranges) for bone, ranges in _LEFT_LIMITS.items()},
 }
 """Approximate ranges of human joints, as rotation vectors from a T-pose. Headings are not included."""
 

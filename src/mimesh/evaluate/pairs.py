@@ -95,12 +95,13 @@ def make_pair(identity: Person, driving: Person, rest: Pose, pose: Pose) -> Pair
     # The driving person's shape with the identity's garments has the identity's vertices: the true correspondence.
     aligned = dataclasses.replace(identity, shape=driving.shape)
     # Garments come after the body's own vertices, so landmarks have the same numbers on a dressed body.
-    points = list(landmarks(human()).values())
+    body = identity.body if identity.body.name == "quadruped" else human()
+    points = list(landmarks(body).values())
     return Pair(
         identity=identity.posed_mesh(rest),
         driving=driving.posed_mesh(pose),
         truth=identity.posed_vertices(pose.rotmat),
-        height=float(np.ptp(human().shaped(identity.shape)[0][:, 1])),
+        height=float(np.ptp(body.shaped(identity.shape)[0][:, 1])),
         aligned=aligned.posed_vertices(pose.rotmat),
         aligned_reference=aligned.posed_vertices(rest.rotmat),
         reference=driving.posed_vertices(rest.rotmat),

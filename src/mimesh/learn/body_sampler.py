@@ -13,13 +13,12 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from ..bodies import RiggedBody
-from ..bodies.contacts import contact_bank
-from ..bodies.sampling import JOINT_LIMITS, TABLE_6, limits_rotvec, lowered_arms, sample_pose
+from ..bodies.sampling import limits_rotvec, sample_pose
 from ..bodies.sampling import rotvec_to_rotmat as numpy_rotmat
 from ..evaluate.clip_protocols import CLIPS_ANIFORMER
 from ..evaluate.protocols import HUMAN_NPT
-from ..motions import pose_bank
 from .bodies import TorchBody, rotvec_to_rotmat
+from .pose_sources import pose_sources, ranges_of
 from .vertex_sampler import VertexSampler
 
 
@@ -32,6 +31,8 @@ class DataConfig:
     of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions.
     `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers. `meshes`:
     registered meshes or clips of a folder."""
+    body: Literal["human", "quadruped"] = "human"
+    """Whose people, or animals, are drawn."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -102,13 +103,13 @@ class BodySampler(VertexSampler):
             self.table_poses = self._tensor(numpy_rotmat(HUMAN_NPT.train_poses(body)))
             # (motions, frames, J, 3, 3); a pose of Table 6 is a motion of one frame.
             self.motions = self._tensor(CLIPS_ANIFORMER.train_motions(body)) if clips else self.table_poses[:, None]
-            self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
+            self.limits = self._tensor(limits_rotvec(body, ranges_of(body)[1]))
         else:
-            self.table6 = self._tensor(limits_rotvec(body, TABLE_6))
-            self.limits = self._tensor(limits_rotvec(body, JOINT_LIMITS))
-            self.motion_frames = self._tensor(pose_bank("train"))
-            self.lowered = self._tensor(lowered_arms(body))
-            self.contacts = [self._tensor(array) for array in contact_bank()]
+            sources = pose_sources(body)
+            self.usual, self.limits = self._tensor(sources.usual), self._tensor(sources.limits)
+            self.motion_frames = self._tensor(sources.frames)
+            self.resting = self._tensor(sources.resting)
+            self.contacts = [self._tensor(array) for array in (sources.contact_shapes, sources.contact_poses)]
 
     def _sample_pairs(
         self, size: int, rng: torch.Generator
@@ -169,9 +170,9 @@ class BodySampler(VertexSampler):
         """Draw joint rotation vectors; `kinds` are uniform numbers that choose among the kinds of pose of a mix."""
         size = len(kinds)
         # All kinds are drawn for everybody, so that a batch takes the same random numbers whatever it is made of.
-        table, wide = self._random_between(self.table6, size, rng), self._random_between(self.limits, size, rng)
+        table, wide = self._random_between(self.usual, size, rng), self._random_between(self.limits, size, rng)
         frame = self.motion_frames[self._random_index(len(self.motion_frames), (size,), rng)]
-        rest = self.lowered * torch.rand(size, 1, 1, generator=rng, device=self.device)
+        rest = self.resting * torch.rand(size, 1, 1, generator=rng, device=self.device)
         rest = rest + REST_NOISE * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
@@ -240,8 +241,9 @@ def extreme_vertices(body: RiggedBody, poses: int = 400) -> Int[np.ndarray, " N"
     seconds, so a body's answer is kept.
     """
     found: list[int] = []
+    usual, widest = ranges_of(body)
     for i in range(poses):
-        limits = TABLE_6 if i % 2 else JOINT_LIMITS
+        limits = usual if i % 2 else widest
         vertices = body.posed(np.zeros(1), numpy_rotmat(sample_pose(body, 0, i, limits)))
         centre = (vertices.max(axis=0) + vertices.min(axis=0)) / 2
         found += [*vertices.argmax(axis=0), *vertices.argmin(axis=0)]

@@ -6,18 +6,23 @@ standing: positive ones turn what hangs down backwards, and what points forwards
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from ..bodies import RiggedBody
 from ..bodies.sampling import rotvec_to_rotmat
-from .motion import Motion
+from .motion import Motion, rotmat_to_rotvec
 from .procedural import planted
 
 LEGS = ("LeftHind", "LeftFront", "RightHind", "RightFront")
 """Order of the phases of a gait."""
+
+
+SEEDS = {"train": 0, "val": 1, "test": 2}
+TAKES = 40
+"""Motions of each gait and posture in a split."""
 
 
 class Gait(NamedTuple):
@@ -150,3 +155,11 @@ def posture_motion(
     turn = share * (goal + rng.normal(0.0, 3.0, goal.shape))
     rotmat = rotvec_to_rotmat(np.radians(turn))
     return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def quadruped_poses(body: RiggedBody, split: Literal["train", "val", "test"]) -> Float32[np.ndarray, "N J 3"]:
+    """Make the poses of a split as rotation vectors: frames of all gaits and postures, with seeds of the split."""
+    seed = SEEDS[split]
+    motions = [gait_motion(body, name, seed, i, fps=10.0) for name in GAITS for i in range(TAKES)]
+    motions += [posture_motion(body, name, seed, i, fps=10.0) for name in POSTURES for i in range(TAKES)]
+    return rotmat_to_rotvec(np.concatenate([motion.rotmat for motion in motions])).astype(np.float32)

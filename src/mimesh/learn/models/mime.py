@@ -101,7 +101,7 @@ class MimeNetwork(nn.Module):
 
     def __init__(self, config: MimeConfig, body: RiggedBody) -> None:
         super().__init__()
-        self.config, self.parents = config, body.parents
+        self.config, self.parents, self.body = config, body.parents, body
         rest_joints, surface_centres = _rest_pose(body)
         self.register_buffer("rest_joints", rest_joints, persistent=False)
         self.register_buffer("octaves", 2.0 ** torch.arange(OCTAVES) * math.pi / 2, persistent=False)

@@ -114,9 +114,9 @@ class OnnxInterface:
 
 
 @cache
-def shipped_body() -> RiggedBody:
-    """Load the shipped body once: batches of training and of validation, and what is computed from it, share it."""
-    return load_body()
+def shipped_body(name: str = "human") -> RiggedBody:
+    """Load a shipped body once: batches of training and of validation, and what is computed from it, share it."""
+    return load_body(name)
 
 
 Config = TypeVar("Config", bound=TrainConfig)
@@ -152,7 +152,7 @@ class Task(ABC, Generic[Config, Network]):
     @property
     def body(self) -> RiggedBody:
         """The body model that training people are made of."""
-        return shipped_body()
+        return shipped_body(self.config.data.body)
 
     @property
     def protocol(self) -> protocols.Protocol:

@@ -15,12 +15,14 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from ...bodies import RiggedBody, load_body
+from ...bodies import RiggedBody
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.mesh import Mesh
 from ...evaluate.metrics import pmd_of_pair
 from ...evaluate.pairs import Pair
+from ...evaluate.protocols import Protocol
+from ...evaluate.quadruped import QUADRUPED
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
@@ -41,6 +43,8 @@ ONE_SIDED = 0.1
 """Share of driving meshes of which only the points facing one side are given, as in a scan."""
 MAX_NOISE = 0.02
 """Largest standard deviation of the noise on driving points (metres); mostly it is far less."""
+LEGS = {"human": (("UpLeg", "Leg", "Foot"),), "quadruped": (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))}
+"""Joints of the legs of one side."""
 RECONSTRUCTION_KNEE, ROTATION_KNEE, JOINT_KNEE = 5e-4, 0.02, 0.002
 """Of squared errors: of a pair (PMD), of a joint's rotation matrix, of a joint in units of the points' spread."""
 
@@ -242,6 +246,11 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
     config_type = MimeTrainConfig
     test_set = "human-npt"
 
+    @property
+    def protocol(self) -> Protocol:
+        """Pairs of the body that is trained on."""
+        return QUADRUPED if self.config.data.body == "quadruped" else super().protocol
+
     def make_model(self) -> MimeNetwork:
         """Build the network with fresh weights."""
         return MimeNetwork(self.config.model, self.body)
@@ -297,9 +306,10 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
     @staticmethod
     def onnx_facts(model: MimeNetwork) -> dict[str, Any]:
         """Give the number of points, names and parents of the joints, and which joints make a leg."""
-        body = load_body()
-        legs = [[body.joint(side + name) for name in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
-        joints = {"joints": body.joint_names, "parents": body.parents, "legs": legs}
+        body = model.body
+        chains = LEGS["quadruped" if body.name == "quadruped" else "human"]
+        legs = [[body.joint(side + name) for name in chain] for side in ("Left", "Right") for chain in chains]
+        joints = {"joints": body.joint_names, "parents": body.parents, "legs": legs, "body": body.name}
         return {"model": "mime", "points": POINTS, **joints}
 
     @staticmethod

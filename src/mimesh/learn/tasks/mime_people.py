@@ -105,11 +105,13 @@ class SurfaceBody(nn.Module):
 
     def __init__(self, body: RiggedBody, count: int = 20_000, low_poly: bool = False) -> None:
         super().__init__()
-        dressed = dressed_body(body, GARMENTS)
+        garments = GARMENTS if body.name == "human" else ()
+        dressed = dressed_body(body, garments) if garments else body
+        self.pieces = 1 + len(garments)
         self.parents = body.parents
         face, share = surface_points.sample_surface(dressed.vertices, dressed.faces, count, np.random.default_rng(0))
         corners = dressed.faces[face]
-        starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in GARMENTS)])
+        starts = np.cumsum([len(body.vertices), *(len(load_garment(name).vertices) for name in garments)])
         bones, branching = bone_directions(body)
         arrays = {
             "rest": surface_points.interpolate(dressed.vertices, corners, share).T,
@@ -186,6 +188,7 @@ class PeopleSampler:
 
     def __init__(self, body: RiggedBody, spread: float, device: torch.device) -> None:
         self.components, self.joints, self.spread, self.device = len(body.components), len(body.joints), spread, device
+        self.pieces = 1 + len(GARMENTS) * (body.name == "human")
         self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
         self.head = torch.tensor([name == "Head" for name in body.joint_names], device=device)
 
@@ -199,7 +202,7 @@ class PeopleSampler:
         larger = HEAD_SCALE * unusual * self._uniform(rng, size, 1) * self.head
         length, girth = ((scale[:, self.group] + larger).exp() for scale in drawn)
         bumps = random_bumps(size, rng, self.device)
-        worn = self._uniform(rng, size, 1 + len(GARMENTS)) < GARMENT_SHARE
+        worn = self._uniform(rng, size, self.pieces) < GARMENT_SHARE
         worn[:, 0] = True
         level = random_levels(size, low_poly, rng, self.device)
         return People(shape, length, girth, without_bumps(bumps, level), worn, level)
@@ -243,6 +246,6 @@ def plain_people(shape: Float[Tensor, "B K"], surface: SurfaceBody) -> People:
     """Make people without garments, bumps or proportions of their own."""
     size, joints = len(shape), len(surface.parents)
     one = torch.ones(size, joints, device=shape.device)
-    worn = torch.arange(1 + len(GARMENTS), device=shape.device).expand(size, -1) == 0
+    worn = torch.arange(surface.pieces, device=shape.device).expand(size, -1) == 0
     level = torch.zeros(size, dtype=torch.long, device=shape.device)
     return People(shape, one, one, torch.zeros(size, 1, 5, device=shape.device), worn, level)

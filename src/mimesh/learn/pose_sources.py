@@ -1,0 +1,48 @@
+"""What the poses of training bodies are drawn from, for each shipped body."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody, quadruped
+from ..bodies.contacts import contact_bank
+from ..bodies.sampling import JOINT_LIMITS, TABLE_6, Range, limits_rotvec, lowered_arms
+from ..motions import pose_bank
+from ..motions.gaits import quadruped_poses
+
+
+class PoseSources(NamedTuple):
+    """Rotation vectors (radians) of J joints."""
+
+    usual: Float[np.ndarray, "2 J 3"]
+    """Lowest and highest of everyday poses: those of NPT's Table 6 for people."""
+    limits: Float[np.ndarray, "2 J 3"]
+    """Lowest and highest that joints allow."""
+    frames: Float[np.ndarray, "N J 3"]
+    """Frames of motions."""
+    resting: Float[np.ndarray, "J 3"]
+    """A pose that bodies are modelled in between rest and it: people with lowered arms, animals with a lowered head."""
+    contact_shapes: Float[np.ndarray, "M K"]
+    """Shape coefficients of bodies whose limbs touch each other."""
+    contact_poses: Float[np.ndarray, "M J 3"]
+    """Their poses; both are empty for bodies that have none."""
+
+
+def ranges_of(body: RiggedBody) -> tuple[dict[str, tuple[Range, Range, Range]], dict[str, tuple[Range, Range, Range]]]:
+    """Give the tables of everyday poses and of joint limits of a shipped body."""
+    return (quadruped.USUAL, quadruped.LIMITS) if body.name == "quadruped" else (TABLE_6, JOINT_LIMITS)
+
+
+def pose_sources(body: RiggedBody) -> PoseSources:
+    """Load what poses of a shipped body are drawn from."""
+    usual, limits = (limits_rotvec(body, table) for table in ranges_of(body))
+    if body.name == "quadruped":
+        nobody = np.zeros((0, len(body.components))), np.zeros((0, *body.joints.shape))
+        resting = np.zeros_like(body.joints)
+        for name, degrees in quadruped.LOWERED_HEAD.items():
+            resting[body.joint(name), 0] = np.radians(degrees)
+        return PoseSources(usual, limits, quadruped_poses(body, "train"), resting, *nobody)
+    return PoseSources(usual, limits, pose_bank("train"), lowered_arms(body), *contact_bank())
