@@ -76,7 +76,7 @@ SPREAD = {"Spine": 0.4, "Hips": 0.3, "Chest": 0.5, "Ear": 3.0, "Tail": 2.0, "Nec
 """Kind of joint -> factor on them."""
 SPINE = ("Hips", "Spine1", "Spine2", "Spine3", "Spine4", "Chest")
 SIZE = 0.4
-"""Mean distance of an animal's vertices from their centre (metres), about that of a large dog. All animals get one size,
+"""Mean distance of an animal's vertices from their centre (metres), about that of a large dog. All have one size,
 because methods normalise the size of every mesh."""
 BELOW_SPINE = 0.06
 """Metres from the joints of the spine down to the middle of the trunk, about which it gets thicker."""

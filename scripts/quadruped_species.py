@@ -13,7 +13,7 @@ Factors = Mapping[str, float]
 
 
 class Bump(NamedTuple):
-    """A bell-shaped displacement of the skin of the dog at rest, in metres; mirrored where it lies beside the middle."""
+    """A bell-shaped displacement of the dog's skin at rest, in metres; mirrored where it lies beside the middle."""
 
     joint: str
     offset: tuple[float, float, float]
@@ -33,7 +33,7 @@ class Species:
     height: Factors = field(default_factory=dict)
     """Factor across each bone in the plane of the animal; where none is given, that of `width`."""
     pitch: Factors = field(default_factory=dict)
-    """Rotation of each joint at rest about the axis to the animal's left (degrees): forward bones sink, legs go back."""
+    """Rotation of each joint at rest about the axis to the animal's left (degrees): necks sink, legs go back."""
     roll: Factors = field(default_factory=dict)
     """Rotation about the axis to the front (degrees), mirrored on the right: ears sink outwards where negative."""
     bumps: tuple[Bump, ...] = ()
@@ -105,7 +105,8 @@ SPECIES: dict[str, Species] = {
     "donkey": Species(
         length={**every(NECK, 1.3), "Head": 1.55, "Jaw": 1.45, "Forearm": 1.15, "Hand": 1.45, "Foot": 1.15, "Ear": 1.3,
                 **every(TAIL, 0.75), **every(SPINE, 1.05)},
-        width={"Head": 1.25, "Jaw": 1.15, **every(SPINE, 1.6), "Hips": 1.3, **every(NECK, 1.25), "Thigh": 1.2, **HOOVES},
+        width={"Head": 1.25, "Jaw": 1.15, **every(SPINE, 1.6), "Hips": 1.3, **every(NECK, 1.25), "Thigh": 1.2,
+               **HOOVES},
         height={"Head": 1.3, "Jaw": 1.3, **every(SPINE, 1.15), "Spine1": 1.3, "Spine2": 1.3, **every(NECK, 1.5)},
         pitch={"Neck1": 16, "Head": 26, "Fingers": 22, "Toes": 20, "Tail1": -40, "Tail2": -20, "Thigh": -4},
         height_of_shoulder=1.2,
@@ -125,8 +126,8 @@ SPECIES: dict[str, Species] = {
     "pig": Species(
         length={**every(NECK, 0.55), "Head": 1.25, "Jaw": 1.1, "UpperArm": 0.65, "Forearm": 0.55, "Hand": 0.65,
                 "Foot": 0.6, "Ear": 0.75, **every(TAIL, 0.4), **every(SPINE, 1.15)},
-        width={"Head": 1.5, "Jaw": 1.5, **every(SPINE, 2.1), "Hips": 1.6, **every(NECK, 1.9), **every("Thigh UpperArm", 1.2),
-               "Ear": 1.2, **HOOVES},
+        width={"Head": 1.5, "Jaw": 1.5, **every(SPINE, 2.1), "Hips": 1.6, **every(NECK, 1.9), "Ear": 1.2,
+               **every("Thigh UpperArm", 1.2), **HOOVES},
         height={"Head": 1.3, "Jaw": 1.2, **every(SPINE, 1.25), "Spine1": 1.6, "Spine2": 1.6, **every(NECK, 1.9)},
         pitch={"Neck1": 32, "Neck2": 16, "Head": -4, "Ear": 40, "Fingers": 18, "Toes": 18},
         roll={"Ear": -25},
@@ -184,9 +185,10 @@ SPECIES: dict[str, Species] = {
     "rhino": Species(
         length={**every(NECK, 0.8), "Head": 1.5, "Jaw": 1.3, "UpperArm": 0.75, "Forearm": 0.65, "Hand": 0.55,
                 "Foot": 0.5, **every("Fingers Toes", 0.8), "Ear": 0.5, **every(TAIL, 0.5), **every(SPINE, 1.1)},
-        width={"Head": 1.6, "Jaw": 1.5, **every(SPINE, 2.3), "Hips": 1.9, **every(NECK, 1.8), "Thigh": 1.5, "Shin": 1.7,
-               "Foot": 2.1, "Toes": 1.5, "UpperArm": 1.5, "Forearm": 1.7, "Hand": 1.9, "Fingers": 1.4, "Ear": 0.8},
-        height={"Head": 1.4, "Jaw": 1.3, **every(SPINE, 1.5), "Spine1": 1.9, "Spine2": 1.9, "Hips": 1.4, **every(NECK, 2.0)},
+        width={"Head": 1.6, "Jaw": 1.5, **every(SPINE, 2.3), "Hips": 1.9, **every(NECK, 1.8), "Thigh": 1.5,
+               "Shin": 1.7, "Foot": 2.1, "Toes": 1.5, "UpperArm": 1.5, "Forearm": 1.7, "Hand": 1.9, "Fingers": 1.4, "Ear": 0.8},
+        height={"Head": 1.4, "Jaw": 1.3, **every(SPINE, 1.5), "Spine1": 1.9, "Spine2": 1.9, "Hips": 1.4,
+                **every(NECK, 2.0)},
         pitch={"Neck1": 40, "Neck2": 12, "Head": 2},
         bumps=(Bump("Head", (0.0, 0.045, 0.085), 0.02, (0.0, 0.1, 0.05)),),
         height_of_shoulder=1.7,
