@@ -20,7 +20,8 @@ from mimesh.learn import checkpoint
 from mimesh.learn.config import config_from
 from mimesh.learn.models.mime import MimeNetwork
 from mimesh.learn.models.npt import NPTConfig
-from mimesh.learn.train import TrainingRun, begin_with
+from mimesh.learn.train import begin_with
+from mimesh.learn.training_run import TrainingRun
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ROOT = Path(__file__).parents[2]

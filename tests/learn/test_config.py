@@ -72,6 +72,12 @@ def test_shipped_configurations_load(name):
         ("compile: 1", "expected bool"),
         ("weight_decay: 0.1", "expected weight_decay 0 with optimizer adam"),
         ("accumulate: 3", "expected accumulate to divide batch, found 3 and 8"),
+        (
+            "doublings: [0.5]\nbatch: 3\ndata: {vertices: 64}",
+            r"accumulate times 2 \(doublings\) to divide batch, found 1 and 3",
+        ),
+        ("doublings: [0.5]", "expected data.vertices above 0 with doublings, found 0"),
+        ("doublings: [1.5]\ndata: {vertices: 64}", r"expected doublings between 0 and 1, found \[1.5\]"),
         ("data: {between: 0.5}", "expected data.between 0 with table6, found 0.5"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
         ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),

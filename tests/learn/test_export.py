@@ -22,7 +22,7 @@ from mimesh.learn.models.mime import POINTS, MimeConfig, MimeNetwork
 from mimesh.learn.models.npt import NPT, NPTConfig
 from mimesh.learn.tasks.mime import MimeTask
 from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.train import TrainingRun
+from mimesh.learn.training_run import TrainingRun
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ZOO = Path(mimesh.__file__).parent / "zoo"
