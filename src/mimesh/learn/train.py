@@ -12,6 +12,7 @@ from ..core.errors import InputError
 from . import checkpoint
 from .config import changed_config, load_config
 from .cost import operations_of
+from .exported_weights import load_start
 from .processes import Processes, joined_processes
 from .stop_request import StopRequest
 from .tasks.base import TrainConfig, UserData
@@ -52,7 +53,7 @@ def train_command(
 
     Args:
         changes: "key=value" on top of the configuration, such as "seed=1" or "model.blocks=conv".
-        weights: checkpoint whose network a new training begins with.
+        weights: checkpoint, or `.onnx` file with its card, whose network a new training begins with.
         characters: folder of characters to train on, where the configuration asks for them.
         clips: folder of motions whose poses mime is trained on.
         leave_out: packs of the folder of characters that are not used.
@@ -119,12 +120,14 @@ def resumed_config(folder: Path, changes: Sequence[str]) -> TrainConfig:
 
 
 def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData | None = None) -> None:
-    """Write the first checkpoint of a training whose network is that of another checkpoint; all else is new.
+    """Write the first checkpoint of a training whose network is that of another, from a checkpoint or `.onnx` file.
+
+    All else is new.
 
     Raises:
         InputError: the checkpoint holds another network.
     """
-    model, trained = checkpoint.load_model(weights)
+    model, trained = load_start(weights)
     if trained.config.model != config.model:
         raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
     folder.mkdir(parents=True, exist_ok=True)
