@@ -32,8 +32,16 @@ class TrainedRow(NamedTuple):
     """Whether it takes many hours: trained only where that is asked for."""
 
 
-ON_CLIPS = ("data.kind=clips80", "data.vertices=128", "batch=32")
-"""NPT on AniFormer's data: frames of its motions as pairs, with as many vertices."""
+ON_CLIPS = (
+    *("model.encoder=[64,128,384]", "model.decoder=[387,256,128]", "data.kind=clips80"),
+    *("weight_decay=0", "warmup=2000", "decay=0.4"),
+)
+"""NPT on AniFormer's data: frames of its motions as pairs, as many vertices; three eighths of the paper's width."""
+FULL_ON_CLIPS = (
+    *("data.kind=clips80", "data.between=0.4", "batch=48", "pairs=120000", "warmup=3000", "decay=0.75"),
+    *("doublings=[0.75,0.92]", "ema=0.99"),
+)
+"""NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
 ROWS = {
     "npt-equal": TrainedRow("npt"),
     "npt-no-edge": TrainedRow("npt", ("edge=off",)),
@@ -50,6 +58,8 @@ ROWS = {
     "npt-frames": TrainedRow("npt", ON_CLIPS),
     "npt-maxpool-frames": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS)),
     "limp": TrainedRow("limp"),
+    "npt-full-frames": TrainedRow("npt", FULL_ON_CLIPS, config="full", equal_time=False, long=True),
+    "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
     "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
 }
