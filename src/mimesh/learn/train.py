@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from ..core.errors import InputError
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
-from .config import changed_config, load_config
+from .config import changed_config, config_differences, load_config
 from .cost import activation_bytes, operations_of, training_operations
 from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
@@ -139,7 +139,10 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData 
     """
     model, trained = checkpoint.load_model(weights)
     if trained.config.model != config.model:
-        raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
+        raise InputError(
+            f"{weights}: expected the network of the configuration, found another "
+            f"({config_differences(config, trained.config, ('network', 'model'))}); change model.*"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     run = TrainingRun.start(config, folder, pool)
     run.model.load_state_dict(model.state_dict())
