@@ -107,13 +107,16 @@ hold a licence give it their files:
 | SMPL, SMPL+H, SMPL-X, SMAL: `.pkl`, `.npz` | `mimesh convert SMPL_NEUTRAL.pkl body.obj` | the mean shape at rest |
 | AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip of the recorded person |
 | | `mimesh animate hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity, driven by that clip |
+| | `mimesh transfer hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity in the pose of its first frame |
 | | `mimesh animate hero.glb take.npz` | the identity, driven by the joints; no model is needed |
+| | `mimesh look take.npz` | gender, number of betas, frame rate |
 | DFAUST: `registrations_m.hdf5` | `mimesh look registrations_m.hdf5` | the names of its clips |
 | | `mimesh convert registrations_m.hdf5 hips.npz --animation 50009_hips` | one clip |
 | DFAUST: a folder of `%05d.obj` | `mimesh convert folder/ clip.npz --fps 60` | the clip |
 | FAUST: `tr_reg_000.ply` | `mimesh transfer hero.glb tr_reg_000.ply` | the identity in that pose |
 | MG-dataset: `smpl_registered.obj` | `mimesh transfer hero.glb smpl_registered.obj` | the identity in that pose |
 | MG-dataset: `registration.pkl` | `mimesh convert registration.pkl body.obj --body-model SMPL.pkl` | the bare body |
+| | `mimesh transfer hero.glb registration.pkl --body-model SMPL.pkl` | the identity in that pose |
 
 **Not tested on the real files**, which may not be redistributed; tested on files of the same layout that the tests
 write. They come back with every vertex within 1e-5; posed models are compared with plain loops over the equations of
