@@ -87,6 +87,8 @@ def evaluate(
     elif not quiet:
         print(markdown(figures))
         print("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
+        for note in figures.get("notes", ()):
+            print(f"note: {note}")
         if figures["protocol"] == "human-npt":
             print_next("table", "npt-1")
 
