@@ -126,6 +126,10 @@ the SMPL paper.
   file's `betas`, poses and path. The clip has the file's frame rate, or is resampled at `--fps`. AMASS is turned to y
   up; pickles of poses keep their axes. The unit is the model's (metres). Soft tissue (`dmpls`) and offsets of clothes
   are not added. The model must be of the gender and the kind that the file was made with; a note names the gender.
+* **Joints.** `animate` with `mime` and an AMASS file takes the joints of the driving from the file and the model (those
+  of 24, 52 and 55 joints), with the fingers; with `--driving-joints` they are found on its surface. The joints of a
+  model that is the identity are found on its surface, unless Python gives them: `smpl_rig(load_smpl_model(FILE))` is
+  the `rig` that `mimesh.animate` takes.
 * **Other numbers of joints.** Models of 24, 52 and 55 joints share the first 22, models of 52 and 55 also the fingers;
   of others the first joints are taken. What the file lacks stays at rest, and what the model lacks is cut. The same
   holds for `betas`. Notes tell.

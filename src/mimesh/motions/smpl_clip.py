@@ -30,6 +30,7 @@ from .amass import (
     upright,
 )
 from .motion import Motion, resample
+from .smpl_joints import RecordedJoints
 
 HANDS = 30
 """Finger joints of SMPL+H and SMPL-X: the last joints of both."""
@@ -80,7 +81,9 @@ def recorded_clip(
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
     notes = (*pose_notes, *_shape_notes(recording, len(shape), model))
-    return Clip(mesh, vertices, motion.fps, headings), tuple(f"{path.name}: {note}" for note in notes)
+    # Axes of pickles are not known, so neither is where their joints face.
+    skeleton = RecordedJoints(model, shape, motion.rotmat, motion.root, axes) if is_archive else None
+    return Clip(mesh, vertices, motion.fps, headings, skeleton), tuple(f"{path.name}: {note}" for note in notes)
 
 
 def fitted_pose(rotvec: Float[np.ndarray, "T J 3"], joints: int) -> tuple[Float[np.ndarray, "T K 3"], tuple[str, ...]]:
