@@ -149,10 +149,11 @@ def transfer(
     _check_outputs(output, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
-    (*meshes, notes), seconds = _timed(lambda: (load_mesh(identity), *_posed_mesh(driving, body_model)))
-    check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
+    (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
+    check_suffix(output, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
     result = run_transfer(
-        *meshes,
+        mesh,
+        posed,
         model,
         up=up,
         front=front,
