@@ -255,7 +255,9 @@ def test_a_training_may_begin_with_the_network_of_another(tmp_path):
     assert [dict(stage) for stage in second.before] == [checkpoint.load(first / "last.safetensors").spent()]
     with pytest.raises(InputError, match=r"--weights .*: expected no changes with --resume"):
         train_command("npt", "small", None, first, None, [], first / "last.safetensors")
-    with pytest.raises(InputError, match="expected the network of the configuration"):
+    with pytest.raises(
+        InputError, match=r"the network of the configuration, found another \(model\.encoder \[.*\] here"
+    ):
         train_command("npt", "small", tmp_path / "third", None, None, [], first / "last.safetensors")
     assert not (tmp_path / "third").exists()
 

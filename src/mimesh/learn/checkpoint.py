@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from ..core.errors import InputError
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
-from .config import config_from
+from .config import config_differences, config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
@@ -154,8 +154,13 @@ def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Check
         InputError: the checkpoints do not hold the same network.
     """
     first, weights = checkpoints[0], [checkpoint.weights() for checkpoint in checkpoints]
-    if any(checkpoint.config.model != first.config.model for checkpoint in checkpoints):
-        raise InputError("average: expected checkpoints of one network, found others; leave out those that differ")
+    for number, checkpoint in enumerate(checkpoints, start=1):
+        if checkpoint.config.model != first.config.model:
+            differing = config_differences(checkpoint.config, first.config, ("network", "model"))
+            raise InputError(
+                f"average: expected checkpoints of one network, found another in number {number} than in number 1 "
+                f"({differing}); leave out those that differ"
+            )
     total = sum(shares)
     tensors = {
         f"model.{name}": sum(share / total * w[name] for share, w in zip(shares, weights, strict=True))

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from . import checkpoint
-from .config import changed_config, load_config
+from .config import changed_config, config_differences, load_config
 from .cost import operations_of
 from .exported_weights import load_start
 from .processes import Processes, joined_processes
@@ -129,7 +129,10 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, pool: UserData 
     """
     model, trained = load_start(weights)
     if trained.config.model != config.model:
-        raise InputError(f"{weights}: expected the network of the configuration, found another; change model.*")
+        raise InputError(
+            f"{weights}: expected the network of the configuration, found another "
+            f"({config_differences(config, trained.config, ('network', 'model'))}); change model.*"
+        )
     folder.mkdir(parents=True, exist_ok=True)
     run = TrainingRun.start(config, folder, pool)
     run.model.load_state_dict(model.state_dict())
