@@ -60,8 +60,8 @@ def check_weights(model: str) -> None:
     if is_table_model(model) and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, train them with mimesh table --train (--long for those that take hours), or leave the row out of "
-            "the table with --without"
+            "repository, train them with mimesh table --train (--long for those that take hours), or leave the row out "
+            "of the table with --without"
         )
 
 
