@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from torch import Tensor, nn
 from ..core.errors import InputError
 from . import checkpoint
 from .character_surfaces import TrainingCharacters
-from .cost import activation_bytes, operations_of, training_operations
+from .cost import activation_bytes, operations_of, schedule_operations, training_operations
 from .optimizers import make_optimizers
 from .precision import DTYPES, choose_precision
 from .processes import Processes
@@ -124,19 +122,15 @@ class TrainingRun:
         step = training_operations(self.task, self.model, config.batch)
         part = config.batch // config.accumulate // self.processes.count
         kept = activation_bytes(self.task, self.model, self.source) * part
-        whole = "" if config.minutes else f", {self._operations_of_schedule() / 1e15:.3g} PFLOP in all"
+        first = self.task.with_vertices(config.data.vertices)
+        whole = (
+            ""
+            if config.minutes
+            else f", {schedule_operations(first, self.model, config.pairs) / 1e15:.3g} PFLOP in all"
+        )
         return (
             f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{whole}; "
             f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
-        )
-
-    def _operations_of_schedule(self) -> float:
-        """Count the operations of the whole training: meshes have more vertices after each doubling."""
-        stages = enumerate(itertools.pairwise((0.0, *self.config.doublings, 1.0)))
-        counts = ((self.config.data.vertices << doubled, end - start) for doubled, (start, end) in stages)
-        return sum(
-            training_operations(with_vertices(self.task, vertices), self.model, 1) * self.config.pairs * share
-            for vertices, share in counts
         )
 
     def share(self) -> float:
@@ -203,7 +197,7 @@ class TrainingRun:
         doubled = sum(self.share() >= share for share in self.config.doublings)
         vertices = self.config.data.vertices << doubled
         if self.task.config.data.vertices != vertices:
-            self.task = with_vertices(self.task, vertices)
+            self.task = self.task.with_vertices(vertices)
             self.source = self.task.source(self.config.seed)
         return self.config.accumulate << doubled
 
@@ -236,12 +230,6 @@ class TrainingRun:
         rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
         state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
         checkpoint.save(path, state)
-
-
-def with_vertices(task: Task, vertices: int) -> Task:
-    """Copy a task for meshes of so many vertices."""
-    config = dataclasses.replace(task.config, data=dataclasses.replace(task.config.data, vertices=vertices))
-    return type(task)(config, task.device, task.precision, task.brought)
 
 
 def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -211,6 +212,11 @@ class Task(ABC, Generic[Config, Network]):
     def current_name(name: str) -> str:
         """Give today's name of a weight that an older checkpoint may hold under another."""
         return name
+
+    def with_vertices(self, vertices: int) -> Task[Config, Network]:
+        """Copy the task for meshes of so many vertices."""
+        config = dataclasses.replace(self.config, data=dataclasses.replace(self.config.data, vertices=vertices))
+        return type(self)(config, self.device, self.precision, self.brought)
 
     @property
     def vertices(self) -> int:
