@@ -102,7 +102,7 @@ def table(
     seeds: Annotated[int, typer.Option(help="Train each row so many times; prints mean and deviation.", min=1)] = 1,
     minutes: Annotated[
         float, typer.Option(help="Training time of rows that are compared, in CPU minutes.", min=0)
-    ] = 21,
+    ] = 15,
     long: Annotated[bool, typer.Option("--long", help="Train the rows that take many hours, too.")] = False,
     networks: Annotated[Path, typer.Option(help="Folder for the networks that are trained.", metavar="DIR")] = Path(
         "runs/tables"
