@@ -17,7 +17,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
-    parser.add_argument("--weights-only", action="store_true", help="without average and optimizer state")
+    parser.add_argument(
+        "--weights-only",
+        action="store_true",
+        help="the average, or the weights where there is none, without optimizer state",
+    )
     parser.add_argument("--no-average", action="store_true", help="without the average of the weights")
     args = parser.parse_args()
     args.output.parent.mkdir(parents=True, exist_ok=True)

@@ -53,6 +53,20 @@ def test_doublings_double_vertices_and_parts(tmp_path):
     assert second.source.batch(1, 0).truth.shape[1] == 256
 
 
+def test_gradients_after_a_doubling_are_means_over_the_batch(tmp_path):
+    """Those of a training that has twice the vertices and parts by its configuration, on the same samples."""
+    doubled = dataclasses.replace(TINY, batch=4, pairs=8, clip=0.0, doublings=(0.5,))
+    first = TrainingRun.start(doubled, tmp_path)
+    first.advance()
+    first.save(tmp_path / "last.safetensors")
+    data = dataclasses.replace(TINY.data, vertices=128)
+    plain = dataclasses.replace(doubled, doublings=(), accumulate=2, data=data)
+    runs = [TrainingRun.start(config, tmp_path) for config in (doubled, plain)]
+    assert len({losses(run, 1)[0] for run in runs}) == 1
+    for one, other in zip(*(run.model.parameters() for run in runs), strict=True):
+        torch.testing.assert_close(one.grad, other.grad, rtol=0, atol=0)
+
+
 def test_train_writes_best_last_and_logs(tmp_path):
     folder = train(TINY, tmp_path / "run")
     state = checkpoint.load(folder / "best.safetensors")

@@ -77,7 +77,7 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     try:
         card = json.loads(card_path.read_text())
         config = config_from(card["config"], str(card_path))
-        spent = {key: card[key] for key in ("pairs", "seconds_trained")}
+        pairs, seconds = card["pairs"], float(card["seconds_trained"])
     except (OSError, ValueError, KeyError) as error:
         raise InputError(f"{path}: expected its card {card_path.name} beside it, found none ({error})") from error
     model = find_task(config.network)(config, torch.device("cpu")).make_model()
@@ -91,8 +91,8 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
     model.load_state_dict({name: stored[name] for name in model.state_dict()})
     trained = Checkpoint(
         config,
-        step=spent["pairs"] // config.batch,
-        seconds=float(spent["seconds_trained"]),
+        step=pairs // config.batch,
+        seconds=seconds,
         best=float("inf"),
         metrics={},
         tensors={f"model.{name}": tensor for name, tensor in model.state_dict().items()},

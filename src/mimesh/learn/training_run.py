@@ -78,7 +78,7 @@ class TrainingRun:
         """Set up a new training, or the one whose checkpoint lies in the folder."""
         processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
         device = processes.device
-        parts = (config.accumulate << len(config.doublings)) * processes.count
+        parts = config.most_parts * processes.count
         if config.batch % parts:
             raise InputError(
                 f"batch: expected a multiple of {parts} (most parts of a batch x processes), found {config.batch}; "
@@ -123,13 +123,10 @@ class TrainingRun:
         part = config.batch // config.accumulate // self.processes.count
         kept = activation_bytes(self.task, self.model, self.source) * part
         first = self.task.with_vertices(config.data.vertices)
-        whole = (
-            ""
-            if config.minutes
-            else f", {schedule_operations(first, self.model, config.pairs) / 1e15:.3g} PFLOP in all"
-        )
+        whole = schedule_operations(first, self.model, config.pairs) / 1e15
+        in_all = "" if config.minutes else f", {whole:.3g} PFLOP in all"
         return (
-            f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{whole}; "
+            f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{in_all}; "
             f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
         )
 
@@ -159,12 +156,14 @@ class TrainingRun:
     def advance(self) -> Tensor:
         """Take one optimizer step and give this process's mean loss, which stays on the device.
 
-        The batch has `accumulate` parts in each process. Parts are the generator's next samples, in this order: which
-        process computes one makes no difference. Random numbers of a loss are those of the sample, too.
+        The batch has as many parts in each process as `_parts_of_batch` says. Parts are the generator's next samples,
+        in this order: which process computes one makes no difference. Random numbers of a loss are those of the
+        sample, too.
         """
         started = self.clock()
         config, processes = self.config, self.processes
-        parts = self._parts_of_batch() * processes.count
+        own_parts = self._parts_of_batch()
+        parts = own_parts * processes.count
         for optimizer in self.optimizers:
             for group in optimizer.param_groups:
                 group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
@@ -174,7 +173,7 @@ class TrainingRun:
             sample = self.samples + part
             batch = self.source.batch(config.batch // parts, sample)
             loss = self.task.loss(self.step_model, batch, sample)
-            (loss / config.accumulate).backward()
+            (loss / own_parts).backward()
             losses.append(loss.detach())
         processes.average_gradients(self.model)
         if config.clip:

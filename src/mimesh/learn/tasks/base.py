@@ -72,6 +72,11 @@ class TrainConfig:
     """Pairs of each kind in a validation, at most 72."""
     seed: int = 0
 
+    @property
+    def most_parts(self) -> int:
+        """Parts of a batch after the last doubling, in each process."""
+        return self.accumulate << len(self.doublings)
+
     def check(self, where: str) -> None:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":
@@ -86,7 +91,7 @@ class TrainConfig:
             raise InputError(f"{where}: expected data.vertices above 0 with doublings, found 0; set it")
         if any(not 0.0 < share < 1.0 for share in self.doublings):
             raise InputError(f"{where}: expected doublings between 0 and 1, found {list(self.doublings)}")
-        if self.accumulate < 1 or self.batch % (self.accumulate << len(self.doublings)):
+        if self.accumulate < 1 or self.batch % self.most_parts:
             twice = f" times {1 << len(self.doublings)} (doublings)" * bool(self.doublings)
             raise InputError(
                 f"{where}: expected accumulate{twice} to divide batch, found {self.accumulate} and {self.batch}; "
