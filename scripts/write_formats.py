@@ -107,13 +107,16 @@ hold a licence give it their files:
 | SMPL, SMPL+H, SMPL-X, SMAL: `.pkl`, `.npz` | `mimesh convert SMPL_NEUTRAL.pkl body.obj` | the mean shape at rest |
 | AMASS: `.npz` | `mimesh convert take.npz mesh.npz --body-model SMPLH_MALE.npz` | a clip of the recorded person |
 | | `mimesh animate hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity, driven by that clip |
+| | `mimesh transfer hero.glb take.npz --body-model SMPLH_MALE.npz` | the identity in the pose of its first frame |
 | | `mimesh animate hero.glb take.npz` | the identity, driven by the joints; no model is needed |
+| | `mimesh look take.npz` | gender, number of betas, frame rate |
 | DFAUST: `registrations_m.hdf5` | `mimesh look registrations_m.hdf5` | the names of its clips |
 | | `mimesh convert registrations_m.hdf5 hips.npz --animation 50009_hips` | one clip |
 | DFAUST: a folder of `%05d.obj` | `mimesh convert folder/ clip.npz --fps 60` | the clip |
 | FAUST: `tr_reg_000.ply` | `mimesh transfer hero.glb tr_reg_000.ply` | the identity in that pose |
 | MG-dataset: `smpl_registered.obj` | `mimesh transfer hero.glb smpl_registered.obj` | the identity in that pose |
 | MG-dataset: `registration.pkl` | `mimesh convert registration.pkl body.obj --body-model SMPL.pkl` | the bare body |
+| | `mimesh transfer hero.glb registration.pkl --body-model SMPL.pkl` | the identity in that pose |
 
 **Not tested on the real files**, which may not be redistributed; tested on files of the same layout that the tests
 write. They come back with every vertex within 1e-5; posed models are compared with plain loops over the equations of
@@ -123,6 +126,10 @@ the SMPL paper.
   file's `betas`, poses and path. The clip has the file's frame rate, or is resampled at `--fps`. AMASS is turned to y
   up; pickles of poses keep their axes. The unit is the model's (metres). Soft tissue (`dmpls`) and offsets of clothes
   are not added. The model must be of the gender and the kind that the file was made with; a note names the gender.
+* **Joints.** `animate` with `mime` and an AMASS file takes the joints of the driving from the file and the model (those
+  of 24, 52 and 55 joints), with the fingers; with `--driving-joints` they are found on its surface. The joints of a
+  model that is the identity are found on its surface, unless Python gives them: `smpl_rig(load_smpl_model(FILE))` is
+  the `rig` that `mimesh.animate` takes.
 * **Other numbers of joints.** Models of 24, 52 and 55 joints share the first 22, models of 52 and 55 also the fingers;
   of others the first joints are taken. What the file lacks stays at rest, and what the model lacks is cut. The same
   holds for `betas`. Notes tell.

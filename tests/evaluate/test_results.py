@@ -152,6 +152,8 @@ def test_reports_in_the_docs_are_of_the_current_weights(path, monkeypatch):
         method = row_of_report["method"]
         # Reports from before there was a network of hands have the checksum of the model's file alone.
         path = weights_path(method)
+        if method == "limp" and not path.exists():  # not in the repository: trained in minutes, and large
+            continue
         alone = zlib.crc32(path.read_bytes()) if path.suffix == ".onnx" else 0
         assert row_of_report["weights"] == alone or row_of_report["weights"] == fingerprint(method)
 

@@ -1,11 +1,12 @@
 """Training configurations: shipped ones load, changes apply, and what does not belong is refused."""
 
 import dataclasses
+import re
 
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.learn.config import config_from, load_config
+from mimesh.learn.config import config_differences, config_from, load_config
 from mimesh.learn.models.aniformer import AniFormerConfig
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig
@@ -72,6 +73,12 @@ def test_shipped_configurations_load(name):
         ("compile: 1", "expected bool"),
         ("weight_decay: 0.1", "expected weight_decay 0 with optimizer adam"),
         ("accumulate: 3", "expected accumulate to divide batch, found 3 and 8"),
+        (
+            "doublings: [0.5]\nbatch: 3\ndata: {vertices: 64}",
+            r"accumulate times 2 \(doublings\) to divide batch, found 1 and 3",
+        ),
+        ("doublings: [0.5]", "expected data.vertices above 0 with doublings, found 0"),
+        ("doublings: [1.5]\ndata: {vertices: 64}", r"expected doublings between 0 and 1, found \[1.5\]"),
         ("data: {between: 0.5}", "expected data.between 0 with table6, found 0.5"),
         ("data: {reflect: 2}", "reflect from 0 to 1, found 2"),
         ("{network: mime, data: {kind: wide, target_scale: identity, reflect: 0.5}}", "reflect 0 with mime, found 0.5"),
@@ -97,6 +104,27 @@ def test_the_full_configuration_of_aniformer_has_the_papers_widths_and_motions()
     assert isinstance(config, AniFormerTrainConfig)
     assert config.model == AniFormerConfig(attention="frames")
     assert (config.data.kind, config.data.vertices, config.data.reflect) == ("clips80", 128, 0.5)
+
+
+def test_differences_are_named_by_their_keys_and_at_most_a_few():
+    full, table = load_config("full"), load_config("table")
+    assert config_differences(full, full) == ""
+    changed = load_config("full", changes=["data.vertices=1229", "learning_rate=1.0000001", "batch=8", "seed=2"])
+    words = config_differences(full, changed).split("; ")
+    rate = full.learning_rate
+    assert set(words) == {
+        "data.vertices 128 here, 1229 there",
+        f"learning_rate {rate} here, 1.0000001 there",
+        "batch 32 here, 8 there",
+        "seed 0 here, 2 there",
+    }
+    assert config_differences(full, changed, ("data", "batch")).count("there") == 2
+    many = config_differences(full, table)
+    assert many.count(" here, ") == 4
+    assert re.search(r"; and \d+ more$", many)
+    other = config_differences(full, load_config("full", "aniformer"), ("network", "model"))
+    assert "network npt here, aniformer there" in other
+    assert "none" in config_differences(load_config("table", "limp"), full, ("model",))
 
 
 @pytest.mark.parametrize("network", ["npt", "aniformer", "limp", "mime"])

@@ -10,7 +10,8 @@ from mimesh.learn import checkpoint
 from mimesh.learn.cost import activation_bytes, operations_spent, training_operations
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTask
-from mimesh.learn.train import TrainingRun, begin_with, train
+from mimesh.learn.train import begin_with, train
+from mimesh.learn.training_run import TrainingRun
 
 
 def kept(vertices, precision="fp32", **changes):
@@ -66,3 +67,14 @@ def test_the_log_says_what_a_training_takes(tmp_path):
     assert "PFLOP in all" in said
     assert "GiB for its gradient" in said
     assert '"kind": "cost"' in (train(TINY, tmp_path / "run") / "log.jsonl").read_text()
+
+
+def test_doublings_count_with_their_vertices(tmp_path):
+    """8 pairs of 64 vertices, 4 of 128, 4 of 256; what the log says before is what is spent."""
+    config = dataclasses.replace(TINY, batch=4, doublings=(0.5, 0.75))
+    task = NPTTask(config, torch.device("cpu"))
+    expected = training_operations(task, task.make_model(), 8 + 2 * 4 + 4 * 4)
+    run = TrainingRun.start(config, tmp_path)
+    assert f"{expected / 1e15:.3g} PFLOP in all" in run.cost()
+    state = checkpoint.load(train(config, tmp_path) / "last.safetensors")
+    assert state.operations == pytest.approx(expected)

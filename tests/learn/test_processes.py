@@ -15,7 +15,8 @@ from mimesh.learn import checkpoint
 from mimesh.learn.processes import is_first_process, joined_processes
 from mimesh.learn.tasks.npt import NPTTask
 from mimesh.learn.tasks.npt_batches import PairSource
-from mimesh.learn.train import TrainingRun, train
+from mimesh.learn.train import train
+from mimesh.learn.training_run import TrainingRun
 from mimesh.learn.vertex_sampler import share_of
 
 PARTS = dataclasses.replace(TINY, batch=4, pairs=16, validate_every=8, precision="fp32", accumulate=2)
@@ -99,7 +100,7 @@ def test_two_processes_take_the_steps_of_one(tmp_path, optimizer):
 def test_a_batch_that_two_processes_cannot_share_is_refused(tmp_path):
     done = launch(tmp_path, dataclasses.replace(PARTS, accumulate=4))
     assert done.returncode != 0
-    assert "batch: expected a multiple of 8 (accumulate x processes), found 4" in done.stderr
+    assert "batch: expected a multiple of 8 (most parts of a batch x processes), found 4" in done.stderr
 
 
 def test_accumulation_may_begin_where_a_training_is_resumed(tmp_path):

@@ -30,7 +30,8 @@ from mimesh.learn.registered_meshes import RegisteredMeshes  # noqa: E402
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, MeshWindowSource  # noqa: E402
 from mimesh.learn.tasks.find import find_task  # noqa: E402
 from mimesh.learn.tasks.npt import MeshPairSource  # noqa: E402
-from mimesh.learn.train import TrainingRun, train, train_command  # noqa: E402
+from mimesh.learn.train import train, train_command  # noqa: E402
+from mimesh.learn.training_run import TrainingRun  # noqa: E402
 from mimesh.learn.validation import Validation  # noqa: E402
 
 CPU = torch.device("cpu")

@@ -6,6 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from mimesh.cli import app
+from mimesh.cli import run as main_run
 from mimesh.core.errors import InputError
 from mimesh.evaluate import tables
 from mimesh.evaluate.tables import TABLES, Row, Table, over_seeds
@@ -56,6 +57,38 @@ def test_a_table_is_trained_with_seeds_and_measured(tmp_path):
 
 
 @pytest.mark.usefixtures("small_table")
+def test_rows_left_out_are_neither_trained_nor_measured_and_need_no_weights(tmp_path):
+    """`npt-full` is not trained without --long, and has no weights here."""
+    done = run("--train", "--without", "npt-full", "--without", "npt-no-edge", "-o", "table.json")
+    assert done.exit_code == 0, done.output
+    assert [path.name for path in (tmp_path / "runs/tables/seed0").glob("*.onnx")] == ["npt-equal.onnx"]
+    report = json.loads((tmp_path / "table.json").read_text())
+    assert {row["method"] for row in report["results"]} == {"runs/tables/seed0/npt-equal", "copy"}
+    labels = [line.split(" | ")[0] for line in done.output.splitlines() if line.startswith("| ")]
+    assert labels == ["| row", "| ---", "| NPT", "| copy"]
+
+
+@pytest.mark.usefixtures("small_table")
+def test_a_table_is_measured_without_the_rows_that_have_no_weights():
+    words = [word for row in ("npt-equal", "npt-no-edge", "npt-full") for word in ("--without", row)]
+    done = CliRunner().invoke(app, ["table", "npt-2", "--pairs", "1", *words])
+    assert done.exit_code == 0, done.output
+    assert "| copy | `copy` |" in done.output
+    assert "npt-equal" not in done.output
+
+
+@pytest.mark.usefixtures("small_table")
+def test_rows_to_leave_out_must_be_rows_of_the_table(capsys, tmp_path):
+    assert main_run(["table", "npt-2", "--train", "--without", "limp"]) == 2
+    message = capsys.readouterr().err
+    assert "--without limp: expected a row of npt-2 (npt-equal, npt-no-edge, npt-full, copy)" in message
+    words = [word for row in ("npt-equal", "npt-no-edge", "npt-full", "copy") for word in ("--without", row)]
+    assert main_run(["table", "npt-2", *words]) == 2
+    assert "leave fewer out" in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.usefixtures("small_table")
 def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
     train_row("npt-equal", 0, 0.001, tmp_path)
     written = (tmp_path / "npt-equal.onnx").stat().st_mtime_ns
@@ -64,8 +97,24 @@ def test_finished_rows_are_kept_and_others_refused_in_their_place(tmp_path):
     (tmp_path / "npt-equal.json").unlink()  # as where the process was killed before it wrote the card
     train_row("npt-equal", 0, 0.001, tmp_path)
     assert (tmp_path / "npt-equal.json").exists()
-    with pytest.raises(InputError, match="expected no training, or one with this configuration"):
+    found = r"found another \(minutes 0\.002 here, 0\.001 there\); choose"
+    with pytest.raises(InputError, match=f"expected no training, or one with this configuration, {found}"):
         train_row("npt-equal", 0, 0.002, tmp_path)
+
+
+@pytest.mark.usefixtures("small_table")
+def test_the_command_names_what_differs_in_the_folder(capsys, monkeypatch, tmp_path):
+    """As where a training of an earlier recipe lies in the folder: other vertices and layers."""
+    train_row("npt-equal", 0, 0.001, tmp_path / "runs/tables/seed0")
+    recipe = TrainedRow("npt", (*TINY, "data.vertices=64", "model.encoder=[8,16,32]", "edge=off"))
+    monkeypatch.setitem(table_rows.ROWS, "npt-equal", recipe)
+    words = ["--minutes", "0.001", "--without", "npt-full", "--without", "npt-no-edge"]
+    assert main_run(["table", "npt-2", "--train", *words]) == 2
+    message = capsys.readouterr().err
+    assert "data.vertices 64 here, 32 there" in message
+    assert "model.encoder [8, 16, 32] here, [8, 16, 16] there" in message
+    assert "edge off here, " in message
+    assert message.count(" here, ") == 3
 
 
 @pytest.mark.usefixtures("small_table")

@@ -18,7 +18,8 @@ from mimesh.learn.config import load_config
 from mimesh.learn.precision import choose_precision, product_rate
 from mimesh.learn.stop_request import StopRequest
 from mimesh.learn.tasks.npt import NPTTrainConfig
-from mimesh.learn.train import TrainingRun, schedule, train, train_command
+from mimesh.learn.train import train, train_command
+from mimesh.learn.training_run import TrainingRun, schedule
 from mimesh.learn.validation import Validation
 
 
@@ -35,6 +36,35 @@ def test_resume_continues_exactly(tmp_path, optimizer):
     assert start + losses(second, 3) == expected
     for a, b in zip(whole.ema.values(), second.ema.values(), strict=True):
         torch.testing.assert_close(a, b, rtol=0, atol=0)
+
+
+def test_doublings_double_vertices_and_parts(tmp_path):
+    """And a training that is resumed between them goes on with those that it had reached."""
+    config = dataclasses.replace(TINY, batch=4, doublings=(0.5, 0.75))
+    run = TrainingRun.start(config, tmp_path)
+    expected = losses(run, 4)
+    assert (run.task.config.data.vertices, run.samples) == (256, 1 + 1 + 2 + 4)
+    assert run.config == config
+    first = TrainingRun.start(config, tmp_path)
+    start = losses(first, 3)
+    first.save(tmp_path / "last.safetensors")
+    second = TrainingRun.start(config, tmp_path)
+    assert start + losses(second, 1) == expected
+    assert second.source.batch(1, 0).truth.shape[1] == 256
+
+
+def test_gradients_after_a_doubling_are_means_over_the_batch(tmp_path):
+    """Those of a training that has twice the vertices and parts by its configuration, on the same samples."""
+    doubled = dataclasses.replace(TINY, batch=4, pairs=8, clip=0.0, doublings=(0.5,))
+    first = TrainingRun.start(doubled, tmp_path)
+    first.advance()
+    first.save(tmp_path / "last.safetensors")
+    data = dataclasses.replace(TINY.data, vertices=128)
+    plain = dataclasses.replace(doubled, doublings=(), accumulate=2, data=data)
+    runs = [TrainingRun.start(config, tmp_path) for config in (doubled, plain)]
+    assert len({losses(run, 1)[0] for run in runs}) == 1
+    for one, other in zip(*(run.model.parameters() for run in runs), strict=True):
+        torch.testing.assert_close(one.grad, other.grad, rtol=0, atol=0)
 
 
 def test_train_writes_best_last_and_logs(tmp_path):
@@ -173,7 +203,7 @@ def test_measuring_precision_takes_a_moment():
 
 @pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_checkpoint_and_log_say_the_precision(tmp_path, precision, monkeypatch):
-    monkeypatch.setattr("mimesh.learn.train.choose_precision", lambda *_: (precision, "because"))
+    monkeypatch.setattr("mimesh.learn.training_run.choose_precision", lambda *_: (precision, "because"))
     folder = train(dataclasses.replace(TINY, pairs=2, optimizer="muon"), tmp_path / "run", max_minutes=1e-9)
     assert checkpoint.load(folder / "last.safetensors").precision == precision
     line = json.loads((folder / "log.jsonl").read_text().splitlines()[0])
@@ -239,7 +269,9 @@ def test_a_training_may_begin_with_the_network_of_another(tmp_path):
     assert [dict(stage) for stage in second.before] == [checkpoint.load(first / "last.safetensors").spent()]
     with pytest.raises(InputError, match=r"--weights .*: expected no changes with --resume"):
         train_command("npt", "small", None, first, None, [], first / "last.safetensors")
-    with pytest.raises(InputError, match="expected the network of the configuration"):
+    with pytest.raises(
+        InputError, match=r"the network of the configuration, found another \(model\.encoder \[.*\] here"
+    ):
         train_command("npt", "small", tmp_path / "third", None, None, [], first / "last.safetensors")
     assert not (tmp_path / "third").exists()
 

@@ -13,7 +13,7 @@ from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arr
 
 from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip, load_mesh, load_recorded_clip
+from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh
 from mimesh.motions.smpl_clip import fitted_pose
 
 FRAMES = 3
@@ -265,3 +265,74 @@ def test_animate_drives_with_the_recorded_surface(tmp_path, capsys):
     lengths, true_lengths = (np.linalg.norm(edge, axis=1) for edge in (edges, true_edges))
     scale = lengths.sum() / true_lengths.sum()
     np.testing.assert_allclose(lengths, scale * true_lengths, atol=1e-4)
+
+
+@pytest.mark.parametrize("source", ["take.npz", "registration.pkl"])
+def test_transfer_takes_the_pose_of_the_first_recorded_frame(source, tmp_path, capsys):
+    """`copy` gives the driving's own vertices back, in the place and size of the identity."""
+    arrays, take = smpl_arrays(), recording(24)
+    model = write_model(tmp_path / "m.pkl", arrays)
+    true = surface(arrays, take, 24)[0]
+    if source == "take.npz":
+        write_take(tmp_path / source, **take)
+    else:
+        turn = Rotation.from_matrix(Z_UP).inv()
+        pose = take["poses"][0].copy()
+        pose[:3] = (turn * Rotation.from_rotvec(pose[:3])).as_rotvec()
+        entries = {"pose": pose, "betas": take["betas"], "trans": np.zeros(3)}
+        (tmp_path / source).write_bytes(pickle.dumps(entries))
+    assert run(["convert", str(model), str(tmp_path / "hero.obj")]) == 0
+    command = ["transfer", str(tmp_path / "hero.obj"), str(tmp_path / source), "-m", "copy", "--no-preview"]
+    capsys.readouterr()
+    assert run([*command, "-o", str(tmp_path / "out.obj"), "--body-model", str(model), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert any("the first 10 of 16 betas" in note for note in facts["report"]["notes"])
+    moved = load_mesh(tmp_path / "out.obj").vertices
+    lengths, true_lengths = (np.linalg.norm(v[1:] - v[:-1], axis=1) for v in (moved, true))
+    np.testing.assert_allclose(lengths, lengths.sum() / true_lengths.sum() * true_lengths, atol=1e-4)
+    again = [*command, "-o", str(model), "--body-model", str(model)]
+    assert run(again) == 2
+    assert "expected an output apart from the inputs" in capsys.readouterr().err
+
+
+def test_the_first_frame_alone_is_that_of_the_clip(tmp_path):
+    """A person who lies in the first frame and stands in the others: the up axis is that of the whole recording."""
+    model, take = write_model(tmp_path / "m.npz", small_arrays(24, 30)), recording(24, frames=6)
+    take["poses"][0, :3] = 0.0
+    path = write_take(tmp_path / "take.npz", **take)
+    mesh, notes = load_recorded_mesh(path, model)
+    clip, of_clip = load_recorded_clip(path, model)
+    np.testing.assert_array_equal(mesh.vertices, clip.vertices[0])
+    assert (mesh.up, notes) == (clip.mesh.up, of_clip)
+
+
+def test_other_driving_meshes_take_no_body_model(tmp_path, capsys):
+    model = write_model(tmp_path / "m.npz", small_arrays(24, 30))
+    for name in ("hero.obj", "pose.obj"):
+        (tmp_path / name).write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    words = [str(tmp_path / "hero.obj"), str(tmp_path / "pose.obj"), "--body-model", str(model)]
+    assert run(["transfer", *words, "-o", str(tmp_path / "out.obj")]) == 2
+    assert "expected an AMASS archive" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("changes", "gender", "betas", "rate"),
+    [
+        ({}, "female", "16", "120 per second"),
+        ({"gender": np.array(b"male"), "betas": np.ones((FRAMES, 10))}, "male", "10", "120 per second"),
+        ({"gender": None, "betas": None, "mocap_framerate": None}, *["not in the file"] * 3),
+        ({"gender": np.array([{}]), "betas": np.array([{}, 1])}, *["not in the file"] * 2, "120 per second"),
+        ({"gender": np.array(b"m\xff\x1b[2J")}, "m\ufffd[2J", "16", "120 per second"),
+    ],
+)
+def test_look_shows_what_a_recording_was_made_with(changes, gender, betas, rate, tmp_path, capsys):
+    arrays = {name: array for name, array in (recording(24) | changes).items() if array is not None}
+    path = write_take(tmp_path / "take.npz", **arrays)
+    assert run(["look", str(path)]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[1:] if "  " in line)
+    assert (lines["gender"], lines["betas"]) == (gender, betas)
+    assert lines["frame"].removeprefix("rate").strip().startswith(rate)
+    assert run(["look", str(path), "--json"]) == 0
+    details = dict(json.loads(capsys.readouterr().out)["files"][0]["details"])
+    assert details["gender"] == gender
+    assert details["frame rate"].startswith(rate)

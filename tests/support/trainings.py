@@ -7,7 +7,7 @@ import torch
 from mimesh.learn.body_sampler import DataConfig
 from mimesh.learn.models.npt import NPTConfig
 from mimesh.learn.tasks.npt import NPTTrainConfig
-from mimesh.learn.train import TrainingRun
+from mimesh.learn.training_run import TrainingRun
 
 TINY = NPTTrainConfig(
     model=NPTConfig(encoder=(8, 16, 16), decoder=(16, 8, 8)),

@@ -21,7 +21,8 @@ def train(
         typer.Option("--set", metavar="KEY=VALUE", help="Change the configuration: seed=1, model.blocks=conv."),
     ] = None,
     weights: Annotated[
-        Path | None, typer.Option(help="Checkpoint whose network a new training begins with.", metavar="CHECKPOINT")
+        Path | None,
+        typer.Option(help="Checkpoint or exported .onnx whose network a new training begins with.", metavar="FILE"),
     ] = None,
     characters: Annotated[
         Path | None,

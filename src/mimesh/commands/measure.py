@@ -87,6 +87,8 @@ def evaluate(
     elif not quiet:
         print(markdown(figures))
         print("± is half of the 95 % interval of the mean; columns: docs/conventions.md")
+        for note in figures.get("notes", ()):
+            print(f"note: {note}")
         if figures["protocol"] == "human-npt":
             print_next("table", "npt-1")
 
@@ -100,11 +102,15 @@ def table(
     seeds: Annotated[int, typer.Option(help="Train each row so many times; prints mean and deviation.", min=1)] = 1,
     minutes: Annotated[
         float, typer.Option(help="Training time of rows that are compared, in CPU minutes.", min=0)
-    ] = 21,
+    ] = 15,
     long: Annotated[bool, typer.Option("--long", help="Train the rows that take many hours, too.")] = False,
     networks: Annotated[Path, typer.Option(help="Folder for the networks that are trained.", metavar="DIR")] = Path(
         "runs/tables"
     ),
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ROW", help="Leave a row out, by its model's name (column `ours`); several times."),
+    ] = None,
     json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -113,21 +119,23 @@ def table(
     Measures every row first: give -o to be able to stop and go on. The rows' own
     networks lie in the repository's folder ablations, so run this in a checkout of it,
     or train them: --train needs the [train] extra and goes on where it was stopped.
+    Rows left out with --without are neither trained nor measured, and need no weights.
     """
     from ..evaluate.tables import find_table, table_command
 
-    find_table(name)
+    left_out = tuple(without or ())
+    find_table(name, left_out)
     trained = {}
     if train:
         require("train", "torch", "yaml", "safetensors", "tensorboard", "onnx", "onnxscript")
         with progress("starting", quiet or json):  # PyTorch takes seconds to load
             from ..learn.table_rows import train_table
 
-        trained = train_table(name, networks, minutes, seeds, long, lambda text: print(text, file=sys.stderr))
+        trained = train_table(name, networks, minutes, seeds, long, lambda text: print(text, file=sys.stderr), left_out)
     elif seeds > 1 or long:
         raise InputError("--seeds, --long: expected them with --train, found them without; add --train")
     with progress("pairs", quiet or json) as advance:
-        figures, text = table_command(name, output, pairs, advance, data, trained)
+        figures, text = table_command(name, output, pairs, advance, data, trained, left_out)
     if json:
         print_json(figures)
     elif not quiet:

@@ -40,6 +40,7 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
+    from ..core.mesh import Mesh
     from ..pipeline.result import ClipResult, Result
 
 Identity = Annotated[
@@ -114,6 +115,7 @@ def transfer(
     driving: Annotated[Path, typer.Argument(metavar="DRIVING", parser=given_path, help="The mesh in the wanted pose.")],
     output: Output = None,
     model: Model = "mime",
+    body_model: BodyModel = None,
     up: Axis = None,
     front: Axis = None,
     driving_up: Axis = None,
@@ -144,13 +146,14 @@ def transfer(
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
     output = output or output_beside(identity, driving, suffix)
-    _check_outputs(output, preview, open_it, identity, driving, reference, markers, usual=suffix)
+    _check_outputs(output, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
-    meshes, seconds = _timed(lambda: (load_mesh(identity), load_mesh(driving)))
-    check_suffix(output, (*MESH_WRITERS, meshes[0].source.suffix if meshes[0].source else ""))
+    (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
+    check_suffix(output, (*MESH_WRITERS, mesh.source.suffix if mesh.source else ""))
     result = run_transfer(
-        *meshes,
+        mesh,
+        posed,
         model,
         up=up,
         front=front,
@@ -169,7 +172,14 @@ def transfer(
     result.save(output)
     save_joint_files(result, identity, driving, save_joints, save_driving_joints)
     shown = _write_preview(result, output, preview, open_it, usual=suffix)
-    _print_facts(_facts(result, output, shown, joints=corrected.described()), json, quiet)
+    _print_facts(_facts(result, output, shown, notes, corrected.described()), json, quiet)
+
+
+def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
+    """Read a mesh in the wanted pose, or with a body model what was recorded with it; returns notes as well."""
+    from ..io import load_mesh, load_recorded_mesh
+
+    return (load_mesh(path), ()) if body_model is None else load_recorded_mesh(path, body_model)
 
 
 def animate(

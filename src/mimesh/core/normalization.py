@@ -172,6 +172,19 @@ def orientation_scores(features: Float[np.ndarray, "*B C"], model: dict[str, np.
     return hidden @ model["out"]
 
 
+def clear_up(mesh: Mesh) -> str | None:
+    """Detect the axis away from the ground from the shape alone, whatever the front is; None where it is not clear.
+
+    Clear is a probability of CONTRARY or more.
+    """
+    scores = orientation_scores(mesh_occupancy(mesh), _detector())
+    probability = np.exp(scores - scores.max())
+    ups = [up for up, _ in ORIENTATIONS]
+    totals = {up: probability[[up == other for other in ups]].sum() / probability.sum() for up in AXES}
+    likeliest = max(AXES, key=lambda up: totals[up])
+    return likeliest if totals[likeliest] >= CONTRARY else None
+
+
 def _best_orientation(scores: Float[np.ndarray, " 24"], candidates: list[int]) -> tuple[int, float]:
     """Select the candidate (index of ROTATIONS) of highest score, and compute its margin."""
     # Rounded, so that the rounding of a sum cannot decide between the equal facings of a symmetric shape.

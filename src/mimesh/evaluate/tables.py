@@ -58,6 +58,13 @@ SAME_TAKES = "random people; poses include frames of the takes of *seen*"
 MIME_ON_CLIPS = Row(f"mime (ours, fits the shipped body): {SAME_TAKES}", "mime")
 """Label of the shipped weights in tables of clips. The captured seconds of *seen* are in their training data too."""
 DENSE = Row("DT, true dense correspondence", "deformation-transfer-dense")
+ANIFORMER_FULL = Row(
+    "AniFormer, the paper's width, attention across frames only; two fifths of its windows are on ways between random "
+    "poses",
+    "aniformer-full",
+    0.12,
+    3.95,
+)
 TABLES = {
     "npt-1": Table(
         "NPT Table 1: against deformation transfer",
@@ -112,6 +119,7 @@ TABLES = {
             Row("with the motion constraint", "aniformer-motion", 1.37),
             Row("with the appearance constraint", "aniformer-appearance", 0.31),
             Row("with both", "aniformer-equal", 0.12),
+            ANIFORMER_FULL,
             MIME_ON_CLIPS,
             COPY,
         ),
@@ -124,9 +132,11 @@ TABLES = {
         "clips-aniformer",
         (
             Row("LIMP", "limp", 5.44, 7.11),
-            Row("NPT-MP (max-pool)", "npt-maxpool-frames", 4.51, 6.69),
-            Row("NPT", "npt-frames", 4.37, 5.31),
+            Row("NPT-MP (max-pool), narrow", "npt-maxpool-frames", 4.51, 6.69),
+            Row("NPT, narrow", "npt-frames", 4.37, 5.31),
             Row("AniFormer, narrow, attention across frames only", "aniformer-equal", 0.12, 3.95),
+            Row("NPT, the paper's width, frames of as many windows as the next", "npt-full-frames", 4.37, 5.31),
+            ANIFORMER_FULL,
             Row(f"NPT as shipped: {SAME_TAKES}", "npt", 4.37, 5.31),
             Row("AniFormer as shipped: random people; motions include the takes of *seen*", "aniformer", 0.12, 3.95),
             MIME_ON_CLIPS,
@@ -140,15 +150,28 @@ TABLES = {
 }
 
 
-def find_table(name: str) -> Table:
+def find_table(name: str, without: Sequence[str] = ()) -> Table:
     """Look up a table by name.
 
+    Args:
+        without: methods whose rows are left out.
+
     Raises:
-        InputError: no such table.
+        InputError: no such table, no such row, or no rows are left.
     """
     if name not in TABLES:
         raise InputError(f"{name}: expected a table ({', '.join(TABLES)}), found another; check the name")
-    return TABLES[name]
+    table = TABLES[name]
+    methods = [row.method for row in table.rows]
+    for method in without:
+        if method not in methods:
+            raise InputError(
+                f"--without {method}: expected a row of {name} ({', '.join(methods)}), found none; check the name"
+            )
+    rows = tuple(row for row in table.rows if row.method not in without)
+    if not rows:
+        raise InputError(f"--without: expected a row of {name} that is not left out, found none; leave fewer out")
+    return table._replace(rows=rows)
 
 
 def table_command(
@@ -158,19 +181,21 @@ def table_command(
     progress: Progress | None = None,
     data: Path | None = None,
     trained: Mapping[str, Sequence[str]] = NONE_TRAINED,
+    without: Sequence[str] = (),
 ) -> tuple[dict[str, Any], str]:
     """Measure the rows of a paper's table (`mimesh table`; resumable with `out`) and return the report and the table.
 
     Args:
         trained: method of a row -> networks that stand in its place, one a seed (`methods_in`).
+        without: methods whose rows are left out.
 
     Raises:
-        InputError: no such table, a missing network of a row, or missing data.
+        InputError: no such table or row, a missing network of a row, or missing data.
     """
-    table = find_table(name)
+    table = find_table(name, without)
     methods = list(dict.fromkeys(method for row in table.rows for method in trained.get(row.method, [row.method])))
     report = evaluate_command(table.protocol, methods, out, pairs=pairs, progress=progress, data=data)
-    return report, paper_table(name, report, trained=trained)
+    return report, paper_table(name, report, trained=trained, without=without)
 
 
 def methods_in(name: str, networks: Collection[str], folders: Sequence[Path]) -> dict[str, list[str]]:
@@ -180,14 +205,20 @@ def methods_in(name: str, networks: Collection[str], folders: Sequence[Path]) ->
     return {method: [str(folder / method) for folder in folders] for method in own}
 
 
-def paper_table(name: str, *reports: dict[str, Any], trained: Mapping[str, Sequence[str]] = NONE_TRAINED) -> str:
+def paper_table(
+    name: str,
+    *reports: dict[str, Any],
+    trained: Mapping[str, Sequence[str]] = NONE_TRAINED,
+    without: Sequence[str] = (),
+) -> str:
     """Format a paper's table from reports; cells without a measurement say "not measured".
 
     Args:
         trained: as in `table_command`. A row with several networks has the mean of their figures, and behind ± the
             standard deviation between them instead of the interval over people.
+        without: methods whose rows are left out.
     """
-    table = TABLES[name]
+    table = find_table(name, without)
     chosen = [report for report in reports if report["protocol"] == table.protocol]
     measured = {(row["method"], row["split"]): row for report in chosen for row in report["results"]}
     lines = []

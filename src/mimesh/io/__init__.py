@@ -148,17 +148,38 @@ def load_recorded_clip(
     Raises:
         InputError: one of the files cannot be used.
     """
+    path = Path(path)
+    _check_clip_options(path, fps, animation)
+    return _recorded(path, Path(body_model), fps, progress)
+
+
+def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
+    """Read the first frame of `load_recorded_clip` as a mesh, without computing the others; returns notes as well.
+
+    Raises:
+        InputError: one of the files cannot be used.
+    """
+    clip, notes = _recorded(Path(path), Path(body_model), first_alone=True)
+    return clip.mesh, notes
+
+
+def _recorded(
+    path: Path,
+    body_model: Path,
+    fps: float | None = None,
+    progress: Progress | None = None,
+    first_alone: bool = False,
+) -> tuple[Clip, tuple[str, ...]]:
+    """Read a body model and what was recorded with it."""
     from ..bodies.smpl_model import load_smpl_model
     from ..motions.smpl_clip import recorded_clip
 
-    path, body_model = Path(path), Path(body_model)
-    _check_clip_options(path, fps, animation)
     _must_exist(path)
     _must_exist(body_model)
     with _reading(body_model):
         model = load_smpl_model(body_model)
     with _reading(path):
-        clip, notes = recorded_clip(path, model, fps, progress)
+        clip, notes = recorded_clip(path, model, fps, progress, first_alone)
     return check_clip(clip, path), notes
 
 

@@ -7,7 +7,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -17,16 +17,10 @@ from torch import Tensor, nn
 from ..core.errors import InputError
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
-from .config import config_from
+from .config import config_differences, config_from
 from .tasks.base import TrainConfig
 from .tasks.find import find_task
 
-SCALE = ":scale"
-"""Behind the name of a matrix stored as int8: its rows' scales, by which it is multiplied."""
-INT8_STEPS = 127
-"""Steps from zero to the largest number of a row of int8."""
-SMALLEST = 256
-"""Matrices of fewer numbers are not worth their scales and are stored in 16 bits."""
 POSITION = (
     "step",
     "seconds",
@@ -124,37 +118,28 @@ def load(path: Path) -> Checkpoint:
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
     rename = find_task(config.network).current_name
     tensors = {rename(key): value.float() if value.is_floating_point() else value for key, value in tensors.items()}
-    for key in [key for key in tensors if key.endswith(SCALE)]:
-        scale = tensors.pop(key)
-        tensors[key.removesuffix(SCALE)] = tensors[key.removesuffix(SCALE)] * scale[:, None]
     return Checkpoint(config, tensors=tensors, **position)
 
 
-def save_compact(
-    path: Path, out: Path, weights_only: bool = False, average: bool = True, bits: Literal[16, 8] = 16
-) -> None:
+def save_compact(path: Path, out: Path, weights_only: bool = False, average: bool = True) -> None:
     """Copy a checkpoint with weights and their average in float16 and optimizer state in bfloat16: half the bytes.
 
-    With 8 `bits` each row of a matrix of weights is rounded to int8 with its own scale: weights take a quarter.
-    Without the `average` a third less; a training that continues begins a new one. With `weights_only`, average and
-    optimizer state are left out: a start for another training (`--weights`).
+    Without the `average` a third less; a training that continues begins a new one. With `weights_only`, the
+    average alone is kept, or the weights where there is none: a start for another training (`--weights`).
 
     `load` reads it as any other and a training continues from it, from rounded numbers. Adam's squares of small
     gradients would be zero in float16.
     """
-    found = load(path).tensors  # in float32, also where the file is compact already
+    found = load(path)  # in float32, also where the file is compact already
     with safe_open(path, "pt") as file:
         metadata = file.metadata()
-    left_out = ("ema.", "optimizer.") if weights_only else () if average else ("ema.",)
-    tensors = {key: value for key, value in found.items() if not key.startswith(left_out)}
+    tensors = {key: value for key, value in found.tensors.items() if average or not key.startswith("ema.")}
+    if weights_only:
+        tensors = {f"model.{name}": value for name, value in found.weights().items()}
     for key, value in list(tensors.items()):
         if value.dtype != torch.float32 or not value.ndim:
             continue
-        if bits == 8 and value.ndim == 2 and value.numel() >= SMALLEST and not key.startswith("optimizer."):
-            scale = (value.abs().amax(dim=1) / INT8_STEPS).clamp_min(1e-12)
-            tensors[key], tensors[f"{key}{SCALE}"] = (value / scale[:, None]).round().to(torch.int8), scale
-        else:
-            tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
+        tensors[key] = value.to(torch.bfloat16 if key.startswith("optimizer.") else torch.float16)
     with whole_file(out) as temporary:
         save_file(tensors, temporary, metadata=metadata)
 
@@ -169,8 +154,13 @@ def average(checkpoints: Sequence[Checkpoint], shares: Sequence[float]) -> Check
         InputError: the checkpoints do not hold the same network.
     """
     first, weights = checkpoints[0], [checkpoint.weights() for checkpoint in checkpoints]
-    if any(checkpoint.config.model != first.config.model for checkpoint in checkpoints):
-        raise InputError("average: expected checkpoints of one network, found others; leave out those that differ")
+    for number, checkpoint in enumerate(checkpoints, start=1):
+        if checkpoint.config.model != first.config.model:
+            differing = config_differences(checkpoint.config, first.config, ("network", "model"))
+            raise InputError(
+                f"average: expected checkpoints of one network, found another in number {number} than in number 1 "
+                f"({differing}); leave out those that differ"
+            )
     total = sum(shares)
     tensors = {
         f"model.{name}": sum(share / total * w[name] for share, w in zip(shares, weights, strict=True))

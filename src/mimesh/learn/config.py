@@ -17,6 +17,8 @@ from ..core.errors import InputError
 from .tasks.base import TrainConfig
 from .tasks.find import NETWORKS, find_task
 
+MOST_DIFFERENCES = 4
+"""Keys that an error about two configurations names; the rest is counted."""
 LOSS_KEYS = {"edge", "edge_weight", "losses", "metrics", "structure"}
 """Fields of one network or another. Checkpoints of earlier versions hold all of them; those of others are left out."""
 
@@ -67,6 +69,32 @@ def _change(values: dict[str, Any], change: str) -> None:
         values[last] = json.loads(value)
     except json.JSONDecodeError:
         values[last] = value
+
+
+def config_differences(here: TrainConfig, there: TrainConfig, of: Sequence[str] = ()) -> str:
+    """Name the keys in which two configurations differ, with both values: "minutes 21 here, 20 there".
+
+    Args:
+        here: what was asked for.
+        there: what was found.
+        of: only these fields and the keys within them; all if there are none.
+    """
+    both = [_flat({k: v for k, v in dataclasses.asdict(c).items() if not of or k in of}) for c in (here, there)]
+    keys = [key for key in dict.fromkeys((*both[0], *both[1])) if both[0].get(key) != both[1].get(key)]
+    words = [f"{key} {both[0].get(key, 'none')} here, {both[1].get(key, 'none')} there" for key in keys]
+    more = [f"and {len(keys) - MOST_DIFFERENCES} more"] * (len(keys) > MOST_DIFFERENCES)
+    return "; ".join(words[:MOST_DIFFERENCES] + more)
+
+
+def _flat(values: dict[str, Any]) -> dict[str, str]:
+    """Give each value of nested dictionaries the key that `--set` has for it, and the text."""
+    flat: dict[str, str] = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            flat |= {f"{key}.{inner}": text for inner, text in _flat(value).items()}
+        else:
+            flat[key] = value if isinstance(value, str) else json.dumps(value).removesuffix(".0")
+    return flat
 
 
 def config_from(values: dict[str, Any], where: str) -> TrainConfig:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import torch
@@ -23,7 +24,19 @@ def training_operations(task: Task, model: nn.Module, pairs: int) -> float:
 def operations_of(config: TrainConfig, pairs: int) -> float:
     """Count the operations of a training from its configuration alone."""
     task = find_task(config.network)(config, torch.device("cpu"))
-    return training_operations(task, task.make_model(), pairs)
+    return schedule_operations(task, task.make_model(), pairs)
+
+
+def schedule_operations(task: Task, model: nn.Module, pairs: int) -> float:
+    """Count the operations of the first pairs of a training, whose meshes have more vertices after each doubling.
+
+    Where the schedule goes by time, it is not known when that is, and all count with the first vertices.
+    """
+    config = task.config
+    shares = () if config.minutes else config.doublings
+    stages = enumerate(itertools.pairwise((0.0, *(share * config.pairs for share in shares), float("inf"))))
+    counts = ((config.data.vertices << doubled, min(end, pairs) - start) for doubled, (start, end) in stages)
+    return sum(training_operations(task.with_vertices(n), model, 1) * max(count, 0.0) for n, count in counts)
 
 
 def operations_spent(trained: Checkpoint) -> float:

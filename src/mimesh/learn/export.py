@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import onnx
+import onnxscript.optimizer
 import torch
 from jaxtyping import Float
 from torch import nn
@@ -22,6 +23,7 @@ from ..methods.onnx_runtime import import_onnxruntime
 from . import checkpoint
 from .config import TrainConfig
 from .cost import operations_spent
+from .exported_weights import compress
 from .tasks.base import OnnxInterface
 from .tasks.find import find_task
 
@@ -112,8 +114,11 @@ def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
             output_names=list(interface.outputs),
             dynamic_shapes=interface.dynamic,
             verbose=False,
+            optimize=False,
         )
-    assert program is not None
+        assert program is not None
+        # Constants are computed in advance from numbers, not from weights: those keep their names (`exported_weights`).
+        onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
     return without_traces(program.model_proto)
 
 
@@ -123,36 +128,6 @@ def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
     for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
         del thing.metadata_props[:]
         thing.ClearField("doc_string")
-    return network
-
-
-def compress(network: onnx.ModelProto, bits: int = 16, smallest: int = 256) -> onnx.ModelProto:
-    """Copy a network with its weights stored in fewer bits; arithmetic stays in float32.
-
-    Args:
-        bits: 16 casts to float16; 8 rounds each row of a matrix to int8 with its own scale, and is 16 for the rest.
-        smallest: tensors of fewer numbers than these are left alone.
-    """
-    network = onnx.ModelProto.FromString(network.SerializeToString())
-    nodes = []
-    for tensor in list(network.graph.initializer):
-        if tensor.data_type != onnx.TensorProto.FLOAT or np.prod(tensor.dims) < smallest:
-            continue
-        name, values = tensor.name, onnx.numpy_helper.to_array(tensor)
-        if bits == 8 and values.ndim == 2:
-            scale = (np.abs(values).max(axis=1) / checkpoint.INT8_STEPS).clip(1e-12).astype(np.float32)
-            stored = np.round(values / scale[:, None]).astype(np.int8)
-            network.graph.initializer.append(onnx.numpy_helper.from_array(scale, f"{name}.scale"))
-            inputs = [f"{name}.stored", f"{name}.scale"]
-            nodes.append(onnx.helper.make_node("DequantizeLinear", inputs, [name], axis=0))
-        else:
-            stored = values.astype(np.float16)
-            nodes.append(onnx.helper.make_node("Cast", [f"{name}.stored"], [name], to=onnx.TensorProto.FLOAT))
-        tensor.CopyFrom(onnx.numpy_helper.from_array(stored, f"{name}.stored"))
-    # Nodes are in the order of execution: the stored weights are unpacked first.
-    nodes += network.graph.node
-    del network.graph.node[:]
-    network.graph.node.extend(nodes)
     return network
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from ..core.errors import InputError
 from ..evaluate.tables import find_table, methods_in
 from ..methods.find import REDUCED_MODELS, check_weights
 from . import checkpoint
-from .config import load_config
+from .config import config_differences, load_config
 from .export import export_command
 from .tasks.base import TrainConfig
 from .train import train
@@ -32,8 +32,16 @@ class TrainedRow(NamedTuple):
     """Whether it takes many hours: trained only where that is asked for."""
 
 
-ON_CLIPS = ("data.kind=clips80", "data.vertices=128", "batch=32")
-"""NPT on AniFormer's data: frames of its motions as pairs, with as many vertices."""
+ON_CLIPS = (
+    *("model.encoder=[64,128,384]", "model.decoder=[387,256,128]", "data.kind=clips80"),
+    *("weight_decay=0", "warmup=2000", "decay=0.4"),
+)
+"""NPT on AniFormer's data: frames of its motions as pairs, as many vertices; three eighths of the paper's width."""
+FULL_ON_CLIPS = (
+    *("data.kind=clips80", "data.between=0.4", "batch=48", "pairs=120000", "warmup=3000", "decay=0.75"),
+    *("doublings=[0.75,0.92]", "ema=0.99"),
+)
+"""NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
 ROWS = {
     "npt-equal": TrainedRow("npt"),
     "npt-no-edge": TrainedRow("npt", ("edge=off",)),
@@ -50,6 +58,8 @@ ROWS = {
     "npt-frames": TrainedRow("npt", ON_CLIPS),
     "npt-maxpool-frames": TrainedRow("npt", ("model.pose_code=global_max", *ON_CLIPS)),
     "limp": TrainedRow("limp"),
+    "npt-full-frames": TrainedRow("npt", FULL_ON_CLIPS, config="full", equal_time=False, long=True),
+    "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
     "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
 }
@@ -67,33 +77,41 @@ def row_config(row: str, seed: int, minutes: float) -> TrainConfig:
     return load_config(recipe.config, recipe.network, (*time, *recipe.changes, f"seed={seed}"))
 
 
-def rows_of(table: str, long: bool) -> list[str]:
+def rows_of(table: str, long: bool, without: Sequence[str] = ()) -> list[str]:
     """List the networks of a table that can be trained.
 
     Args:
         long: whether those that take many hours are among them.
+        without: methods whose rows are left out.
     """
-    methods = [REDUCED_MODELS.get(row.method, row.method) for row in find_table(table).rows]
+    methods = [REDUCED_MODELS.get(row.method, row.method) for row in find_table(table, without).rows]
     return list(dict.fromkeys(name for name in methods if name in ROWS and (long or not ROWS[name].long)))
 
 
 def train_table(
-    table: str, folder: Path, minutes: float, seeds: int = 1, long: bool = False, say: Callable[[str], None] = print
+    table: str,
+    folder: Path,
+    minutes: float,
+    seeds: int = 1,
+    long: bool = False,
+    say: Callable[[str], None] = print,
+    without: Sequence[str] = (),
 ) -> dict[str, list[str]]:
     """Train the networks of a table with the seeds 0, 1 ...; give the methods to measure for each row (`methods_in`).
 
     Args:
         folder: gets a folder `seed0`, `seed1` ... for each seed.
         say: told what is trained before each network, and how long all take.
+        without: methods whose rows are left out: they are not trained and need no weights.
 
     Raises:
-        InputError: no such table, no time, a row that is not trained and has no weights, or a folder with trainings
-            of another configuration.
+        InputError: no such table or row, no time, a row that is not trained and has no weights, or a folder with
+            trainings of another configuration.
     """
     if not 0 < minutes < float("inf"):  # 0 in a configuration means that its number of pairs counts: days
         raise InputError(f"--minutes: expected a positive number, found {minutes:g}; give another")
-    rows = rows_of(table, long)
-    for method in (row.method for row in find_table(table).rows):
+    rows = rows_of(table, long, without)
+    for method in (row.method for row in find_table(table, without).rows):
         if REDUCED_MODELS.get(method, method) not in rows:
             check_weights(method)
     folders = [folder / f"seed{seed}" for seed in range(seeds)]
@@ -118,9 +136,10 @@ def train_row(row: str, seed: int, minutes: float, folder: Path) -> None:
     """
     config, run = row_config(row, seed, minutes), folder / row
     last, onnx = run / "last.safetensors", folder / f"{row}.onnx"
-    if last.exists() and checkpoint.load(last).config != config:
+    if last.exists() and (found := checkpoint.load(last).config) != config:
         raise InputError(
-            f"{run}: expected no training, or one with this configuration, found another; choose another folder"
+            f"{run}: expected no training, or one with this configuration, found another "
+            f"({config_differences(config, found)}); choose another folder"
         )
     if not (onnx.exists() and onnx.with_suffix(".json").exists()):  # the card is written last
         train(config, run)

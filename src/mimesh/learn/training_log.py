@@ -15,10 +15,8 @@ import torch
 from torch import Tensor
 from torch.utils.tensorboard import SummaryWriter
 
-from .cost import training_operations
-
 if TYPE_CHECKING:
-    from .train import TrainingRun
+    from .training_run import TrainingRun
 
 LOG_SECONDS = 20.0
 """Wall-clock time between lines of the log."""
@@ -29,9 +27,7 @@ class TrainingLog:
 
     def __init__(self, lines: TextIO, board: SummaryWriter | None, run: TrainingRun) -> None:
         self.lines, self.board, self.run = lines, board, run
-        self.losses: list[Tensor] = []
-        self.time, self.mark = time.monotonic(), run.seconds
-        self.flops = training_operations(run.task, run.model, 1)
+        self._begin()
 
     @classmethod
     @contextlib.contextmanager
@@ -55,11 +51,17 @@ class TrainingLog:
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()
-        rate = len(self.losses) * self.run.config.batch / (self.run.seconds - self.mark)
-        figures = {"loss": loss, "pairs_per_s": rate, "tflops": rate * self.flops / 1e12}
+        seconds, operations = self.run.seconds - self.seconds, self.run.operations - self.operations
+        rate = len(self.losses) * self.run.config.batch / seconds
+        figures = {"loss": loss, "pairs_per_s": rate, "tflops": operations / seconds / 1e12}
         figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
-        self.losses, self.time, self.mark = [], time.monotonic(), self.run.seconds
+        self._begin()
         self.write("training", figures)
+
+    def _begin(self) -> None:
+        """Begin to collect anew."""
+        self.losses: list[Tensor] = []
+        self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""

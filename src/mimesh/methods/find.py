@@ -17,7 +17,7 @@ SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
-    *("npt-frames", "npt-maxpool-frames", "limp"),
+    *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
 folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""
@@ -60,7 +60,8 @@ def check_weights(model: str) -> None:
     if is_table_model(model) and not weights_path(model).is_file():
         raise InputError(
             f"{model}: expected its weights in {weights_path(model)}, found no file; run this in a checkout of the "
-            "repository, or train them with mimesh table --train (--long for those that take hours)"
+            "repository, train them with mimesh table --train (--long for those that take hours), or leave the row out "
+            "of the table with --without"
         )
 
 

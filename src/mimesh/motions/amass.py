@@ -12,6 +12,7 @@ axes, y up, facing +z, 1.7 m tall. Directions of limbs are therefore a few degre
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,8 +115,36 @@ def load_recording(path: str | Path) -> BodyRecording:
     path = Path(path)
     arrays = _read_arrays(path, (*MOTION, *PARTS, "betas", "gender"))
     rotvec, trans = _joints_and_path(arrays, path)
-    gender = arrays["gender"].reshape(-1)[:1].astype(str).tolist() if "gender" in arrays else []
-    return BodyRecording(rotvec, trans, shape_of(arrays.get("betas"), path), _rate(arrays, path), "".join(gender))
+    return BodyRecording(rotvec, trans, shape_of(arrays.get("betas"), path), _rate(arrays, path), _gender(arrays))
+
+
+def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
+    """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate.
+
+    Raises:
+        InputError: a damaged archive, or a frame rate that is no positive number.
+    """
+    path = Path(path)
+    arrays = _read_arrays(path, RATES)
+    for name in ("betas", "gender"):
+        # Facts alone: a motion is used without them, so they may be what is not read (pickled).
+        with contextlib.suppress(InputError):
+            arrays |= _read_arrays(path, (name,))
+    betas = np.atleast_1d(arrays.get("betas", np.zeros(0))).shape[-1]
+    of_file = any(name in arrays for name in RATES)
+    rate = _rate(arrays, path)
+    return (
+        ("gender", _gender(arrays) or "not in the file"),
+        ("betas", str(betas) if betas else "not in the file"),
+        ("frame rate", f"{rate:g} per second" if of_file else f"not in the file, {rate:g} per second taken"),
+    )
+
+
+def _gender(arrays: dict[str, np.ndarray]) -> str:
+    """Read the gender of the model, stored as text or as bytes; empty if the file does not say."""
+    values = arrays.get("gender", np.zeros(0)).reshape(-1)[:1].tolist()
+    texts = [value.decode(errors="replace") if isinstance(value, bytes) else str(value) for value in values]
+    return "".join(filter(str.isprintable, "".join(texts)))[:20]
 
 
 def shape_of(betas: np.ndarray | None, path: Path) -> Float[np.ndarray, " K"]:

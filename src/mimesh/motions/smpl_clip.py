@@ -6,6 +6,7 @@ Soft tissue (`dmpls`) and offsets of clothes are not added.
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,7 @@ from .amass import (
     upright,
 )
 from .motion import Motion, resample
+from .smpl_joints import RecordedJoints
 
 HANDS = 30
 """Finger joints of SMPL+H and SMPL-X: the last joints of both."""
@@ -39,12 +41,16 @@ HUMAN_MODELS = (len(JOINTS), 24, *HAND_MODELS)
 
 
 def recorded_clip(
-    path: str | Path, model: SmplModel, fps: float | None = None, progress: Progress | None = None
+    path: str | Path,
+    model: SmplModel,
+    fps: float | None = None,
+    progress: Progress | None = None,
+    first_alone: bool = False,
 ) -> tuple[Clip, tuple[str, ...]]:
     """Load recorded parameters as a clip of the body model, at the file's frame rate or resampled at `fps`.
 
     An AMASS archive is turned to y up; frames of a pickle (`pose`, `betas`, `trans`) keep its axes. Metres if the model
-    is in metres. The clip's mesh is its first frame.
+    is in metres. The clip's mesh is its first frame, which is computed without the others if `first_alone`.
 
     Returns:
         The clip, and notes on what the model or the file lacks.
@@ -68,12 +74,16 @@ def recorded_clip(
     motion = motion if fps is None or len(motion) == 1 else resample(motion, fps)
     # The parameters are in the world of the file, so its axes are changed after posing.
     axes = upright(motion.rotmat[:, 0]) if is_archive else np.eye(3)
+    if first_alone:
+        motion = dataclasses.replace(motion, rotmat=motion.rotmat[:1], root=motion.root[:1])
     frames = (vertices @ axes.T for vertices in model.frames(shape, motion.rotmat, motion.root))
     vertices = store_frames(frames, len(motion), len(model.template), np.float32, progress)
     mesh = Mesh(np.asarray(vertices[0], np.float64), model.faces, path.stem, up="+y" if is_archive else None)
     headings = (axes @ motion.rotmat[:, 0])[:, :, 2] if is_archive else None
     notes = (*pose_notes, *_shape_notes(recording, len(shape), model))
-    return Clip(mesh, vertices, motion.fps, headings), tuple(f"{path.name}: {note}" for note in notes)
+    # Axes of pickles are not known, so neither is where their joints face.
+    skeleton = RecordedJoints(model, shape, motion.rotmat, motion.root, axes) if is_archive else None
+    return Clip(mesh, vertices, motion.fps, headings, skeleton), tuple(f"{path.name}: {note}" for note in notes)
 
 
 def fitted_pose(rotvec: Float[np.ndarray, "T J 3"], joints: int) -> tuple[Float[np.ndarray, "T K 3"], tuple[str, ...]]:

@@ -253,7 +253,8 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
     from ..io.gltf.motion import gltf_joints
-    from ..motions.on_body import is_motion_file, motion_joints
+    from ..motions.amass import recording_facts
+    from ..motions.on_body import BVH, is_motion_file, motion_joints
 
     if path.suffix.lower() in ANIMATED:
         document = open_document(path)
@@ -262,7 +263,10 @@ def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[s
         return _clips_of_file(path, clip.fps)
     if path.is_file() and is_body_model(path):
         return (), (("body model", "its mean shape at rest, which these facts describe"),)
-    return (), ((_motion_detail(motion_joints(path)),) if is_motion_file(path) else ())
+    if not is_motion_file(path):
+        return (), ()
+    recorded = () if path.suffix.lower() == BVH else recording_facts(path)
+    return (), (_motion_detail(motion_joints(path)), *recorded)
 
 
 def _clips_of_file(path: Path, fps: float) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:

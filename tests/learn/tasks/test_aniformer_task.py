@@ -14,7 +14,8 @@ from mimesh.learn.models.aniformer import AniFormerConfig
 from mimesh.learn.tasks import aniformer
 from mimesh.learn.tasks.aniformer import AniFormerTrainConfig, ClipLossConfig, WindowSource, aniformer_loss
 from mimesh.learn.tasks.base import shipped_body
-from mimesh.learn.train import TrainingRun, train
+from mimesh.learn.train import train
+from mimesh.learn.training_run import TrainingRun
 
 CASES = [DataConfig("clips80", 64), DataConfig("clips", 64, "identity"), DataConfig("clips")]
 TINY = AniFormerTrainConfig(

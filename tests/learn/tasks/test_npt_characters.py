@@ -116,7 +116,7 @@ def test_train_npt_on_characters_by_the_command_line(pool, tmp_path, capsys):
 
 def test_tables_and_whole_meshes_take_no_characters(pool):
     for changes, found in (
-        ([], "0.5 with table6 and 1229"),
+        ([], "0.5 with table6 and 128"),
         (["data.kind=wide", "data.vertices=0"], "0.5 with wide and all"),
     ):
         with pytest.raises(InputError, match=f"up to 1024 data.vertices, found {found}"):

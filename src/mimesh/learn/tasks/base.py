@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -49,6 +50,10 @@ class TrainConfig:
     """Share of the training, at its end, over which the learning rate falls linearly to zero."""
     milestones: tuple[float, ...] = ()
     """Shares of the training after each of which the learning rate is divided by ten."""
+    doublings: tuple[float, ...] = ()
+    """Shares of the training after each of which meshes have twice as many vertices, and the batch twice as many parts,
+    so that memory stays. Means over more vertices waver less: late, when details are learned, they are worth their
+    time."""
     weight_decay: float = 0.0
     """Decoupled weight decay of Muon's matrices: each step multiplies them by 1 - learning rate x this."""
     beta2: float = 0.999
@@ -67,6 +72,11 @@ class TrainConfig:
     """Pairs of each kind in a validation, at most 72."""
     seed: int = 0
 
+    @property
+    def most_parts(self) -> int:
+        """Parts of a batch after the last doubling, in each process."""
+        return self.accumulate << len(self.doublings)
+
     def check(self, where: str) -> None:
         """Raise InputError for values that do not go together; `where` begins the message."""
         if self.weight_decay and self.optimizer != "muon":
@@ -77,9 +87,15 @@ class TrainConfig:
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
         if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):
             raise InputError(f"{where}: expected data.kind meshes with npt or aniformer, found it with {self.network}")
-        if self.accumulate < 1 or self.batch % self.accumulate:
+        if self.doublings and not self.data.vertices:
+            raise InputError(f"{where}: expected data.vertices above 0 with doublings, found 0; set it")
+        if any(not 0.0 < share < 1.0 for share in self.doublings):
+            raise InputError(f"{where}: expected doublings between 0 and 1, found {list(self.doublings)}")
+        if self.accumulate < 1 or self.batch % self.most_parts:
+            twice = f" times {1 << len(self.doublings)} (doublings)" * bool(self.doublings)
             raise InputError(
-                f"{where}: expected accumulate to divide batch, found {self.accumulate} and {self.batch}; change one"
+                f"{where}: expected accumulate{twice} to divide batch, found {self.accumulate} and {self.batch}; "
+                "change one"
             )
         for name in ("low_poly", "scans"):
             share = getattr(self.data, name)
@@ -201,6 +217,11 @@ class Task(ABC, Generic[Config, Network]):
     def current_name(name: str) -> str:
         """Give today's name of a weight that an older checkpoint may hold under another."""
         return name
+
+    def with_vertices(self, vertices: int) -> Task[Config, Network]:
+        """Copy the task for meshes of so many vertices."""
+        config = dataclasses.replace(self.config, data=dataclasses.replace(self.config.data, vertices=vertices))
+        return type(self)(config, self.device, self.precision, self.brought)
 
     @property
     def vertices(self) -> int:

@@ -1,0 +1,248 @@
+"""TrainingRun: the state of a training and its steps, from a configuration or from a checkpoint."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from ..core.errors import InputError
+from . import checkpoint
+from .character_surfaces import TrainingCharacters
+from .cost import activation_bytes, operations_of, schedule_operations, training_operations
+from .optimizers import make_optimizers
+from .precision import DTYPES, choose_precision
+from .processes import Processes
+from .tasks.base import BatchSource, Task, TrainConfig, UserData
+from .tasks.find import find_task
+from .user_data import refuse_other_data
+from .validation import Validation
+
+SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate", "doublings")
+MIXTURE = ("vertices", "characters", "contacts", "low_poly", "scans", "between")
+RESUMABLE = (*SCHEDULE, *(f"data.{key}" for key in MIXTURE))
+"""Keys that may change where a training is resumed: schedule and mixture of the data, not the network. Two trainings
+that go on from one checkpoint with two seeds see other batches and can be averaged."""
+
+
+@dataclass
+class TrainingRun:
+    """The state of a running training."""
+
+    config: TrainConfig
+    task: Task
+    model: nn.Module
+    step_model: nn.Module
+    """The model, or its compiled form; both share weights."""
+    ema: dict[str, Tensor]
+    """Moving average of the weights by name; empty if none is kept."""
+    optimizers: list[torch.optim.Optimizer]
+    source: BatchSource
+    processes: Processes
+    reason: str
+    """Why `task.precision` was chosen, in words."""
+    step: int = 0
+    seconds: float = 0.0
+    """Spent in steps, by `clock`."""
+    best: float = float("inf")
+    """Lowest validation figure so far."""
+    saved: float = 0.0
+    """Time of the last checkpoint (`time.monotonic`)."""
+    metrics: dict[str, float] | None = None
+    """Validation figures of the current weights; None once they have changed."""
+    validated: int = 0
+    """Step of the last validation."""
+    before: tuple[dict[str, int | float], ...] = ()
+    """Trainings whose network this one began with."""
+    changes: tuple[dict[str, Any], ...] = ()
+    """What was changed where the training was resumed, as in `Checkpoint`."""
+    operations: float = 0.0
+    """Floating-point operations so far, without those of the optimizer."""
+    samples: int = 0
+    """Parts of batches so far, over all processes: their number may change where a training is resumed."""
+
+    @classmethod
+    def start(
+        cls,
+        config: TrainConfig,
+        folder: Path,
+        pool: UserData | None = None,
+        processes: Processes | None = None,
+    ) -> TrainingRun:
+        """Set up a new training, or the one whose checkpoint lies in the folder."""
+        processes = processes or Processes(0, 1, torch.device("cuda" if torch.cuda.is_available() else "cpu"))
+        device = processes.device
+        parts = config.most_parts * processes.count
+        if config.batch % parts:
+            raise InputError(
+                f"batch: expected a multiple of {parts} (most parts of a batch x processes), found {config.batch}; "
+                "change one"
+            )
+        last = folder / "last.safetensors"
+        state = checkpoint.load(last) if last.exists() else None
+        before = state.precision if state else ""
+        precision, reason = processes.of_first(lambda: choose_precision(config.precision, device, before))
+        torch.manual_seed(config.seed)
+        task = find_task(config.network)(config, device, precision, pool)
+        model = task.make_model().to(device)
+        ema = {k: v.detach().clone() for k, v in model.state_dict().items()} if config.ema else {}
+        optimizers = make_optimizers(model, config, device, DTYPES[precision])
+        source = task.source(config.seed)
+        step_model: Any = torch.compile(model) if config.compile else model
+        if state:
+            refuse_other_data(pool, {"characters": state.characters, "meshes": state.meshes}, folder)
+        run = cls(config, task, model, step_model, ema, optimizers, source, processes, reason, saved=time.monotonic())
+        if state:
+            checkpoint.unpack(state, model, ema, optimizers)
+            run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
+            run.metrics = state.metrics or None
+            run.validated = state.step if state.validated is None else state.validated
+            run.changes = (*state.changes, *changes_at_resume(state, config, pool))
+            run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
+            spent = state.operations  # not in checkpoints of earlier versions
+            run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
+        return run
+
+    def clock(self) -> float:
+        """Give the seconds that this process spent on all cores; with a GPU those of the wall clock.
+
+        Other processes lengthen them by little: a training between busy ones does a tenth less in its time.
+        """
+        return time.process_time() if self.processes.device.type == "cpu" else time.perf_counter()
+
+    def cost(self) -> str:
+        """Say what the training takes: arithmetic of a step and of the whole, and memory."""
+        config, weights = self.config, sum(parameter.numel() for parameter in self.model.parameters())
+        step = training_operations(self.task, self.model, config.batch)
+        part = config.batch // config.accumulate // self.processes.count
+        kept = activation_bytes(self.task, self.model, self.source) * part
+        first = self.task.with_vertices(config.data.vertices)
+        whole = schedule_operations(first, self.model, config.pairs) / 1e15
+        in_all = "" if config.minutes else f", {whole:.3g} PFLOP in all"
+        return (
+            f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{in_all}; "
+            f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
+        )
+
+    def share(self) -> float:
+        """Give how much of the training is done: 0 at the start, 1 at its end."""
+        if self.config.minutes:
+            return self.seconds / (60.0 * self.config.minutes)
+        return self.step * self.config.batch / self.config.pairs
+
+    def unfinished(self) -> str:
+        """Say what a training that ends so early lacks: its learning rate has not risen, or has not fallen."""
+        pairs, share = self.step * self.config.batch, self.share()
+        advice = "for a short training set minutes (its length), warmup (pairs) and validate_every with --set"
+        if pairs < self.config.warmup:
+            return f"; after {pairs:,} of {self.config.warmup:,} pairs the learning rate was still rising: {advice}"
+        if self.config.decay and share < 1.0 - self.config.decay:
+            return f"; after {share:.0%} of its length the learning rate had not begun to fall: {advice}"
+        return ""
+
+    def validation_due(self) -> bool:
+        """Tell whether the steps since the last validation passed a multiple of `validate_every` pairs, or the end."""
+        if self.share() >= 1.0:
+            return not self.metrics
+        now, before = (step * self.config.batch // self.config.validate_every for step in (self.step, self.validated))
+        return now > before
+
+    def advance(self) -> Tensor:
+        """Take one optimizer step and give this process's mean loss, which stays on the device.
+
+        The batch has as many parts in each process as `_parts_of_batch` says. Parts are the generator's next samples,
+        in this order: which process computes one makes no difference. Random numbers of a loss are those of the
+        sample, too.
+        """
+        started = self.clock()
+        config, processes = self.config, self.processes
+        own_parts = self._parts_of_batch()
+        parts = own_parts * processes.count
+        for optimizer in self.optimizers:
+            for group in optimizer.param_groups:
+                group["lr"] = config.learning_rate * schedule(config, self.step * config.batch, self.share())
+            optimizer.zero_grad(set_to_none=True)
+        losses = []
+        for part in range(processes.rank, parts, processes.count):
+            sample = self.samples + part
+            batch = self.source.batch(config.batch // parts, sample)
+            loss = self.task.loss(self.step_model, batch, sample)
+            (loss / own_parts).backward()
+            losses.append(loss.detach())
+        processes.average_gradients(self.model)
+        if config.clip:
+            nn.utils.clip_grad_norm_(self.model.parameters(), config.clip)
+        for optimizer in self.optimizers:
+            optimizer.step()
+        if self.ema:
+            current = self.model.state_dict()
+            for name, average in self.ema.items():
+                average.lerp_(current[name], 1.0 - config.ema)
+        self.step += 1
+        self.samples += parts
+        self.operations += training_operations(self.task, self.model, config.batch)
+        self.metrics = None
+        self.seconds += self.clock() - started
+        return torch.stack(losses).mean()
+
+    def _parts_of_batch(self) -> int:
+        """Give the parts that the next batch has in each process; see to it that its meshes have their vertices."""
+        doubled = sum(self.share() >= share for share in self.config.doublings)
+        vertices = self.config.data.vertices << doubled
+        if self.task.config.data.vertices != vertices:
+            self.task = self.task.with_vertices(vertices)
+            self.source = self.task.source(self.config.seed)
+        return self.config.accumulate << doubled
+
+    def validate(
+        self, validation: Validation, folder: Path, stop: Callable[[], bool] = lambda: False
+    ) -> dict[str, float] | None:
+        """Measure on `val`, and keep the checkpoint if it is the best so far; None if `stop` ended the measurement."""
+        current = {k: v.clone() for k, v in self.model.state_dict().items()}
+        if self.ema:
+            self.model.load_state_dict(self.ema)
+        metrics = self.processes.of_first(lambda: validation.measure(self.model, stop))
+        self.model.load_state_dict(current)
+        if metrics is None:
+            return None
+        self.metrics, self.validated = metrics, self.step
+        if metrics["val"] < self.best:
+            self.best = metrics["val"]
+            self.save(folder / "best.safetensors")
+        self.save(folder / "last.safetensors")
+        return metrics
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint, in the first process alone."""
+        self.saved = time.monotonic()
+        if not self.processes.first:
+            return
+        tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
+        position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
+        brought = {self.task.brought.part: self.task.brought.facts} if self.task.brought else {}
+        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **brought}
+        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
+        checkpoint.save(path, state)
+
+
+def changes_at_resume(state: checkpoint.Checkpoint, config: TrainConfig, pool: UserData | None) -> list[dict[str, Any]]:
+    """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
+    values = {key: (attrgetter(key)(config), attrgetter(key)(state.config)) for key in RESUMABLE}
+    changed: dict[str, Any] = {key: new for key, (new, old) in values.items() if new != old}
+    was = {key: old for key, (new, old) in values.items() if new != old}
+    if isinstance(pool, TrainingCharacters) and pool.clips and "clips" not in state.characters:
+        changed["clips"] = pool.clips.facts["makers"]
+    return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []
+
+
+def schedule(config: TrainConfig, pairs: int, share: float) -> float:
+    """Give the factor on the learning rate after so many pairs, a `share` of all: rise, constant, steps, fall."""
+    rise = min(1.0, (pairs + config.batch) / config.warmup) if config.warmup else 1.0
+    fall = min(1.0, max(0.0, 1.0 - share) / config.decay) if config.decay else 1.0
+    return rise * fall * 0.1 ** sum(share >= milestone for milestone in config.milestones)
