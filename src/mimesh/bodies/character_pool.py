@@ -1,4 +1,5 @@
-"""Read a pool of rigged characters: a folder of .npz files with an index.json, as humanoids with known limbs and clips.
+"""Read a pool of rigged characters: a folder of .npz files with an index.json, as humanoids with known limbs and clips,
+or as four-legged animals.
 
 A file has vertices, faces, skeleton, weights and a `meta` in JSON; clips are in files that characters share:
 clip{n}_rotations (T, J, 4), quaternions xyzw of each joint relative to its parent, and clip{n}_translations (T, C, 3),
@@ -25,6 +26,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..core.mesh import Mesh, check_mesh
 from ..core.npz_archive import check_unpacked_size, open_archive, read_array
+from .animal_limbs import name_animal_joints
 from .character_limbs import Limb, attach_feet, find_limbs, name_limb_joints
 from .joint_names import named_fingers
 from .skinned_character import SkinnedCharacter
@@ -47,6 +49,8 @@ RIGID = 1e-3
 """Largest deviation of a rest frame from a rotation, per entry."""
 FACING = {"+z": 0.0, "-z": np.pi, "+x": -np.pi / 2, "-x": np.pi / 2, "": 0.0}
 """Rotation about y (radians) that turns a character of each facing to +z; a facing that is not known counts as +z."""
+CLASSES = {"human": "humanoid", "quadruped": "quadruped"}
+"""Shipped body -> `class` of the characters that have its joints."""
 FOOT_SAMPLES = 24
 """Number of poses of the clips, evenly spread, from which the shin of a foot is found."""
 
@@ -86,14 +90,15 @@ class CharacterClip:
 
 @dataclass(frozen=True, eq=False)
 class PoolCharacter:
-    """A humanoid of a pool, y up and facing +z, with its limbs and clips."""
+    """A humanoid or an animal of a pool, y up and facing +z, with its limbs and clips."""
 
     meta: CharacterMeta
     rig: SkinnedCharacter
     joints: dict[str, int]
     """Joint of each joint of the shipped body that the character has."""
     limbs: dict[str, Limb]
-    """LeftArm, LeftForeArm, LeftUpLeg, LeftLeg, the same of the right side, Trunk and Head, as far as there are."""
+    """LeftArm, LeftForeArm, LeftUpLeg, LeftLeg, the same of the right side, Trunk and Head, as far as there are. Of
+    animals none."""
     clips: dict[str, CharacterClip] = field(repr=False)
     file_parents: tuple[int, ...] = ()
     """Parents in the file's order of joints, of the clips."""
@@ -125,7 +130,7 @@ class PoolCharacter:
 
 @dataclass(frozen=True, eq=False)
 class Pool:
-    """The humanoids of a split of a pool, and those that cannot be used."""
+    """The humanoids or animals of a split of a pool, and those that cannot be used."""
 
     characters: tuple[PoolCharacter, ...]
     refused: dict[str, str]
@@ -137,10 +142,13 @@ class Pool:
         return {reason: reasons.count(reason) for reason in dict.fromkeys(reasons)}
 
 
-def read_pool(folder: str | Path, split: str, progress: Progress | None = None) -> Pool:
-    """Read the humanoids of a split, in the order of the folder's index.json.
+def read_pool(folder: str | Path, split: str, progress: Progress | None = None, body: str = "human") -> Pool:
+    """Read the humanoids of a split, or its animals, in the order of the folder's index.json.
 
     A file that the index names twice, or whose own `meta` has another split, is refused: it could be in two splits.
+
+    Args:
+        body: shipped body whose joints the characters have, a key of CLASSES.
 
     Raises:
         InputError: no folder, or no index.json that lists characters with `file`, `class` and `split`.
@@ -154,7 +162,7 @@ def read_pool(folder: str | Path, split: str, progress: Progress | None = None) 
         )
     try:
         rows = json.loads(index.read_text(encoding="utf-8"))
-        names = [row["file"] for row in rows if row["class"] == "humanoid" and row["split"] == split]
+        names = [row["file"] for row in rows if row["class"] == CLASSES[body] and row["split"] == split]
         times = Counter(row["file"] for row in rows)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
@@ -166,7 +174,7 @@ def read_pool(folder: str | Path, split: str, progress: Progress | None = None) 
         try:
             if times[name] > 1:
                 raise InputError(f"{path}: expected it once in the index, found it {times[name]} times; remove rows")
-            character = read_character(path)
+            character = read_character(path, body)
             if character.meta.split != split:
                 raise InputError(
                     f"{path}: expected the split {split} of the index in its meta, found "
@@ -178,20 +186,26 @@ def read_pool(folder: str | Path, split: str, progress: Progress | None = None) 
     return Pool(tuple(characters), refused)
 
 
-def read_character(path: str | Path) -> PoolCharacter:
+def read_character(path: str | Path, body: str = "human") -> PoolCharacter:
     """Read a character of a pool; its clips are in the same folder.
+
+    Args:
+        body: shipped body whose joints it has, a key of CLASSES.
 
     Raises:
         InputError: not a file of the format, values that are not finite or out of range, or limbs that are not found.
     """
     path = Path(path)
     arrays = read_arrays(path)
-    meta = _meta(arrays.get("meta"), path)
+    meta = _meta(arrays.get("meta"), path, CLASSES[body])
     check_arrays(arrays, path)
     turn = facing_rotation(meta.facing)
     rig = _rig(arrays, meta, turn, path)
     file_parents = rig.parents
     clips = _clips(path.parent / _plain_name(meta.clips_from, path), arrays) if meta.clips_from else {}
+    if body == "quadruped":
+        order = np.arange(len(rig.parents))
+        return PoolCharacter(meta, rig, name_animal_joints(rig, path), {}, clips, file_parents, order, turn)
     joints = name_limb_joints(rig, path)
     poses = sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)
@@ -279,8 +293,8 @@ def _read(archive: zipfile.ZipFile, name: str) -> np.ndarray:
     return array.astype("=" + array.dtype.str[1:]) if array.dtype.byteorder == ">" else array
 
 
-def _meta(array: np.ndarray | None, path: Path) -> CharacterMeta:
-    """Read the origin of a character from its JSON; the name of the file is that of `path`."""
+def _meta(array: np.ndarray | None, path: Path, expected: str) -> CharacterMeta:
+    """Read the origin of a character of an expected class from its JSON; the name of the file is that of `path`."""
     names = [field.name for field in dataclasses.fields(CharacterMeta)]
     try:
         values: dict[str, Any] = json.loads(str(array))
@@ -292,8 +306,8 @@ def _meta(array: np.ndarray | None, path: Path) -> CharacterMeta:
         )
     except (ValueError, AttributeError, RecursionError) as error:
         raise InputError(f"{path}: expected meta in JSON, found {error!r:.80}; export it again") from error
-    if meta.body_class != "humanoid":
-        raise InputError(f"{path}: expected a humanoid, found {meta.body_class or 'no class'}; leave it out")
+    if meta.body_class != expected:
+        raise InputError(f"{path}: expected a {expected}, found {meta.body_class or 'no class'}; leave it out")
     if meta.facing not in FACING:
         raise InputError(f"{path}: expected a facing of {', '.join(FACING)}, found {meta.facing}; turn it y up")
     return meta

@@ -13,9 +13,11 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float, Int
 
+from ..bodies import RiggedBody
 from ..bodies.body_model import EXTREMES, LANDMARKS, NEAR, landmarks
 from ..bodies.character_limbs import SIDES, TAILS
 from ..bodies.character_pool import PoolCharacter
+from ..motions.animal_rest import rest_directions
 from ..motions.rest_calibration import rotation_between
 from ..motions.retarget import to_local
 from .cross_body import as_body
@@ -52,13 +54,18 @@ def body_pose(character: PoolCharacter, transforms: Float[np.ndarray, "K 4 4"]) 
     return body_poses(character, transforms[None])[0]
 
 
-def body_poses(character: PoolCharacter, transforms: Float[np.ndarray, "T K 4 4"]) -> Float[np.ndarray, "T B 3 3"]:
-    """Compute the local joint rotations that give the shipped body poses of a character.
+def body_poses(
+    character: PoolCharacter, transforms: Float[np.ndarray, "T K 4 4"], body: RiggedBody | None = None
+) -> Float[np.ndarray, "T B 3 3"]:
+    """Compute the local joint rotations that give a shipped body poses of a character.
 
     Args:
         transforms: of each joint of the character from rest to the poses.
+        body: the shipped body whose joints the character has; None: the human.
     """
-    body, aligned = human(), rest_alignments(character)
+    body = body or human()
+    of_animal = body.name == "quadruped"
+    aligned = animal_alignments(character, body) if of_animal else rest_alignments(character)
     world = np.empty((len(transforms), len(body.parents), 3, 3))
     for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         if name in character.joints:
@@ -89,6 +96,12 @@ def rest_alignments(character: PoolCharacter) -> dict[str, Float[np.ndarray, "3 
                     foot = rotation_between(ours * FRONTAL, theirs * FRONTAL)
                     aligned[tail] = aligned[f"{side}ToeBase"] = foot
     return aligned
+
+
+def animal_alignments(character: PoolCharacter, body: RiggedBody) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute the rotations of an animal's joints from the shipped quadruped's rest pose to its own."""
+    positions = {name: character.rig.joints[joint] for name, joint in character.joints.items()}
+    return rest_directions(positions, float(character.rig.mesh.vertices[:, 1].min()), body)
 
 
 def body_tail(character: PoolCharacter, name: str) -> str | None:

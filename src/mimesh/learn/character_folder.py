@@ -26,8 +26,13 @@ DAMAGED = (InputError, ArithmeticError, AttributeError, LookupError, OSError, Re
 """What reading a damaged file may raise: one bad file must not end the reading of a folder."""
 
 
-def read_character_folder(folder: str | Path, split: str = "train", progress: Progress | None = None) -> Pool:
-    """Read the humanoids of a folder: those of a split of its pool, then all rigged files in it, by path.
+def read_character_folder(
+    folder: str | Path, split: str = "train", progress: Progress | None = None, body: str = "human"
+) -> Pool:
+    """Read the humanoids of a folder, or its animals: those of a split of its pool, then all rigged files, by path.
+
+    Args:
+        body: shipped body whose joints the characters have, `human` or `quadruped`.
 
     Raises:
         InputError: no folder, a damaged index, or neither an index nor rigged files.
@@ -40,7 +45,7 @@ def read_character_folder(folder: str | Path, split: str = "train", progress: Pr
             f"{folder}: expected a folder of rigged characters (.glb, .gltf, .vrm, .fbx, or .npz with an {INDEX}), "
             "found none; give the folder that has some"
         )
-    pool = read_pool(folder, split, progress if not paths else None) if has_index else Pool((), {})
+    pool = read_pool(folder, split, progress if not paths else None, body) if has_index else Pool((), {})
     characters, refused = list(pool.characters), dict(pool.refused)
     elsewhere = _files_of_other_splits(folder / INDEX, split) if has_index else {}
     for path in counted(paths, len(paths), progress):

@@ -22,11 +22,11 @@ from jaxtyping import Bool, Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.character_limbs import SIDES
-from ..bodies.character_pool import PoolCharacter
+from ..bodies.character_pool import CLASSES, PoolCharacter
 from ..core import geometry, surface_points
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
-from ..evaluate.character_poses import body_poses, place_body_joints, rest_alignments
+from ..evaluate.character_poses import animal_alignments, body_poses, place_body_joints, rest_alignments
 from ..io.gltf.character import NOT_STATED
 from .character_folder import read_character_folder
 from .low_poly import flattened
@@ -78,24 +78,20 @@ class CharacterSurface:
         normals = geometry.face_normals(mesh.vertices, mesh.faces)[face]
         vertex_weights = body_weights(character, body)
         size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
-        found = place_body_joints(character)
-        carrier, alignment = (
-            carriers(set(character.joints) | {"Hips"}, body),
-            np.tile(np.eye(3), (len(body.parents), 1, 1)),
-        )
-        aligned = rest_alignments(character)
+        found, aligned, known = _rest_of(character, body)
+        carrier = carriers(set(character.joints) | {"Hips"}, body)
+        alignment = np.tile(np.eye(3), (len(body.parents), 1, 1))
         joints = np.empty((len(body.parents), 3))
         for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
             alignment[j] = aligned.get(body.joint_names[carrier[j]], np.eye(3))
             if name in found:
-                joints[j] = found[name][1]
+                joints[j] = found[name]
             else:  # as far from the parent as in the body
                 joints[j] = joints[parent] + alignment[parent] @ (body.joints[j] - body.joints[parent]) / size
         coarse = None
         if low_poly:
             coarse = flattened(points, normals, mesh.vertices, mesh.faces)
             coarse[:, 0] *= size
-        named = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
         return cls(
             pack=character.meta.pack,
             points=size * points,
@@ -104,7 +100,7 @@ class CharacterSurface:
             joints=size * joints,
             alignment=alignment,
             carrier=carrier,
-            placed=np.array([name in named for name in body.joint_names]),
+            placed=np.array([name in known for name in body.joint_names]),
             coarse=coarse,
         )
 
@@ -182,7 +178,7 @@ class TrainingCharacters:
         Raises:
             InputError: no such folder, none of its characters can be used, or a pack to leave out that it has not.
         """
-        pool = read_character_folder(folder, split, progress)
+        pool = read_character_folder(folder, split, progress, body.name)
         counts = Counter(character.meta.pack for character in pool.characters)
         if unknown := [pack for pack in leave_out if pack not in counts]:
             raise InputError(
@@ -192,7 +188,7 @@ class TrainingCharacters:
         characters = [character for character in pool.characters if character.meta.pack not in leave_out]
         if not characters:
             raise InputError(
-                f"{folder}: expected humanoids of the split {split}, found none that can be used"
+                f"{folder}: expected {CLASSES[body.name]}s of the split {split}, found none that can be used"
                 f"{''.join(f'; {reason}' for reason in list(pool.refusals())[:1])}; add some"
             )
         metas = [character.meta for character in characters]
@@ -209,6 +205,19 @@ class TrainingCharacters:
         if leave_out:  # facts of trainings without this option stay as they were
             facts["left_out"] = {pack: counts[pack] for pack in leave_out}
         return cls(surfaces, poses, facts, pool.refusals(), tuple(characters))
+
+
+def _rest_of(
+    character: PoolCharacter, body: RiggedBody
+) -> tuple[dict[str, Float[np.ndarray, " 3"]], dict[str, Float[np.ndarray, "3 3"]], set[str]]:
+    """Give the body's joints on a character at rest, their alignments, and the joints whose places are known."""
+    if body.name == "quadruped":
+        positions = {name: character.rig.joints[joint] for name, joint in character.joints.items()}
+        known = {name for name in positions if not name.startswith(("Spine", "Chest"))}
+        return positions, animal_alignments(character, body), known
+    found = place_body_joints(character)
+    known = {*character.joints, *(side + part for side in SIDES for part in PLACED)}.difference(TRUNK)
+    return {name: point for name, (_, point) in found.items()}, rest_alignments(character), known
 
 
 def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:
@@ -237,7 +246,7 @@ def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[n
 
     first = {character.meta.clips_from: character for character in characters if character.clips}
     poses = [
-        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)))
+        body_poses(character, character.transforms_of_frames(name, np.arange(0, len(clip), CLIP_STEP)), body)
         for character in first.values()
         for name, clip in character.clips.items()
     ]

@@ -6,6 +6,7 @@ limbs of a person and no skin: toys, robots, snowmen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence, Set
 from dataclasses import dataclass
 from typing import Literal
 
@@ -68,27 +69,46 @@ def sample_primitive(shape: Shape, half: Float[np.ndarray, " 3"], count: int, rn
     return points * half, unit_vectors(normals / half)
 
 
-def primitive_people(body: RiggedBody) -> list[CharacterSurface]:
-    """Make the people of primitives that count as one more pack beside the characters of a folder."""
-    return [primitive_person(body, np.random.default_rng(k)) for k in range(PEOPLE)]
+@dataclass(frozen=True)
+class Part:
+    """A primitive that one joint moves."""
+
+    shape: Shape
+    joint: int
+    centre: Float[np.ndarray, " 3"]
+    axes: Float[np.ndarray, "3 3"]
+    """Unit vectors of its x, y and z in columns."""
+    half: Float[np.ndarray, " 3"]
+    """Half of its size along them (metres)."""
+
+    @property
+    def area(self) -> float:
+        """Area of the box around it (square metres)."""
+        x, y, z = self.half
+        return float(8 * (x * y + y * z + z * x))
+
+    def sample(self, count: int, rng: np.random.Generator) -> Points:
+        """Draw points of its surface and their normals."""
+        points, normals = sample_primitive(self.shape, self.half, count, rng)
+        return self.centre + points @ self.axes.T, normals @ self.axes.T
 
 
-def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:
-    """Make a person of primitives, each moved by one joint, with the body's joints at rest and random girths.
+def assemble(
+    parts: Sequence[Part],
+    body: RiggedBody,
+    joints: Float[np.ndarray, "J 3"],
+    alignment: Float[np.ndarray, "J 3 3"],
+    has: Set[str],
+    rng: np.random.Generator,
+) -> CharacterSurface:
+    """Make a figure of primitives.
 
-    Arms rest anywhere between a T-pose and hanging; some people have limbs of one joint, a stiff trunk, no hands or no
-    feet. Lengths are varied later, as those of all characters.
+    Args:
+        joints: of the shipped body, at rest.
+        alignment: rotation of each from the shipped body's rest pose to the figure's.
+        has: names of the joints that the figure has.
     """
-    style = _Style.random(rng)
-    has = _random_joints(body, style, rng)
-    carrier = carriers(has, body)
-    alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
-    parts = [
-        *_limbs(body, joints, has, style, rng),
-        *_ends(body, joints, alignment, has, style, rng),
-        *_trunk(body, joints, has, style, rng),
-        *_head(body, joints, style, rng),
-    ]
+    carrier = carriers(set(has), body)
     area = np.array([part.area for part in parts])
     which = rng.choice(len(parts), POINTS, p=area / area.sum())
     points, normals = np.empty((2, POINTS, 3))
@@ -104,6 +124,29 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
         carrier=carrier,
         placed=np.array([name in has for name in body.joint_names]),
     )
+
+
+def primitive_people(body: RiggedBody) -> list[CharacterSurface]:
+    """Make the people of primitives that count as one more pack beside the characters of a folder."""
+    return [primitive_person(body, np.random.default_rng(k)) for k in range(PEOPLE)]
+
+
+def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSurface:
+    """Make a person of primitives, each moved by one joint, with the body's joints at rest and random girths.
+
+    Arms rest anywhere between a T-pose and hanging; some people have limbs of one joint, a stiff trunk, no hands or no
+    feet. Lengths are varied later, as those of all characters.
+    """
+    style = _Style.random(rng)
+    has = _random_joints(body, style, rng)
+    alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
+    parts = [
+        *_limbs(body, joints, has, style, rng),
+        *_ends(body, joints, alignment, has, style, rng),
+        *_trunk(body, joints, has, style, rng),
+        *_head(body, joints, style, rng),
+    ]
+    return assemble(parts, body, joints, alignment, has, rng)
 
 
 @dataclass(frozen=True)
@@ -136,30 +179,6 @@ class _Style:
     def shape(self, rng: np.random.Generator) -> Shape:
         """Draw one of the shapes."""
         return self.shapes[rng.integers(len(self.shapes))]
-
-
-@dataclass(frozen=True)
-class _Part:
-    """A primitive that one joint moves."""
-
-    shape: Shape
-    joint: int
-    centre: Float[np.ndarray, " 3"]
-    axes: Float[np.ndarray, "3 3"]
-    """Unit vectors of its x, y and z in columns."""
-    half: Float[np.ndarray, " 3"]
-    """Half of its size along them (metres)."""
-
-    @property
-    def area(self) -> float:
-        """Area of the box around it (square metres)."""
-        x, y, z = self.half
-        return float(8 * (x * y + y * z + z * x))
-
-    def sample(self, count: int, rng: np.random.Generator) -> Points:
-        """Draw points of its surface and their normals."""
-        points, normals = sample_primitive(self.shape, self.half, count, rng)
-        return self.centre + points @ self.axes.T, normals @ self.axes.T
 
 
 def _random_joints(body: RiggedBody, style: _Style, rng: np.random.Generator) -> set[str]:
@@ -202,7 +221,7 @@ def _rest(
 
 def _limbs(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[_Part]:
+) -> list[Part]:
     """Make a primitive for each limb joint, as long as its bone; left and right are alike."""
     shape, parts = style.shape(rng), []
     for part, (tail, last) in LIMBS.items():
@@ -215,7 +234,7 @@ def _limbs(
                 along = end - start
                 axes = rotation_between(np.array([0.0, 1.0, 0.0]), along)
                 half = np.array([width[0], overlap * np.linalg.norm(along) / 2, width[1]])
-                parts.append(_Part(shape, body.joint(side + part), (start + end) / 2, axes, half))
+                parts.append(Part(shape, body.joint(side + part), (start + end) / 2, axes, half))
     return parts
 
 
@@ -226,7 +245,7 @@ def _ends(
     has: set[str],
     style: _Style,
     rng: np.random.Generator,
-) -> list[_Part]:
+) -> list[Part]:
     """Make hands and feet; left and right are alike."""
     parts = []
     for part, offset, size in (
@@ -238,13 +257,13 @@ def _ends(
             if side + part in has:
                 j = body.joint(side + part)
                 centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
-                parts.append(_Part(shape, j, centre, alignment[j], np.array(size) * scale))
+                parts.append(Part(shape, j, centre, alignment[j], np.array(size) * scale))
     return parts
 
 
 def _trunk(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[_Part]:
+) -> list[Part]:
     """Make the trunk, of one or two primitives."""
     hips, chest = body.joint("Hips"), body.joint("Spine1")
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
@@ -258,19 +277,19 @@ def _trunk(
     parts = []
     for joint, low, high in cuts:
         half = np.array([width * rng.uniform(0.7, 1.0), (high - low)[1] / 2, depth])
-        parts.append(_Part(shape, joint, (low + high) / 2, np.eye(3), half))
+        parts.append(Part(shape, joint, (low + high) / 2, np.eye(3), half))
     return parts
 
 
-def _head(body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator) -> list[_Part]:
+def _head(body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator) -> list[Part]:
     """Make the head and the boxes on it, half of which come in pairs, left and right."""
     head, size = body.joint("Head"), style.head
     centre = joints[head] + [0, 0.8 * size[1], 0.02]
-    parts = [_Part(style.shape(rng), head, centre, np.eye(3), size)]
+    parts = [Part(style.shape(rng), head, centre, np.eye(3), size)]
     for _ in range(style.pieces):
         # Somewhere on the head's surface: hair, ears, horns, hats and noses are there.
         direction = rng.normal(size=3)
         place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.9, 3)
         for side in (1.0, -1.0) if rng.random() < 0.5 else (1.0,):
-            parts.append(_Part("box", head, centre + place * [side, 1, 1], np.eye(3), half))
+            parts.append(Part("box", head, centre + place * [side, 1, 1], np.eye(3), half))
     return parts

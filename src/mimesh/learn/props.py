@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ..bodies import RiggedBody
+from ..bodies.anatomy import anatomy_of
 from .primitives import SHAPES, sample_primitive
 
 SHARE = 0.45
@@ -29,20 +30,6 @@ SIZE = (0.015, 0.3)
 """Half of the smallest and of the largest size of a prop along each of its axes (metres), drawn by their logarithm."""
 OFFSET = 0.25
 """Largest distance of a prop's centre from its joint (metres), beside half of its length for props that are held."""
-JOINTS = {
-    "Head": 0.3,
-    "LeftHand": 0.12,
-    "RightHand": 0.12,
-    "Spine1": 0.16,
-    "Hips": 0.08,
-    "LeftForeArm": 0.04,
-    "RightForeArm": 0.04,
-    "LeftShoulder": 0.03,
-    "RightShoulder": 0.03,
-    "LeftLeg": 0.04,
-    "RightLeg": 0.04,
-}
-"""Share of the props on each joint. Chosen by hand."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +59,9 @@ class PropSampler:
         self.points, self.normals, self.count, self.longest = (
             torch.from_numpy(array).float().to(device) for array in arrays
         )
-        self.joints = torch.tensor([body.joint(name) for name in JOINTS], device=device)
-        self.share = torch.tensor(list(JOINTS.values()), device=device).cumsum(0)
+        shares = anatomy_of(body.name).props
+        self.joints = torch.tensor([body.joint(name) for name in shares], device=device)
+        self.share = torch.tensor(list(shares.values()), device=device).cumsum(0)
         self.device = device
 
     def draw(self, size: int, rng: torch.Generator) -> Props:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ..bodies import load_body
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from .character_surfaces import TrainingCharacters
@@ -88,7 +89,8 @@ def read_characters(config: TrainConfig, folders: Folders, bar: ProgressBar) -> 
         )
     if folder is None and clips is None:
         return None
-    body, found = shipped_body(), TrainingCharacters.none(shipped_body())
+    body = load_body(config.data.body)
+    found = TrainingCharacters.none(body)
     if folder is not None:
         with bar("reading characters") as progress:
             data = config.data

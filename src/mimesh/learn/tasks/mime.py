@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ...bodies import RiggedBody
+from ...bodies.anatomy import anatomy_of
 from ...core import geometry, surface_points
 from ...core.errors import InputError
 from ...core.mesh import Mesh
@@ -26,6 +27,7 @@ from ...evaluate.quadruped import QUADRUPED
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..models.mime import POINTS, MimeConfig, MimeNetwork, Prediction, current_name
+from ..primitive_animals import primitive_animals
 from ..primitives import primitive_people
 from ..vertex_sampler import share_of
 from .base import OnnxInterface, Task, TrainConfig
@@ -43,8 +45,6 @@ ONE_SIDED = 0.1
 """Share of driving meshes of which only the points facing one side are given, as in a scan."""
 MAX_NOISE = 0.02
 """Largest standard deviation of the noise on driving points (metres); mostly it is far less."""
-LEGS = {"human": (("UpLeg", "Leg", "Foot"),), "quadruped": (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))}
-"""Joints of the legs of one side."""
 RECONSTRUCTION_KNEE, ROTATION_KNEE, JOINT_KNEE = 5e-4, 0.02, 0.002
 """Of squared errors: of a pair (PMD), of a joint's rotation matrix, of a joint in units of the points' spread."""
 
@@ -118,7 +118,8 @@ class SurfaceSource(BodySampler):
         self.count = config.vertices or DEFAULT_POINTS
         if config.characters:
             assert characters is not None
-            surfaces = [*characters.surfaces, *primitive_people(body)]
+            primitives = primitive_animals(body) if body.name == "quadruped" else primitive_people(body)
+            surfaces = [*characters.surfaces, *primitives]
             drawn = (self.count, math.radians(config.heading) / 4, MISSING, config.low_poly)
             self.pairs = CharacterPairs(surfaces, body, device, *drawn)
         if characters is not None:
@@ -307,8 +308,7 @@ class MimeTask(Task[MimeTrainConfig, MimeNetwork]):
     def onnx_facts(model: MimeNetwork) -> dict[str, Any]:
         """Give the number of points, names and parents of the joints, and which joints make a leg."""
         body = model.body
-        chains = LEGS["quadruped" if body.name == "quadruped" else "human"]
-        legs = [[body.joint(side + name) for name in chain] for side in ("Left", "Right") for chain in chains]
+        legs = [[body.joint(name) for name in leg] for leg in anatomy_of(body.name).legs]
         joints = {"joints": body.joint_names, "parents": body.parents, "legs": legs, "body": body.name}
         return {"model": "mime", "points": POINTS, **joints}
 

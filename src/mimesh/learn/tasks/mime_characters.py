@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from ...bodies import RiggedBody
-from ...bodies.character_limbs import SIDES
+from ...bodies.anatomy import anatomy_of
 from ...bodies.sampled_body import bone_directions, kinds_of_bones
 from ..bodies import posed_joints, scaled_joints, skinned, skinned_surface, world_rotations
 from ..body_sampler import random_headings
@@ -198,14 +198,10 @@ class FigureSampler:
     def __init__(self, surfaces: list[CharacterSurface], body: RiggedBody, device: torch.device) -> None:
         self.rows = list(rows_by_group([surface.pack for surface in surfaces], device).values())
         self.group = torch.from_numpy(kinds_of_bones(body)).to(device)
-        names, self.device = body.joint_names, device
+        names, anatomy, self.device = body.joint_names, anatomy_of(body.name), device
         self.head = torch.tensor([name == "Head" for name in names], device=device)
-        limbs = {side + part for side in SIDES for part in ("Arm", "ForeArm", "UpLeg", "Leg")}
-        self.limbs = torch.tensor([name in limbs for name in names], device=device)
-        ends = [("Hand", "Finger", "Thumb"), ("Foot", "ToeBase")]
-        self.ends = torch.tensor(
-            [[any(word in name for word in words) for name in names] for words in ends], device=device
-        )
+        self.limbs = torch.tensor([name in anatomy.long_bones for name in names], device=device)
+        self.ends = torch.tensor([[name in end for name in names] for end in anatomy.ends], device=device)
         self.props = PropSampler(body, device)
 
     def draw(self, size: int, rng: torch.Generator, low_poly: float = 0.0) -> Figures:

@@ -1,0 +1,77 @@
+"""What the joints of each shipped body are: limbs, legs that stand on the ground, ends of limbs, carriers of props."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+BodyName = Literal["human", "quadruped"]
+SIDES = ("Left", "Right")
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """Names of the joints of a shipped body by what they are."""
+
+    legs: tuple[tuple[str, str, str], ...]
+    """Of each leg that stands on the ground: hip or shoulder, knee or elbow, ankle or wrist."""
+    long_bones: tuple[str, ...]
+    """Joints of the long bones of arms and legs."""
+    ends: tuple[tuple[str, ...], ...]
+    """Hands and feet, or forefeet and hind feet: the joints of each kind, on both sides."""
+    regions: dict[str, str]
+    """Head and limbs as messages name them -> the first joint of each."""
+    props: dict[str, float]
+    """Share of the hats, saddles, swords, ... that figures wear or carry on each joint. Chosen by hand."""
+
+
+def _both(*parts: str) -> tuple[str, ...]:
+    return tuple(side + part for side in SIDES for part in parts)
+
+
+HUMAN = Anatomy(
+    legs=tuple((f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in SIDES),
+    long_bones=_both("Arm", "ForeArm", "UpLeg", "Leg"),
+    ends=(
+        (*_both("Hand", "FingerBase", "HandFinger1"), "LThumb", "RThumb"),
+        _both("Foot", "ToeBase"),
+    ),
+    regions={
+        "head": "Neck",
+        **{f"{side.lower()} arm": f"{side}Arm" for side in SIDES},
+        **{f"{side.lower()} leg": f"{side}UpLeg" for side in SIDES},
+    },
+    props={
+        "Head": 0.3,
+        "LeftHand": 0.12,
+        "RightHand": 0.12,
+        "Spine1": 0.16,
+        "Hips": 0.08,
+        "LeftForeArm": 0.04,
+        "RightForeArm": 0.04,
+        "LeftShoulder": 0.03,
+        "RightShoulder": 0.03,
+        "LeftLeg": 0.04,
+        "RightLeg": 0.04,
+    },
+)
+QUADRUPED = Anatomy(
+    legs=tuple(
+        (side + upper, side + middle, side + end)
+        for upper, middle, end in (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))
+        for side in SIDES
+    ),
+    long_bones=_both("UpperArm", "Forearm", "Hand", "Thigh", "Shin", "Foot"),
+    ends=(_both("Fingers"), _both("Toes")),
+    regions={
+        "head": "Neck1",
+        **{f"{side.lower()} foreleg": f"{side}UpperArm" for side in SIDES},
+        **{f"{side.lower()} hind leg": f"{side}Thigh" for side in SIDES},
+    },
+    props={"Head": 0.3, "Chest": 0.2, "Spine3": 0.2, "Hips": 0.15, "Neck2": 0.15},
+)
+
+
+def anatomy_of(body: str) -> Anatomy:
+    """Return the anatomy of a shipped body by its name, `human` or `quadruped`."""
+    return QUADRUPED if body == "quadruped" else HUMAN
