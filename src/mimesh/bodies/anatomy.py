@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Literal
 
@@ -15,6 +16,8 @@ class Anatomy:
 
     legs: tuple[tuple[str, str, str], ...]
     """Of each leg that stands on the ground: hip or shoulder, knee or elbow, ankle or wrist."""
+    hinges: tuple[tuple[str, str, str], ...]
+    """Of each arm and leg: its first joint, the elbow or knee, and the wrist or ankle."""
     long_bones: tuple[str, ...]
     """Joints of the long bones of arms and legs."""
     ends: tuple[tuple[str, ...], ...]
@@ -29,8 +32,15 @@ def _both(*parts: str) -> tuple[str, ...]:
     return tuple(side + part for side in SIDES for part in parts)
 
 
+_HUMAN_LEGS = tuple((f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in SIDES)
+_ANIMAL_LEGS = tuple(
+    (side + upper, side + middle, side + end)
+    for upper, middle, end in (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))
+    for side in SIDES
+)
 HUMAN = Anatomy(
-    legs=tuple((f"{side}UpLeg", f"{side}Leg", f"{side}Foot") for side in SIDES),
+    legs=_HUMAN_LEGS,
+    hinges=(*((f"{side}Arm", f"{side}ForeArm", f"{side}Hand") for side in SIDES), *_HUMAN_LEGS),
     long_bones=_both("Arm", "ForeArm", "UpLeg", "Leg"),
     ends=(
         (*_both("Hand", "FingerBase", "HandFinger1"), "LThumb", "RThumb"),
@@ -56,11 +66,8 @@ HUMAN = Anatomy(
     },
 )
 QUADRUPED = Anatomy(
-    legs=tuple(
-        (side + upper, side + middle, side + end)
-        for upper, middle, end in (("UpperArm", "Forearm", "Hand"), ("Thigh", "Shin", "Foot"))
-        for side in SIDES
-    ),
+    legs=_ANIMAL_LEGS,
+    hinges=_ANIMAL_LEGS,
     long_bones=_both("UpperArm", "Forearm", "Hand", "Thigh", "Shin", "Foot"),
     ends=(_both("Fingers"), _both("Toes")),
     regions={
@@ -75,3 +82,8 @@ QUADRUPED = Anatomy(
 def anatomy_of(body: str) -> Anatomy:
     """Return the anatomy of a shipped body by its name, `human` or `quadruped`."""
     return QUADRUPED if body == "quadruped" else HUMAN
+
+
+def anatomy_of_joints(names: Collection[str]) -> Anatomy:
+    """Return the anatomy of the shipped body whose legs are among some joints; that of the human if none has them."""
+    return QUADRUPED if any(leg[0] in names for leg in QUADRUPED.legs) else HUMAN

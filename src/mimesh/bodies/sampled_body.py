@@ -58,6 +58,8 @@ class BodyState:
 class SampledBody:
     """N surface points of a body at rest, with the arrays that pose them."""
 
+    name: str
+    """Of the body."""
     names: tuple[str, ...]
     """Names of the joints."""
     parents: tuple[int, ...]
@@ -101,6 +103,7 @@ class SampledBody:
         corners = body.faces[face]
         directions, branching = bone_directions(body)
         return cls(
+            name=body.name,
             names=body.joint_names,
             parents=body.parents,
             vertices=interpolate(body.vertices, corners, barycentric),

@@ -12,17 +12,9 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.anatomy import HUMAN, QUADRUPED, Anatomy, anatomy_of_joints
 from ..core.geometry import angles_between
 from ..core.rig import descendants
-
-LIMBS = {
-    "head": "Neck",
-    "left arm": "LeftArm",
-    "right arm": "RightArm",
-    "left leg": "LeftUpLeg",
-    "right leg": "RightUpLeg",
-}
-"""Limb -> name of its first joint."""
 
 # Thresholds, tuned on meshes of whole people and of other things (docs/LOG.md).
 MAX_SPREAD = 15.0
@@ -37,8 +29,6 @@ MAX_UNMATCHED_LIMB, MAX_UNMATCHED_SURFACE = 0.025, 0.006
 """A limb was not found if more than the first share of it is far from the surface, and more than the second share of
 the surface is far from the body. Holes in a mesh exceed only the first, clothes and hair only the second.
 """
-HINGES = (("Arm", "ForeArm", "Hand"), ("UpLeg", "Leg", "Foot"))
-"""Joints of an arm and of a leg without their side; the middle one is a hinge."""
 FOLDED = 150.0
 """Flexion (degrees) of an elbow or knee from which on the lower limb would be inside the upper one. Limbs that are cut
 off in the middle are often taken for folded ones: 6 % of bad results have one, no good one does (docs/LOG.md)."""
@@ -65,6 +55,42 @@ SMALLEST_SHARE = 1e-3
 
 
 @dataclass(frozen=True)
+class Standards:
+    """What predictions for a whole body of one kind are like."""
+
+    kind: str
+    """What it is called, with its article."""
+    anatomy: Anatomy
+    max_entropy: float
+    """As MAX_ENTROPY."""
+    min_share: dict[str, float]
+    """As MIN_SHARE."""
+    expected_error: dict[str, float]
+    """As EXPECTED_ERROR."""
+    max_error: float
+    """As MAX_ERROR."""
+    no_such_body: float
+    """As NO_PERSON."""
+
+    @classmethod
+    def of(cls, joints: tuple[str, ...]) -> Standards:
+        """Find those of the body that has some joints."""
+        return QUADRUPED_STANDARDS if anatomy_of_joints(joints) is QUADRUPED else HUMAN_STANDARDS
+
+
+HUMAN_STANDARDS = Standards("a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR, NO_PERSON)
+QUADRUPED_STANDARDS = Standards(
+    kind="a four-legged animal",
+    anatomy=QUADRUPED,
+    max_entropy=MAX_ENTROPY,
+    min_share={"head": 0.04, **dict.fromkeys([limb for limb in QUADRUPED.regions if limb != "head"], 0.012)},
+    expected_error=EXPECTED_ERROR,
+    max_error=MAX_ERROR,
+    no_such_body=NO_PERSON,
+)
+
+
+@dataclass(frozen=True)
 class Confidence:
     """How consistent the predictions for one mesh are, and how well the fitted body covers it."""
 
@@ -84,6 +110,8 @@ class Confidence:
     """Mean angle (degrees) between the fitted joint rotations and the predicted ones."""
     flexion: float = 0.0
     """Flexion (degrees) of the elbow or knee that is bent most; 0 is straight."""
+    standards: Standards = HUMAN_STANDARDS
+    """What the figures of the body that was looked for are compared with."""
 
     @classmethod
     def of(
@@ -97,7 +125,7 @@ class Confidence:
         entropy = -(weights * np.log(np.maximum(weights, 1e-12))).sum(axis=1).mean()
         share = weights.mean(axis=0)
         limbs = {limb: float(share[of_limb].sum()) for limb, of_limb in limb_joints(joints, parents).items()}
-        return cls(prediction_spread, float(entropy), limbs)
+        return cls(prediction_spread, float(entropy), limbs, standards=Standards.of(joints))
 
     def features(self) -> dict[str, float]:
         """Compute the figures that the expected error depends on, most of them as logarithms."""
@@ -106,13 +134,13 @@ class Confidence:
             "entropy": self.weight_entropy,
             "fit_distance": float(np.log1p(1e3 * (self.fit_distance or 0.0))),
             "fit_angle": float(np.log1p(self.fit_angle)),
-            "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in MIN_SHARE))),
+            "incomplete": float(np.log1p(max(self._incompleteness(limb) for limb in self.standards.min_share))),
         }
 
     @property
     def recognised(self) -> bool:
-        """Whether the predictions are those of a person."""
-        return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > MAX_ENTROPY)
+        """Whether the predictions are those of a body of the kind that was looked for."""
+        return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > self.standards.max_entropy)
 
     @property
     def lacks_leg(self) -> bool:
@@ -127,8 +155,9 @@ class Confidence:
     @property
     def expected_error(self) -> float:
         """Predict what this mesh adds to the mean error of a result, in heights of the identity; needs a fit."""
-        logarithm = sum(EXPECTED_ERROR[name] * value for name, value in self.features().items())
-        return float(np.exp(EXPECTED_ERROR["constant"] + logarithm))
+        coefficients = self.standards.expected_error
+        logarithm = sum(coefficients[name] * value for name, value in self.features().items())
+        return float(np.exp(coefficients["constant"] + logarithm))
 
     @property
     def limb_fault(self) -> float:
@@ -136,7 +165,7 @@ class Confidence:
 
         A limb that the mesh lacks is predicted somewhere, and all predictions of it may agree.
         """
-        return max(*(self._incompleteness(limb) for limb in MIN_SHARE), self.flexion / FOLDED)
+        return max(*(self._incompleteness(limb) for limb in self.standards.min_share), self.flexion / FOLDED)
 
     @property
     def uncertainty(self) -> float:
@@ -145,8 +174,9 @@ class Confidence:
         Without a fit it is the largest ratio of the other figures to theirs.
         """
         if self.fitted:
-            return max(self.expected_error / MAX_ERROR, self.limb_fault)
-        return max(self.prediction_spread / MAX_SPREAD, self.weight_entropy / MAX_ENTROPY, self.limb_fault)
+            return max(self.expected_error / self.standards.max_error, self.limb_fault)
+        entropy = self.weight_entropy / self.standards.max_entropy
+        return max(self.prediction_spread / MAX_SPREAD, entropy, self.limb_fault)
 
     def facts(self) -> dict[str, Any]:
         """Return the figures for the report; its keys are those of version 0.1 and stay (see docs/conventions.md)."""
@@ -176,12 +206,12 @@ class Confidence:
         if self.uncertainty <= 1:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
-        large = self.fitted and self.expected_error > MAX_ERROR
+        large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
-        if self.fitted and self.expected_error > NO_PERSON and not self._incomplete():
+        if self.fitted and self.expected_error > self.standards.no_such_body and not self._incomplete():
             return (
-                f"{name} does not look like a person, and nothing else is moved well{error}: {reasons}; animals and "
-                "things need a clip of the same skeleton",
+                f"{name} does not look like {self.standards.kind}{error}: {reasons}; people and four-legged animals "
+                "are moved (--body chooses), other things need a clip of the same skeleton",
             )
         feet = ", and feet are not planted" if self.lacks_leg else ""
         return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}",)
@@ -194,7 +224,7 @@ class Confidence:
         reasons = []
         if self.prediction_spread > MAX_SPREAD:
             reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
-        if self.weight_entropy > MAX_ENTROPY:
+        if self.weight_entropy > self.standards.max_entropy:
             reasons.append("much of its surface belongs to no limb in particular")
         if incomplete:
             reasons.append(f"{_listed('no whole', incomplete)} was found")
@@ -206,7 +236,7 @@ class Confidence:
 
     def _incomplete(self) -> list[str]:
         """List the limbs that were not found."""
-        return [limb for limb in MIN_SHARE if self._incompleteness(limb) > 1]
+        return [limb for limb in self.standards.min_share if self._incompleteness(limb) > 1]
 
     def _incompleteness(self, limb: str) -> float:
         """Return how much of a limb is missing: above 1, its share of the surface is too small, or too much of it is
@@ -216,21 +246,22 @@ class Confidence:
         # Heads of chibis are most of the surface: arms and legs are compared with the rest of it.
         rest = 1.0 if limb == "head" else max(1 - self.limbs.get("head", 0.0), SMALLEST_SHARE)
         counterpart = self.limbs.get(f"{'right' if side == 'left' else 'left'} {kind}", 0.0)
-        least = max(MIN_SHARE[limb], MIN_SYMMETRY * counterpart / rest)
+        least = max(self.standards.min_share[limb], MIN_SYMMETRY * counterpart / rest)
         share = max(self.limbs.get(limb, 1.0) / rest, SMALLEST_SHARE)
         return max(least / share, self.unmatched_body.get(limb, 0.0) / MISSING_LIMB)
 
 
 def limb_joints(names: tuple[str, ...], parents: tuple[int, ...]) -> dict[str, list[int]]:
-    """List the joints of each of LIMBS that a skeleton has, by their indices."""
-    tops = {limb: names.index(top) for limb, top in LIMBS.items() if top in names}
+    """List the joints of head and limbs that a skeleton has, by their indices."""
+    regions = anatomy_of_joints(names).regions
+    tops = {limb: names.index(top) for limb, top in regions.items() if top in names}
     return {limb: list(descendants([top], parents)) for limb, top in tops.items()}
 
 
 def largest_flexion(joints: Float[np.ndarray, "J 3"], names: tuple[str, ...]) -> float:
     """Return the largest angle (degrees) between upper and lower bone of an arm or leg; 0 if there are none."""
-    chains = [[side + name for name in hinge] for side in ("Left", "Right") for hinge in HINGES]
-    chains = [[names.index(name) for name in chain] for chain in chains if set(chain) <= set(names)]
+    hinges = anatomy_of_joints(names).hinges
+    chains = [[names.index(name) for name in chain] for chain in hinges if set(chain) <= set(names)]
     if not chains:
         return 0.0
     upper, lower = np.diff(joints[np.array(chains)], axis=1).swapaxes(0, 1)

@@ -77,7 +77,8 @@ def load_network(
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, threads, seed) if fingers else None
-        return MimeMethod(name, session, joints, parents, legs, card["points"], fits, seed, hands=hands)
+        body = card.get("body", "human")
+        return MimeMethod(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
 
 

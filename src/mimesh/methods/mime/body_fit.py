@@ -79,6 +79,8 @@ class NearestBody:
     """Distance to it (metres of the body)."""
     weights: Float[np.ndarray, "V J"]
     """Its skinning weights."""
+    body: str = "human"
+    """Name of the body."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,33 +106,35 @@ class BodyFit:
         """Find the nearest point of the fitted body to each of some points of the surface."""
         from scipy.spatial import KDTree
 
-        body = whole_body()
+        body = whole_body(self.posed.body.name)
         distance, index = KDTree(PosedBody(body, self.posed.state).points).query(points, k=NEAREST)
         share = 1 / np.maximum(distance, 1e-9 * self.posed.state.size) ** 2
         share /= share.sum(axis=1, keepdims=True)
-        return NearestBody(distance[:, 0] / self.posed.state.size, np.einsum("vn,vnj->vj", share, body.weights[index]))
+        weights = np.einsum("vn,vnj->vj", share, body.weights[index])
+        return NearestBody(distance[:, 0] / self.posed.state.size, weights, body.name)
 
     def blended_weights(self, predicted: Float[np.ndarray, "V J"], nearest: NearestBody) -> Float[np.ndarray, "V J"]:
         """Mix predicted weights with those of the fitted body as far as it has the shape of the surface.
 
-        Weights of hands stay predicted: the fitted body has stubs instead of fingers.
+        Weights of a person's hands stay predicted: the fitted body has stubs instead of fingers.
         """
-        hands = [j for side in SIDES for j in hand_joints(self.posed.body.names, side)]
+        body = self.posed.body
+        hands = [j for side in SIDES for j in hand_joints(body.names, side)] if body.name == "human" else []
         of_body = 1 / (1 + (self.distance / SAME_SHAPE) ** SHAPE_EXPONENT)
         share = of_body * (1 - nearest.weights[:, hands].sum(axis=1, keepdims=True))
         return (1 - share) * predicted + share * nearest.weights
 
 
 @cache
-def sampled_body() -> SampledBody:
-    """Return the shipped body as BODY_POINTS points."""
-    return SampledBody.of(load_body(), BODY_POINTS)
+def sampled_body(name: str = "human") -> SampledBody:
+    """Return a shipped body as BODY_POINTS points."""
+    return SampledBody.of(load_body(name), BODY_POINTS)
 
 
 @cache
-def whole_body() -> SampledBody:
-    """Return the shipped body as all of its vertices."""
-    return SampledBody.of_vertices(load_body())
+def whole_body(name: str = "human") -> SampledBody:
+    """Return a shipped body as all of its vertices."""
+    return SampledBody.of_vertices(load_body(name))
 
 
 def fit_body(
@@ -138,8 +142,9 @@ def fit_body(
     rotation: Float[np.ndarray, "J 3 3"],
     joints: Float[np.ndarray, "J 3"],
     targets: JointTargets | None = None,
+    name: str = "human",
 ) -> BodyFit:
-    """Fit the body to a surface, from predicted rotations and positions of its joints.
+    """Fit a shipped body to a surface, from predicted rotations and positions of its joints.
 
     The unknowns are size, root position, shape coefficients, bone lengths and girths, and the joint rotations (see
     `SampledBody`). Joints are those of the fitted body where it covers the surface closely, the predicted ones where it
@@ -148,7 +153,7 @@ def fit_body(
     """
     from scipy.spatial import KDTree
 
-    body, tree = sampled_body(), KDTree(surface.points)
+    body, tree = sampled_body(name), KDTree(surface.points)
     state = body.mean_person(_initial_size(body, joints), joints[0].copy(), rotation)
     surface = surface.outward(PosedBody(body, state))
     state, mismatch = _optimise(body, state, Prior(body, state.size, rotation, joints, targets), surface, tree)
@@ -158,7 +163,7 @@ def fit_body(
     share = 1 / (1 + (distance / RELIABLE_MISMATCH) ** MISMATCH_EXPONENT)
     blended = nearest_rotation(share * state.rotation + (1 - share) * rotation)
     unmatched = tree.query(posed.points)[0] > UNMATCHED_BODY * state.size
-    unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points().items()}
+    unmatched_body = {limb: float(unmatched[points].mean()) for limb, points in _limb_points(name).items()}
     to_body = KDTree(posed.points).query(surface.points[: 2 * BODY_POINTS])[0]
     unmatched_surface = float((to_body > UNMATCHED_SURFACE * state.size).mean())
     positions = share * posed.joints + (1 - share) * joints
@@ -174,9 +179,9 @@ def fit_body(
 
 
 @cache
-def _limb_points() -> dict[str, Bool[np.ndarray, " N"]]:
-    """Limb -> mask of the body's points that are weighted mostly to its joints."""
-    body = sampled_body()
+def _limb_points(name: str) -> dict[str, Bool[np.ndarray, " N"]]:
+    """Limb -> mask of a body's points that are weighted mostly to its joints."""
+    body = sampled_body(name)
     joints = limb_joints(body.names, body.parents)
     return {limb: body.weights[:, indices].sum(axis=1) > 0.5 for limb, indices in joints.items()}
 

@@ -124,6 +124,8 @@ class MimeMethod:
     """Joints of each leg, from hip to ankle."""
     points: int
     """Samples of the surface that one prediction takes."""
+    body: str = "human"
+    """Name of the shipped body."""
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
@@ -148,7 +150,7 @@ class MimeMethod:
     @property
     def fits_body(self) -> bool:
         """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
-        return self.fits and self.joints == sampled_body().names
+        return self.fits and self.joints == sampled_body(self.body).names
 
     def with_joints(
         self,
@@ -319,7 +321,7 @@ class MimeMethod:
         """Replace the joints of a rig by those of the body fitted to its surface, if `fits_body`."""
         if not self.fits_body:
             return rig, confidence, None
-        fit = fit_body(sample, rig.rotation, rig.joints)
+        fit = fit_body(sample, rig.rotation, rig.joints, name=self.body)
         return dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints), _with_measures(confidence, fit), fit
 
     def _with_corrections(

@@ -92,7 +92,7 @@ def _rigid_pieces(
         size = np.bincount(piece)
         blocks = parts & (size <= BLOCK_VERTICES) & (area > BLOCK_AREA * area.sum())
         for k in np.flatnonzero(blocks):
-            joint[k], rigid[k] = _block_joint(summed[k]), True
+            joint[k], rigid[k] = _block_joint(summed[k], nearest.body), True
         far = parts & ~blocks & (median(nearest.distance, piece, np.arange(count)) > FAR)
         members = np.split(np.argsort(piece, kind="stable"), np.cumsum(size)[:-1])
         for k in np.flatnonzero(far):
@@ -100,18 +100,18 @@ def _rigid_pieces(
     return np.where(rigid[piece][:, None], np.eye(weights.shape[1])[joint[piece]], weights)
 
 
-def _block_joint(weights: Float[np.ndarray, " J"]) -> int:
+def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
     """Find the joint of a block from its summed weights."""
-    limb = max(_limbs(), key=lambda joints: weights[joints].sum())
-    parents, total = sampled_body().parents, weights[limb].sum()
+    limb = max(_limbs(body), key=lambda joints: weights[joints].sum())
+    parents, total = sampled_body(body).parents, weights[limb].sum()
     shares = {j: weights[np.intersect1d(limb, descendants([int(j)], parents))].sum() for j in limb}
     return int(max(j for j, share in shares.items() if share >= LIMB_SHARE * total))  # children come after parents
 
 
 @cache
-def _limbs() -> list[Int[np.ndarray, " L"]]:
-    """List the joints of the trunk and of each limb of the shipped body."""
-    body = sampled_body()
+def _limbs(name: str) -> list[Int[np.ndarray, " L"]]:
+    """List the joints of the trunk and of each limb of a shipped body."""
+    body = sampled_body(name)
     limbs = [np.array(joints) for joints in limb_joints(body.names, body.parents).values()]
     return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]
 
