@@ -30,11 +30,13 @@ NECK, TAIL = ("Neck1", "Neck2", "Neck3"), tuple(f"Tail{k}" for k in range(1, 7))
 TRUNK = ("Spine1", "Spine2", "Spine3", "Spine4", "Chest")
 GROUND = 0.12
 """Share of the height from the ground up in which the surface is that of feet. Chosen by eye, as all figures here."""
+APART = 0.15
+"""Smallest distance of forefeet from hind feet, in heights: nearer ones are heels and toes of two feet."""
 BESIDE = 0.3
 """A joint is one of a leg, not of the trunk, from this share of the foot's distance from the middle on."""
 LOOSE_FOOT = 0.1
-"""A joint lower than this share of the height moves a foot alone; if it does not hang on a leg, it is a handle of the
-animator that the leg follows."""
+"""A chain that begins lower than this share of the height is that of a foot alone: a handle of the animator that the leg
+follows."""
 SAME_PLACE = 0.06
 """Distance seen from the side, in lengths of the leg, below which one of two joints of a leg is only a helper."""
 
@@ -105,6 +107,9 @@ class _AnimalRig:
                         f"{self.path}: expected four feet on the ground, found none {side.lower()} {pair}; "
                         "stand the animal upright, facing +z"
                     )
+        front, hind = (np.mean([vertices[found[side, pair], 2].mean() for side in SIDES]) for pair in LEGS)
+        if front - hind < APART * self.height:
+            raise InputError(f"{self.path}: expected forefeet before hind feet, found two feet; is it a person?")
         return found
 
     @cached_property
@@ -156,8 +161,8 @@ class _AnimalRig:
         for key, foot in owners.items():
             others = {j for other in owners.values() if other != foot for j in ancestors(self.rig.parents, other)}
             chain = self._chain(foot, others)
-            if len(chain) == 1 and self.rig.joints[foot, 1] < self.low + LOOSE_FOOT * self.height:
-                chain = [*self._leg_above(foot, key, others | set(owners.values())), foot]
+            if self.rig.joints[chain[0], 1] < self.low + LOOSE_FOOT * self.height:
+                chain = [*self._leg_above(chain[0], others.union(owners.values(), chain)), *chain]
             legs[key] = _Leg(self._without_helpers(chain), chain[0])
         return legs
 
@@ -171,12 +176,13 @@ class _AnimalRig:
             chain.append(joint)
         return chain[::-1] or [foot]
 
-    def _leg_above(self, foot: int, key: tuple[str, str], others: set[int]) -> list[int]:
+    def _leg_above(self, foot: int, others: set[int]) -> list[int]:
         """Find the leg that a foot's handle belongs to: the chain whose lowest joint is nearest to it."""
         joints, moving = self.rig.joints, self.moving
         side = np.sign(joints[foot, 0] - self.middle)
         beside = side * (joints[:, 0] - self.middle) > BESIDE * abs(joints[foot, 0] - self.middle)
-        own = [j for j in np.flatnonzero(beside & moving) if j not in others and j != foot]
+        higher = joints[:, 1] > joints[foot, 1]
+        own = [j for j in np.flatnonzero(beside & higher & moving) if j not in others]
         if not own:
             return []
         lowest = min(own, key=lambda j: float(np.linalg.norm(joints[j] - joints[foot])))

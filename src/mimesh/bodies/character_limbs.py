@@ -146,6 +146,13 @@ def attach_feet(
                 "export the deforming bones as chains"
             )
         parents[foot] = shins[nearest]
+    return with_parents(rig, joints, parents)
+
+
+def with_parents(
+    rig: SkinnedCharacter, joints: dict[str, int], parents: list[int]
+) -> tuple[SkinnedCharacter, dict[str, int], Int[np.ndarray, " J"]]:
+    """Give the joints of a rig other parents; returns the same as `attach_feet`."""
     depth = [len(ancestors(tuple(parents), j)) for j in range(len(parents))]
     in_order = all(parent < j for j, parent in enumerate(parents))
     order = np.arange(len(parents)) if in_order else np.argsort(depth, kind="stable")

@@ -12,7 +12,7 @@ from ..bodies import RiggedBody
 from ..bodies.anatomy import SIDES
 from ..bodies.animal_limbs import LEGS, NECK, TAIL, TRUNK
 from ..bodies.sampling import rotvec_to_rotmat
-from ..motions.animal_rest import rest_directions
+from ..motions.animal_rig import rest_directions
 from ..motions.rest_calibration import rotation_between
 from .character_surfaces import CharacterSurface
 from .primitives import SHAPES, Part, Shape, assemble

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..bodies import RiggedBody
+from ..bodies import RiggedBody, load_body
 from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
@@ -48,6 +48,11 @@ class HumanoidRig:
     """Limbs in the axes of the file."""
     turn: Float[np.ndarray, "3 3"]
     """Rotation from the file's axes to y up, +z front."""
+
+    @property
+    def body(self) -> RiggedBody:
+        """The shipped body whose joints these are."""
+        return load_body()
 
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:

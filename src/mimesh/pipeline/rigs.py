@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.anatomy import QUADRUPED, anatomy_of_joints
 from ..bodies.character_limbs import SIDES, FindJoints, UnnamedJoints
 from ..bodies.joint_names import ancestors, finger_joints
 from ..core.errors import InputError
@@ -28,7 +29,7 @@ from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
 from ..io.gltf.scene import node_parents
 from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
-from ..motions.humanoid_rig import LEG, HumanoidRig
+from ..motions.humanoid_rig import HumanoidRig
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
@@ -234,7 +235,7 @@ def known_identity(humanoid: HumanoidRig, norm: Normalization) -> KnownIdentity:
     rig = Rig(norm.rotation @ frames, norm.apply(character.joints[kept]), weights)
     points = norm.apply(character.points.reshape(-1, 3)).reshape(character.points.shape)
     skinned = SkinnedMesh.of_influences(columns[character.joint_of], character.weights, points, rig, parents)
-    body = load_body()
+    body = humanoid.body
     directions = {
         name: _unit(body.joints[body.joint(end)] - body.joints[body.joint(name)])
         for name, end in humanoid.whole_limbs.items()
@@ -258,7 +259,7 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
     positions = norm.apply(motion.positions.reshape(-1, 3)).reshape(motion.positions.shape)
     track = JointTrack(norm.rotation @ motion.rotation, positions, fps)
     index = {name: k for k, name in enumerate(motion.joints)}
-    chains = (tuple(index.get(side + part, -1) for part in LEG) for side in SIDES)
+    chains = (tuple(index.get(name, -1) for name in leg) for leg in anatomy_of_joints(motion.joints).legs)
     legs = tuple(chain for chain in chains if -1 not in chain)
     return KnownDriving(
         motion.joints, track, motion.leg / norm.radius, motion.weights, legs, person_parents(motion.joints)
@@ -267,7 +268,7 @@ def known_driving(motion: PersonMotion, fps: float, norm: Normalization) -> Know
 
 def person_parents(names: tuple[str, ...]) -> tuple[int, ...]:
     """Return the parent of each joint among some joints of a person, the hips first: the nearest one above it."""
-    body = load_body()
+    body = load_body("quadruped" if anatomy_of_joints(names) is QUADRUPED else "human")
     above = {
         name: [body.joint_names[j] for j in ancestors(body.parents, k)[1:]] for k, name in enumerate(body.joint_names)
     }

@@ -11,7 +11,7 @@ they are right. Some makers export -z, others name sides as the viewer sees them
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -142,7 +142,7 @@ def read_clips(
     return clips
 
 
-def _moving_nodes(document: Document) -> set[int]:
+def moving_nodes(document: Document) -> set[int]:
     """List the nodes that show a mesh or that an animation moves: the joints of a figure of rigid parts."""
     return animated_nodes(document, PLAYED_PATHS) | {
         node for node in scene_nodes(document) if "mesh" in document.gltf["nodes"][node]
@@ -181,7 +181,7 @@ def read_standing(
         InputError: limbs that are not found, several characters, or a trunk that is not upright.
     """
     bones = vrm_bones(document)
-    joint_nodes = (skin_joints(document, scene) or _moving_nodes(document)) | set(without_fingers(bones).values())
+    joint_nodes = (skin_joints(document, scene) or moving_nodes(document)) | set(without_fingers(bones).values())
     for T_world_node in bind_poses(document):
         bound = dataclasses.replace(scene, T_world_node=T_world_node)
         try:
@@ -203,14 +203,7 @@ def _standing(
 ) -> StandingCharacter:
     """Read the rig with the nodes of `scene` as its rest pose; see `read_standing`."""
     path = document.path
-    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
-    if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
-        raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
-    frames = np.tile(np.eye(4), (len(nodes), 1, 1))
-    frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
-    frames[:, :3, 3] = rig.joints
-    at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
-    rig = dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames)
+    rig, nodes = rig_at_rest(mesh, document, scene, joint_nodes)
     known = {name: nodes.index(node) for name, node in bones.items() if node in nodes}
     if find is not None:
         try:
@@ -219,6 +212,25 @@ def _standing(
             known = find(carried_part(rig))
     facing = standing_facing(rig, known, "-z" if vrm_version(document) == 0 else "+z", path)
     return StandingCharacter(rig, nodes, facing, known, scene)
+
+
+def rig_at_rest(
+    mesh: Mesh, document: Document, scene: RestScene, joint_nodes: Collection[int]
+) -> tuple[SkinnedCharacter, list[int]]:
+    """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
+
+    Raises:
+        InputError: positions that are not finite.
+    """
+    path = document.path
+    rig, nodes = rig_on_nodes(mesh, document, scene, joint_nodes)
+    if not all(np.isfinite(array).all() for array in (rig.points, rig.T_world_joint)):
+        raise InputError(f"{path}: expected a rest pose of finite numbers, found NaN or infinity; export it again")
+    frames = np.tile(np.eye(4), (len(nodes), 1, 1))
+    frames[:, :3, :3] = nearest_rotation(rig.T_world_joint[:, :3, :3])
+    frames[:, :3, 3] = rig.joints
+    at_rest = dataclasses.replace(mesh, vertices=(rig.weights[..., None] * rig.points).sum(axis=1))
+    return dataclasses.replace(rig, mesh=at_rest, T_world_joint=frames), nodes
 
 
 def standing_facing(rig: SkinnedCharacter, known: dict[str, int], rule: str, path: object) -> str:

@@ -17,7 +17,9 @@ from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
 from ...core.mesh import Mesh
 from ...core.person_motion import PersonMotion
+from ...motions.animal_rig import animal_rig
 from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
+from .animal import read_standing_animal
 from .animation import AnimationChannel, animated_nodes
 from .bake import AnimatedValues, sample_nodes
 from .character import read_clips, read_standing
@@ -42,6 +44,7 @@ class OwnRig:
 
     source: GltfSource
     humanoid: HumanoidRig
+    """Of a person or of an animal."""
     nodes: list[int]
     """Node of each joint of the character."""
     scene: RestScene
@@ -82,11 +85,12 @@ class OwnRig:
         return tracks
 
 
-def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
+def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human") -> OwnRig:
     """Read the rig of a mesh that comes from a glTF file.
 
     Args:
-        find: finds joints whose names say nothing.
+        find: finds joints of a person whose names say nothing.
+        body: `human` or `quadruped`.
 
     Raises:
         UnnamedJoints: limbs are not found by name, and nothing else finds them.
@@ -99,7 +103,13 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
     path = document.path
     if document.damage is not None:
         raise InputError(f"{path}: {document.damage}; export it again")
-    standing = read_standing(dataclasses.replace(mesh, vertices=source.vertices), document, source.rest, find)
+    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
+    of_animal = body == "quadruped"
+    standing = (
+        read_standing_animal(at_rest, document, source.rest)
+        if of_animal
+        else read_standing(at_rest, document, source.rest, find)
+    )
     rig, nodes = standing.rig, standing.nodes
     check_sound(rig, standing.scene.T_world_node[nodes], path)
     _check_bound(document, path)
@@ -114,7 +124,10 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None) -> OwnRig:
         rest = standing.scene.T_world_node[nodes]
         return sampled_poses(read_clips(document, rest, nodes, rig.parents, lambda name: False), rig, np.eye(3))
 
-    humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
+    if of_animal:
+        humanoid, order = animal_rig(rig, turn, path)
+    else:
+        humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
     own = OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
     _check_above(own)
     return own
@@ -139,6 +152,8 @@ class GltfJoints:
     """The mesh that the clip shows; None: the file has no mesh."""
     played: PersonMotion | None = None
     """Joints of the body that plays the motion of a file without a mesh."""
+    body: str = "human"
+    """Body whose joints are read."""
     find: FindJoints | None = None
     """Finds joints of the mesh whose names say nothing."""
     whole: bool = False
@@ -168,7 +183,7 @@ class GltfJoints:
         if self.mesh is None:
             assert self.played is not None
             return self.played
-        rig = read_own_rig(self.mesh, self.find)
+        rig = read_own_rig(self.mesh, self.find, self.body)
         humanoid, document = rig.humanoid, self.document
         nodes = [rig.nodes[humanoid.joints[name]] for name in humanoid.person]
         blocks = sample_nodes(document, self.channels, self.times)

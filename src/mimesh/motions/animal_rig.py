@@ -1,0 +1,139 @@
+"""A rigged four-legged animal of any maker, whose joints are known, and how its rest pose differs from the shipped one.
+
+The same as `humanoid_rig` for another body: A_j (`frames`) takes the shipped quadruped's rest pose to the animal's.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies import RiggedBody, load_body
+from ..bodies.anatomy import QUADRUPED
+from ..bodies.animal_limbs import LEGS, NECK, TAIL, name_animal_joints
+from ..bodies.character_limbs import SIDES, with_parents
+from ..bodies.joint_names import ancestors
+from ..bodies.skinned_character import SkinnedCharacter
+from ..core.rig import leg_length
+from .humanoid_rig import HumanoidRig
+from .rest_calibration import rotation_between
+
+CHAINS = tuple(tuple(side + part for part in parts) for side in SIDES for parts in LEGS.values())
+"""Joints of each leg from the top."""
+
+
+@dataclass(frozen=True, eq=False)
+class AnimalRig(HumanoidRig):
+    """An animal at rest with its known joints, in the axes and unit of its file; `limbs` is empty."""
+
+    @property
+    def body(self) -> RiggedBody:
+        """The shipped quadruped."""
+        return load_body("quadruped")
+
+    @property
+    def legs(self) -> tuple[tuple[int, ...], ...]:
+        """Shoulder or hip, elbow or knee, and wrist or ankle of each leg that has all three."""
+        chains = (tuple(self.joints.get(name, -1) for name in leg) for leg in QUADRUPED.legs)
+        return tuple(chain for chain in chains if -1 not in chain)
+
+    @cached_property
+    def leg(self) -> float:
+        """Mean length of the legs from the top to wrist or ankle, from all bones down to the ground."""
+        body, facing = self.body, self.character.turned(self.turn)
+        ground = facing.mesh.vertices[:, 1].min()
+        lengths, whole = [], []
+        for chain in CHAINS:
+            points = [facing.joints[self.joints[name]] for name in chain if name in self.joints]
+            lengths.append(_length([*points, points[-1] * [1, 0, 1] + [0, ground, 0]]))
+            own = [body.joints[body.joint(name)] for name in chain]
+            whole.append(_length([*own, own[-1] * [1, 0, 1]]))
+        indices = tuple(tuple(body.joint(name) for name in leg) for leg in QUADRUPED.legs)
+        return float(np.mean(lengths) * leg_length(body.joints, indices) / np.mean(whole))
+
+    @property
+    def whole_limbs(self) -> dict[str, str]:
+        """Joints of legs that stand for several of the shipped quadruped's, and the joint at the other end of them."""
+        found = {}
+        for chain in CHAINS:
+            had = [k for k, name in enumerate(chain) if name in self.joints]
+            for k, after in zip(had, [*had[1:], len(chain)], strict=True):
+                end = min(after, len(chain) - 1)
+                if end > k + 1 or (after == len(chain) and end > k):
+                    found[chain[k]] = chain[end]
+        return found
+
+
+def animal_rig(
+    character: SkinnedCharacter, turn: Float[np.ndarray, "3 3"], path: object
+) -> tuple[AnimalRig, list[int]]:
+    """Find the joints of an animal and how they rest; feet on roots of their own become children of their legs.
+
+    Args:
+        character: at rest, in the axes of its file.
+        turn: rotation after which y is up and it faces +z.
+        path: in error messages.
+
+    Returns the rig, and the order of its joints: joint k is joint `order[k]` of `character`.
+
+    Raises:
+        InputError: there are no four legs on one skeleton.
+    """
+    facing = character.turned(turn)
+    joints = name_animal_joints(facing, path)
+    facing, joints, order = with_parents(facing, joints, _attached(facing.parents, joints))
+    positions = {name: facing.joints[joint] for name, joint in joints.items()}
+    turned = rest_directions(positions, float(facing.mesh.vertices[:, 1].min()), load_body("quadruped"))
+    frames = {name: turn.T @ turned.get(name, np.eye(3)) for name in joints}
+    return AnimalRig(facing.turned(turn.T), joints, frames, {}, turn), order.tolist()
+
+
+def _attached(parents: tuple[int, ...], joints: Mapping[str, int]) -> list[int]:
+    """Return the parents of all joints, those of feet on roots of their own being the ends of their legs."""
+    attached, trunk = list(parents), ancestors(parents, joints["Hips"])
+    for chain in CHAINS:
+        own = [joints[name] for name in chain if name in joints]
+        for above, below in itertools.pairwise(own):
+            apart = [j for j in ancestors(parents, below) if j not in trunk]
+            if above not in apart:
+                attached[apart[-1]] = above
+    return attached
+
+
+def _length(points: list[Float[np.ndarray, " 3"]]) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+
+
+def rest_directions(
+    positions: Mapping[str, Float[np.ndarray, " 3"]], ground: float, body: RiggedBody
+) -> dict[str, Float[np.ndarray, "3 3"]]:
+    """Compute how joints of legs, neck and tail are turned from the shipped quadruped's rest pose to an animal's.
+
+    A joint's direction is that to the next one of its chain that the animal has, of the last one of a leg to the
+    ground. Feet on the ground, the trunk and the head keep the world's axes.
+
+    Args:
+        positions: of the joints that the animal has, at rest, y up, facing +z.
+        ground: height of the ground.
+    """
+    chains = [[side + part for part in parts] for side in SIDES for parts in LEGS.values()]
+    turned = {}
+    for chain in [*chains, [*NECK, "Head"], list(TAIL)]:
+        had = [name for name in chain if name in positions]
+        theirs = np.array([positions[name] for name in had]).reshape(-1, 3)
+        ours = body.joints[[body.joint(name) for name in had]]
+        if chain in chains:
+            toes = body.joints[body.joint(chain[-1])] * [1, 0, 1]
+            theirs = np.concatenate([theirs, theirs[-1:] * [1, 0, 1] + [0, ground, 0]])
+            ours = np.concatenate([ours, [toes]])
+            had = had[:-1] if had[-1] == chain[-1] else had
+        for k, name in enumerate(had[: len(theirs) - 1]):
+            turned[name] = rotation_between(ours[k + 1] - ours[k], theirs[k + 1] - theirs[k])
+        if chain[0] == TAIL[0] and len(had) > 1:
+            turned[had[-1]] = turned[had[-2]]
+    return turned
