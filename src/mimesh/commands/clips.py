@@ -93,7 +93,7 @@ def check_rig_layout(identity: Mesh, clip: Clip, model: str, options: MotionOpti
     bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
     if not bones or options.rig != "own" or not takes_rigs(model):
         return
-    rigs = Rigs.read(identity, clip, options.rig)
+    rigs = Rigs.read(identity, clip, options.rig, body=options.body)
     if rigs.identity is not None:
         check_own_layout(rigs.identity.person, layout, identity.name)
     elif rigs.copied is not None and not options.changes_motion:

@@ -74,6 +74,10 @@ Rig = Annotated[
     str,
     typer.Option(help="own: move IDENTITY on the bones of its file, if it has any; mimesh: find joints (both mime)."),
 ]
+Body = Annotated[
+    str,
+    typer.Option(help="What both are: human, quadruped (four-legged animals), or auto: by rig or shape (mime)."),
+]
 Joints = Annotated[
     Path | None,
     typer.Option(help="Joints of IDENTITY picked by hand; by default IDENTITY's .joints.json (mime).", metavar="FILE"),
@@ -125,6 +129,7 @@ def transfer(
     reference: Reference = None,
     markers: Markers = None,
     rig: Rig = "own",
+    body: Body = "auto",
     joints: Joints = None,
     driving_joints: DrivingJoints = None,
     no_joints: NoJoints = False,
@@ -165,6 +170,7 @@ def transfer(
         reference=reference,
         markers=markers,
         rig=rig,
+        body=body,
         joints=corrected.identity,
         driving_joints=corrected.driving,
     )
@@ -208,6 +214,7 @@ def animate(
     ground: Ground = True,
     smooth: Smooth = 0.0,
     rig: Rig = "own",
+    body: Body = "auto",
     joints: Joints = None,
     driving_joints: DrivingJoints = None,
     no_joints: NoJoints = False,
@@ -262,7 +269,7 @@ def animate(
             lambda chosen=chosen: (load_mesh(identity), read_clip(chosen.path, body_model, fps, chosen.animation))
         )
         used = rig if corrected.identity is None else "mimesh"
-        check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used), layout)
+        check_rig_layout(mesh, clip, model, MotionOptions(root, ground, smooth, rig=used, body=body), layout)
         with progress(f"frames of {title}" if title else "frames", quiet or json) as advance:
             result = run_animate(
                 mesh,
@@ -285,6 +292,7 @@ def animate(
                 smooth=smooth,
                 skinned=as_joints,
                 rig=rig,
+                body=body,
                 progress=advance,
                 joints=corrected.identity,
                 driving_joints=corrected.driving,

@@ -13,7 +13,9 @@ from ..core.mesh import Mesh
 from .base import Method, RigMethod
 
 # Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
-SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
+SHIPPED_NETWORKS = ("mime", "mime-quadruped", "npt", "npt-maxpool", "aniformer")
+NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
+"""Shipped body -> the network that finds its joints."""
 TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
@@ -71,8 +73,8 @@ def takes_rigs(model: str | Method) -> bool:
     Raises:
         InputError: as `find_method`.
     """
-    if model in ("mime", "copy", "deformation-transfer", "skeleton"):
-        return model == "mime"
+    if model in ("mime", "mime-quadruped", "copy", "deformation-transfer", "skeleton"):
+        return str(model).startswith("mime")
     return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
 
 

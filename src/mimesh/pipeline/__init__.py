@@ -37,6 +37,7 @@ def transfer(
     reference: Mesh | str | Path | None = None,
     markers: ArrayLike | str | Path | None = None,
     rig: str | HumanoidRig = "own",
+    body: str = "auto",
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
 ) -> Result:
@@ -61,6 +62,8 @@ def transfer(
         rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
             its surface, and its skin is dropped. A program that has the identity's bones passes the rig that
             `pipeline.bone_rigs.rig_of_bones` makes of them; their motion is the result's `skeleton`.
+        body: what both meshes are: "human", "quadruped" (four-legged animals), or "auto", found by their rigs or shapes
+            (mime only).
         joints: positions of some of the identity's joints, where the model finds them wrongly (mime only): joint ->
             (x, y, z) in the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are
             the keys of `Result.joints`.
@@ -76,7 +79,7 @@ def transfer(
     choice = _choice(model, ensemble, seed, reference, markers)
     clip = still_clip(driving)
     corrections = Corrections.read(joints, driving_joints, clip)
-    options = MotionOptions(rig=_usable_rig(rig, model))
+    options = MotionOptions(rig=_usable_rig(rig, model), body=body)
     moved = move(identity, clip, choice, axes, refine, timer, options, corrections=corrections)
     _name_axis_sources(moved.report, up, driving_up)
     mesh = identity.with_vertices(moved.vertices[0])
@@ -118,6 +121,7 @@ def animate(
     smooth: float = 0.0,
     skinned: bool | None = False,
     rig: str | HumanoidRig = "own",
+    body: str = "auto",
     progress: Progress | None = None,
     joints: GivenJoints = None,
     driving_joints: GivenJoints = None,
@@ -145,6 +149,7 @@ def animate(
             where all weights take them, over the mesh's size, is in the report ("influence_deviation"). None does so
             for clips of more than one frame, if the model has joints.
         rig: see `transfer`.
+        body: see `transfer`.
         progress: is called with the frames done and the frames in all.
         joints: see `transfer`.
         driving_joints: the same in the driving clip's first frame, or in the frame that a file of them names; frames
@@ -161,7 +166,7 @@ def animate(
         clip = cut_clip(whole, start, stop, step)
     axes = (up, front, *driving_axes(clip, driving_up, driving_front))
     choice = _choice(model, ensemble, seed, reference, markers)
-    options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model))
+    options = MotionOptions(root, ground, smooth, skinned, _usable_rig(rig, model), body)
     moved = move(identity, clip, choice, axes, refine, timer, options, progress, np.float32, corrections)
     _name_axis_sources(moved.report, up, driving_up)
     notes = moved.notes

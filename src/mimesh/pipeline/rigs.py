@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,7 +19,7 @@ from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, axis_name
-from ..core.person_motion import PersonMotion
+from ..core.person_motion import JointSource, PersonMotion
 from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
@@ -68,6 +69,7 @@ class Rigs:
         choice: str | HumanoidRig = "own",
         copy: bool = True,
         find: tuple[FindJoints | None, FindJoints | None] = (None, None),
+        body: str = "auto",
     ) -> Rigs:
         """Read the rigs of both files, where these have any; the identity's only if the choice is "own".
 
@@ -75,6 +77,7 @@ class Rigs:
             choice: one of RIGS, or the identity's rig itself.
             copy: of files with the same skeleton, read only what is copied.
             find: find joints of identity and driving whose names say nothing.
+            body: `human` or `quadruped`; "auto": as an animal is read what is no person.
 
         Raises:
             InputError: a choice that is none of RIGS.
@@ -87,7 +90,7 @@ class Rigs:
         unnamed = unnamed_driving = only_copied = False
         if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
-            own, notes, unnamed = _if_usable(lambda: read_own_rig(identity, find[0]), without)
+            own, notes, unnamed = _if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
             shared = _shared_motion(identity, clip)
             copied = _copied(identity, clip, shared, own)
             if copied is not None and copy:
@@ -98,10 +101,18 @@ class Rigs:
             skeleton = dataclasses.replace(skeleton, find=find[1])
         if skeleton is not None and skeleton.has_joints:
             without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
-            driving, more, unnamed_driving = _if_usable(skeleton.person, without)
+            joints = skeleton
+            driving, more, unnamed_driving = _if_usable(lambda of: _motion(joints, of), body, without)
             notes += more
         beside = {} if shared is None or own is None else _beside_person(own, shared.tracks)
         return cls(own, driving, None, notes, beside, (unnamed, unnamed_driving), only_copied, given)
+
+    @property
+    def bodies(self) -> tuple[str | None, str | None]:
+        """Whose joints the rigs of identity and driving are; None where no rig is used."""
+        own = self.humanoid
+        theirs = None if self.driving is None else anatomy_of_joints(self.driving.joints)
+        return own and own.body.name, theirs and ("quadruped" if theirs is QUADRUPED else "human")
 
     @property
     def humanoid(self) -> HumanoidRig | None:
@@ -143,15 +154,27 @@ NO_RIGS = Rigs()
 """All joints are found on the surfaces."""
 
 
-def _if_usable(read: Callable[[], T], without: str) -> tuple[T | None, tuple[str, ...], bool]:
-    """Read a rig; None where it cannot be used, with a note that tells why and what is done `without` it.
+def _if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | None, tuple[str, ...], bool]:
+    """Read the rig of a body; None where it cannot be used, with a note that tells why and what is done `without` it.
 
     Returns also whether all that is missing is what the names of the joints mean.
     """
     try:
-        return read(), (), False
+        return read("human" if body == "auto" else body), (), False
     except InputError as error:
+        if body == "auto":
+            with contextlib.suppress(InputError):
+                return read("quadruped"), (), False
         return None, (f"{without}: {error}",), isinstance(error, UnnamedJoints)
+
+
+def _motion(joints: JointSource, body: str) -> PersonMotion:
+    """Read the joints of a clip as those of a body; only rigged meshes may be animals."""
+    if isinstance(joints, GltfJoints) and joints.mesh is not None:
+        return dataclasses.replace(joints, body=body).person()
+    if body == "quadruped":
+        raise InputError("expected the rig of an animal, found joints of a person")
+    return joints.person()
 
 
 def _shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:

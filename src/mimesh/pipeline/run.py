@@ -37,6 +37,7 @@ from ..methods.base import (
     SurfaceMotion,
 )
 from ..motions.humanoid_rig import HumanoidRig
+from .body_choice import check_body, with_body
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
@@ -67,6 +68,8 @@ class MotionOptions:
     and the clip is more than a pose."""
     rig: str | HumanoidRig = "own"
     """One of `rigs.RIGS`, or the identity's rig itself. Other values have no effect on a method without joints."""
+    body: str = "auto"
+    """One of `body_choice.BODIES`."""
 
     @property
     def changes_motion(self) -> bool:
@@ -79,12 +82,16 @@ class MotionOptions:
             raise InputError(f"--root: expected one of {', '.join(ROOTS)}, found {self.root!r}; choose one of them")
         if not 0 <= self.smooth < np.inf:
             raise InputError(f"--smooth: expected seconds, 0 or more, found {self.smooth}; try 0.05")
+        check_body(self.body)
 
     def check(self, method: Method) -> None:
         """Raise InputError if a value needs joints and the method has none."""
         if not isinstance(method, SkinnedMethod):
             for field in dataclasses.fields(self):
-                if field.name not in ("ground", "rig") and getattr(self, field.name) not in (field.default, None):
+                if field.name not in ("ground", "rig", "body") and getattr(self, field.name) not in (
+                    field.default,
+                    None,
+                ):
                     raise InputError(
                         f"--{field.name}: expected a model with joints (mime), found {method.name}; choose it with -m"
                     )
@@ -166,6 +173,7 @@ def prepare(
     norms = _fitted(identity, first, rigs.axes(axes))
     method = choice(norms[1])
     options.check(method)
+    method = with_body(method, options.body, rigs, (identity, first), norms)
     if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)
@@ -200,7 +208,7 @@ def read_rigs(
 ) -> Rigs:
     """Read the rigs of both files (see `Rigs.read`); that of a mesh whose joints the user has corrected is not used."""
     choice = options.rig if corrections.identity is None else "mimesh"
-    rigs = Rigs.read(identity, clip, choice, copy and corrections.driving is None, find)
+    rigs = Rigs.read(identity, clip, choice, copy and corrections.driving is None, find, options.body)
     return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None)
 
 
