@@ -35,8 +35,8 @@ APART = 0.15
 BESIDE = 0.3
 """A joint is one of a leg, not of the trunk, from this share of the foot's distance from the middle on."""
 LOOSE_FOOT = 0.1
-"""A chain that begins lower than this share of the height is that of a foot alone: a handle of the animator that the leg
-follows."""
+"""A chain that begins lower than this share of the height is that of a foot alone: a handle of the animator that the
+leg follows."""
 SAME_PLACE = 0.06
 """Distance seen from the side, in lengths of the leg, below which one of two joints of a leg is only a helper."""
 

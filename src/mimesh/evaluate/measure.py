@@ -84,7 +84,8 @@ def extra_inputs(method: str) -> str:
     body = "own meshes" if trained_on(method) == "meshes" else "our body"
     if needs_true_size(network):
         return f"trained on {body}, true size"
-    return "trained on our body, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
+    body = "our quadruped" if getattr(network, "body", "human") == "quadruped" else body
+    return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
 
 
 def trained_on(method: str) -> str | None:

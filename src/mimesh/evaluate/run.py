@@ -19,6 +19,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
 from ..methods.find import MODELS, REDUCED_MODELS, check_weights, find_method, is_table_model, weights_path
+from .animals import animals
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
 from .code_fingerprint import PackageSource
@@ -30,9 +31,10 @@ from .measure import EXTRA_INPUTS, measure, measure_characters, measure_clip, me
 from .pairs import Pair, mirrored
 from .protocols import DRESSED, PROTOCOLS, SPLITS, Dressed, Protocol, with_test_garments
 from .provenance import commit, libraries, machine
+from .quadruped import QUADRUPED
 from .summary import summary
 
-FOLDERS = ("cross-body", "characters", "clips-aniformer", "fingers")
+FOLDERS = ("cross-body", "characters", "clips-aniformer", "fingers", "animals")
 """Names of the protocols that read a folder."""
 
 
@@ -275,7 +277,7 @@ def find_protocol(
     Raises:
         InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
     """
-    if name not in (*PROTOCOLS, *FOLDERS) and Path(name).exists():
+    if name not in (*PROTOCOLS, QUADRUPED.name, *FOLDERS) and Path(name).exists():
         return listed_pairs(Path(name), data, height, fps)
     for option, value in (("--height", height), ("--fps", fps)):
         if value is not None:
@@ -290,6 +292,12 @@ def find_protocol(
                 "characters: expected a pool of rigged characters, found none; give its folder with --data"
             )
         return characters(data)
+    if name == "animals":
+        if data is None:
+            raise InputError("animals: expected a folder of rigged animals, found none; give it with --data")
+        return animals(data)
+    if name == QUADRUPED.name:
+        return QUADRUPED
     if name == "clips-aniformer":
         return clips_aniformer(data)
     if name == "fingers":
@@ -297,7 +305,7 @@ def find_protocol(
     if name == DRESSED.name and data is not None:
         return with_test_garments(data)
     if name not in PROTOCOLS:
-        known = ", ".join((*PROTOCOLS, *FOLDERS))
+        known = ", ".join((*PROTOCOLS, QUADRUPED.name, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
     return PROTOCOLS[name]
 

@@ -16,6 +16,7 @@ from ..bodies.character_pool import Pool, PoolCharacter, read_pool
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..evaluate.held_out_takes import is_held_out
+from ..io.gltf.animal import read_rigged_animal
 from ..io.gltf.character import read_rigged_character
 
 SUFFIXES = (".fbx", ".glb", ".gltf", ".vrm")
@@ -37,7 +38,7 @@ def read_character_folder(
     Raises:
         InputError: no folder, a damaged index, or neither an index nor rigged files.
     """
-    folder = Path(folder)
+    folder, read = Path(folder), read_rigged_animal if body == "quadruped" else read_rigged_character
     paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     has_index = (folder / INDEX).is_file()
     if not has_index and not paths:
@@ -53,7 +54,7 @@ def read_character_folder(
         try:
             if path.stem in elsewhere:
                 raise InputError(f"{path}: expected a character to train on, found one of {elsewhere[path.stem]}")
-            characters.append(read_rigged_character(path, pack_of(path, folder), licence_of(path, folder), is_held_out))
+            characters.append(read(path, pack_of(path, folder), licence_of(path, folder), is_held_out))
         except DAMAGED as error:
             plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
             refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")

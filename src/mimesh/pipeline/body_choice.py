@@ -43,7 +43,7 @@ def with_body(
     Raises:
         InputError: a person and an animal, or a body that the method has not.
     """
-    if not isinstance(method, MimeMethod) or method.name not in NETWORK_OF_BODY.values():
+    if not isinstance(method, MimeMethod) or method.name != NETWORK_OF_BODY["human"]:
         own = method.body if isinstance(method, MimeMethod) else "human"
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")

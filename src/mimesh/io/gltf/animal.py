@@ -1,22 +1,52 @@
-"""Reads the rig of a four-legged animal of a glTF file in a rest pose in which it stands."""
+"""Reads a rigged four-legged animal of a glTF file in a rest pose in which it stands."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 
 from ...bodies.animal_limbs import LEGS, name_animal_joints
 from ...bodies.character_limbs import SIDES
-from ...bodies.character_pool import FACING, facing_rotation
+from ...bodies.character_pool import FACING, CharacterMeta, PoolCharacter, facing_rotation
 from ...bodies.skinned_character import SkinnedCharacter
 from ...core.errors import InputError
-from ...core.mesh import Mesh
-from .character import StandingCharacter, carried_part, moving_nodes, rig_at_rest
-from .document import Document
-from .motion import bind_poses
-from .read import RestScene
+from ...core.mesh import Mesh, check_mesh
+from .character import NOT_STATED, StandingCharacter, carried_part, moving_nodes, read_clips, rig_at_rest
+from .document import Document, open_document
+from .motion import bind_poses, is_motion
+from .origin import read_origin
+from .read import RestScene, read_rest
 from .skin import skin_joints
+
+
+def read_rigged_animal(
+    path: str | Path, pack: str = "", licence: str = "", left_out: Callable[[str], bool] = lambda name: False
+) -> PoolCharacter:
+    """Read an animal, turned to face +z, with all of its clips but those that `left_out` names.
+
+    Args:
+        licence: of files that do not state one.
+
+    Raises:
+        InputError: a damaged file, no mesh, or no four legs on one skeleton.
+    """
+    path = Path(path)
+    document = open_document(path)
+    if is_motion(document):
+        raise InputError(f"{path}: expected a rigged mesh, found animations without a mesh")
+    mesh, scene = read_rest(document)
+    standing = read_standing_animal(check_mesh(mesh, path), document, scene)
+    turn = facing_rotation(standing.facing)
+    rig, nodes = carried_part(standing.rig).turned(turn), standing.nodes
+    clips = read_clips(document, standing.scene.T_world_node[nodes], nodes, rig.parents, left_out)
+    maker, stated = read_origin(document)
+    origin = (path.stem, pack, maker, stated or licence or NOT_STATED, "", "quadruped", "train", standing.facing)
+    meta = CharacterMeta(*origin, str(path) * bool(clips))
+    joints, order = name_animal_joints(rig, path), np.arange(len(rig.parents))
+    return PoolCharacter(meta, rig, joints, {}, clips, rig.parents, order, turn)
 
 
 def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> StandingCharacter:
