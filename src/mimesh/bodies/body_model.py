@@ -148,10 +148,12 @@ ON_SKIN = {
 """Landmarks on the skin at a joint: joint and direction. The vertex near which a ray from the joint leaves the body."""
 LANDMARKS = (*EXTREMES, *ON_SKIN)
 """Names of all 13 landmarks of a human in order; the first 5 are the ends of the body."""
+TIP = (0.0, -0.6, 0.8)
+"""Direction from a foot's joint to its tip. It points down too, because straight ahead of a hind foot is a forefoot."""
 QUADRUPED_EXTREMES = {
     "nose": ("Head", (0.0, -0.33, 0.94)),
-    **{f"{side} forefoot": (f"{side.title()}Fingers", (0.0, 0.0, 1.0)) for side in ("left", "right")},
-    **{f"{side} hind foot": (f"{side.title()}Toes", (0.0, 0.0, 1.0)) for side in ("left", "right")},
+    **{f"{side} forefoot": (f"{side.title()}Fingers", TIP) for side in ("left", "right")},
+    **{f"{side} hind foot": (f"{side.title()}Toes", TIP) for side in ("left", "right")},
 }
 QUADRUPED_ON_SKIN = {
     "withers": ("Chest", (0.0, 1.0, 0.0)),
