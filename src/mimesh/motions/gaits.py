@@ -78,6 +78,14 @@ def gait_motion(
     body: RiggedBody, name: str, seed: int, index: int, *, seconds: float = 2.0, fps: float = 30.0
 ) -> Motion:
     """Generate a gait of random pace, stride, lift, bearing of head and tail; the feet on the ground give the path."""
+    rotmat = gait_rotations(body, name, seed, index, seconds, fps)
+    return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def gait_rotations(
+    body: RiggedBody, name: str, seed: int, index: int, seconds: float, fps: float
+) -> Float[np.ndarray, "T J 3 3"]:
+    """Generate the joint rotations of a gait; its path takes longer."""
     gait = GAITS[name]
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 4, list(GAITS).index(name)]))
     pace, stride = rng.uniform(*gait.pace), rng.uniform(*gait.stride)
@@ -103,8 +111,7 @@ def gait_motion(
         side, joints = leg.removesuffix("Hind").removesuffix("Front"), (hind_leg if leg.endswith("Hind") else foreleg)
         for joint, degrees in joints((cycle - phase) % 1.0, gait.duty, stride, lift).items():
             bend(f"{side}{joint}", degrees)
-    rotmat = rotvec_to_rotmat(np.radians(turn))
-    return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+    return rotvec_to_rotmat(np.radians(turn))
 
 
 def swing(phase: Float[np.ndarray, " T"], duty: float) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:
@@ -146,6 +153,14 @@ def posture_motion(
     body: RiggedBody, name: str, seed: int, index: int, *, seconds: float = 2.0, fps: float = 30.0
 ) -> Motion:
     """Generate the way from standing into a posture and back, with small random turns of all joints."""
+    rotmat = posture_rotations(body, name, seed, index, seconds, fps)
+    return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def posture_rotations(
+    body: RiggedBody, name: str, seed: int, index: int, seconds: float, fps: float
+) -> Float[np.ndarray, "T J 3 3"]:
+    """Generate the joint rotations of a posture."""
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 5, list(POSTURES).index(name)]))
     at = np.linspace(0.0, 1.0, max(round(seconds * fps), 1))
     share = np.sin(np.pi * at)[:, None, None] ** 2 * rng.uniform(0.7, 1.1)
@@ -153,13 +168,12 @@ def posture_motion(
     for j, joint in enumerate(body.joint_names):
         goal[j, 0] = POSTURES[name].get(joint.removeprefix("Left").removeprefix("Right"), 0.0)
     turn = share * (goal + rng.normal(0.0, 3.0, goal.shape))
-    rotmat = rotvec_to_rotmat(np.radians(turn))
-    return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+    return rotvec_to_rotmat(np.radians(turn))
 
 
 def quadruped_poses(body: RiggedBody, split: Literal["train", "val", "test"]) -> Float32[np.ndarray, "N J 3"]:
     """Make the poses of a split as rotation vectors: frames of all gaits and postures, with seeds of the split."""
     seed = SEEDS[split]
-    motions = [gait_motion(body, name, seed, i, fps=10.0) for name in GAITS for i in range(TAKES)]
-    motions += [posture_motion(body, name, seed, i, fps=10.0) for name in POSTURES for i in range(TAKES)]
-    return rotmat_to_rotvec(np.concatenate([motion.rotmat for motion in motions])).astype(np.float32)
+    frames = [gait_rotations(body, name, seed, i, 2.0, 10.0) for name in GAITS for i in range(TAKES)]
+    frames += [posture_rotations(body, name, seed, i, 2.0, 10.0) for name in POSTURES for i in range(TAKES)]
+    return rotmat_to_rotvec(np.concatenate(frames)).astype(np.float32)
