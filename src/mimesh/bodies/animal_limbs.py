@@ -161,6 +161,10 @@ class _AnimalRig:
         for key, foot in owners.items():
             others = {j for other in owners.values() if other != foot for j in ancestors(self.rig.parents, other)}
             chain = self._chain(foot, others)
+            if not chain:
+                raise InputError(
+                    f"{self.path}: expected a joint in each of four feet, found one of the trunk in one; rig the legs"
+                )
             if self.rig.joints[chain[0], 1] < self.low + LOOSE_FOOT * self.height:
                 chain = [*self._leg_above(chain[0], others.union(owners.values(), chain)), *chain]
             legs[key] = _Leg(self._without_helpers(chain), chain[0])
@@ -174,7 +178,7 @@ class _AnimalRig:
             if joint in others or abs(self.rig.joints[joint, 0] - self.middle) < reach:
                 break
             chain.append(joint)
-        return chain[::-1] or [foot]
+        return chain[::-1]
 
     def _leg_above(self, foot: int, others: set[int]) -> list[int]:
         """Find the leg that a foot's handle belongs to: the chain whose lowest joint is nearest to it."""
@@ -182,7 +186,7 @@ class _AnimalRig:
         side = np.sign(joints[foot, 0] - self.middle)
         beside = side * (joints[:, 0] - self.middle) > BESIDE * abs(joints[foot, 0] - self.middle)
         higher = joints[:, 1] > joints[foot, 1]
-        own = [j for j in np.flatnonzero(beside & higher & moving) if j not in others]
+        own = [int(j) for j in np.flatnonzero(beside & higher & moving) if j not in others]
         if not own:
             return []
         lowest = min(own, key=lambda j: float(np.linalg.norm(joints[j] - joints[foot])))
