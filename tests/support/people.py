@@ -12,15 +12,15 @@ from mimesh.core.mesh import Clip, Mesh
 
 
 @cache
-def decimation(faces_left: int) -> tuple[np.ndarray, np.ndarray]:
-    """Decimate the body: indices of the vertices that remain, and faces over them.
+def decimation(faces_left: int, name: str = "human") -> tuple[np.ndarray, np.ndarray]:
+    """Decimate a shipped body: indices of the vertices that remain, and faces over them.
 
     Decimated points are replaced by the nearest vertices of the body, so that the result can be skinned.
     """
     import fast_simplification
     from scipy.spatial import cKDTree
 
-    body = load_body()
+    body = load_body(name)
     points, faces = fast_simplification.simplify(
         body.vertices.astype(np.float32), body.faces.astype(np.int32), target_count=faces_left
     )

@@ -1,0 +1,132 @@
+"""Joints of animals are found by where they are and what they move, whatever they are called."""
+
+import numpy as np
+import pytest
+from animals import BODY, FEET, LEGS, TRUNK, animal, bones
+from rigs import figure
+
+from mimesh.bodies.animal_limbs import name_animal_joints
+from mimesh.bodies.character_limbs import SIDES
+from mimesh.bodies.character_pool import FACING, facing_rotation
+from mimesh.bodies.skinned_character import SkinnedCharacter
+from mimesh.core.errors import InputError
+from mimesh.core.mesh import Mesh
+from mimesh.io.gltf.animal import animal_facing
+
+SHAPES = (None, 0, 1, 2)
+OF_TRUNK = {"Spine1", "Spine2", "Spine3", "Spine4", "Chest"}
+
+
+def found_in(made, **options) -> dict[str, str]:
+    """Find joints: the name that each got -> the joint of the body that it is."""
+    named = name_animal_joints(made.character(**options), "a.glb")
+    return {name: made.order[joint] for name, joint in named.items()}
+
+
+def person() -> SkinnedCharacter:
+    """Make a person in a T-pose."""
+    made = figure(0)
+    frames = np.tile(np.eye(4), (len(made.names), 1, 1))
+    frames[:, :3, 3] = made.joints
+    mesh = Mesh(made.vertices, np.array([[0, 1, 2]]), name="person")
+    columns = np.tile(np.arange(len(made.names)), (len(made.vertices), 1))
+    points = np.repeat(made.vertices[:, None], len(made.names), axis=1)
+    return SkinnedCharacter(mesh, made.names, made.parents, frames, columns, made.weights, points)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+@pytest.mark.parametrize("seed", SHAPES)
+def test_legs_neck_head_and_tail_are_found_without_names(count, seed):
+    made = animal(seed, bones(count))
+    found = found_in(made)
+    assert {name: joint for name, joint in found.items() if name not in OF_TRUNK} == {
+        name: name for name in made.order if name not in OF_TRUNK
+    }
+    # Joints of the trunk are numbered by their places.
+    trunk = [found[name] for name in BODY.joint_names if name in OF_TRUNK and name in found]
+    assert trunk == ["Spine2", "Chest"]
+
+
+@pytest.mark.parametrize("seed", SHAPES)
+def test_feet_with_roots_of_their_own_belong_to_the_nearest_leg(seed):
+    found = found_in(animal(seed, bones(4), FEET))
+    assert all(found[side + part] == side + part for side in SIDES for chain in LEGS.values() for part in chain)
+
+
+@pytest.mark.parametrize("trunk", [("Hips", "Head"), ("Hips", "Chest", "Head"), ("Hips", "Chest", "Neck1", "Head")])
+def test_animals_without_a_tail_have_none(trunk):
+    found = found_in(animal(0, bones(3, trunk)))
+    assert found["Head"] == "Head"
+    assert not any(name.startswith("Tail") for name in found)
+    assert ("Neck1" in found) == ("Neck1" in trunk)
+
+
+def test_names_of_heads_and_tails_are_believed():
+    """A jaw is farther in front than the rest of the head, and a tail of one joint is not found without its name."""
+    made = animal(0, bones(3, ("Hips", "Chest", "Head", "Jaw", "Tail1")))
+    assert found_in(made, spell=str)["Head"] == "Head"
+    assert found_in(made, spell=str)["Tail1"] == "Tail1"
+    assert "Tail1" not in found_in(made)
+
+
+@pytest.mark.parametrize("facing", [facing for facing in FACING if facing])
+@pytest.mark.parametrize("seed", SHAPES)
+def test_animals_face_where_their_head_is(facing, seed):
+    turned = animal(seed, bones(2)).character(turn=facing_rotation(facing).T)
+    assert animal_facing(turned, "a.glb") == facing
+
+
+def test_size_place_and_order_of_vertices_do_not_matter():
+    made = animal(1)
+    rig = made.character()
+    expected = name_animal_joints(rig, "a.glb")
+    order = np.random.default_rng(0).permutation(len(rig.weights))
+    assert name_animal_joints(rig.permuted(order), "a.glb") == expected
+    large, moved = np.diag([30.0, 30.0, 30.0, 1.0]), np.array([5.0, -2.0, 9.0])
+    large[:3, 3] = moved
+    frames = rig.T_world_joint.copy()
+    frames[:, :3, 3] = 30 * rig.joints + moved
+    mesh = Mesh(30 * rig.mesh.vertices + moved, rig.mesh.faces)
+    other = SkinnedCharacter(
+        mesh, rig.joint_names, rig.parents, frames, rig.joint_of, rig.weights, 30 * rig.points + moved
+    )
+    assert name_animal_joints(other, "a.glb") == expected
+
+
+def test_a_person_is_refused():
+    with pytest.raises(InputError, match=r"a\.glb: expected .*(feet|legs|person)"):
+        name_animal_joints(person(), "a.glb")
+
+
+def test_an_animal_with_three_rigged_legs_is_refused():
+    three = [name for name in bones(3) if not (name.startswith("Left") and name[4:] in LEGS["front"])]
+    with pytest.raises(InputError, match="expected a joint in each of four feet"):
+        name_animal_joints(animal(0, three).character(), "a.glb")
+
+
+def test_an_animal_whose_fourth_leg_is_cut_off_is_refused():
+    rig = animal(0).character()
+    legs = [j for j, name in enumerate(animal(0).order) if name.startswith("Left") and name[4:] in LEGS["front"]]
+    gone = rig.weights[np.isin(rig.joint_of, legs).any(axis=1)]
+    keep = np.flatnonzero(~((rig.weights * np.isin(rig.joint_of, legs)).sum(axis=1) > 0.1))
+    assert 0 < len(gone) < len(rig.weights)
+    rank = np.full(len(rig.weights), -1)
+    rank[keep] = np.arange(len(keep))
+    faces = rank[rig.mesh.faces]
+    mesh = Mesh(rig.mesh.vertices[keep], faces[(faces >= 0).all(axis=1)])
+    rows = rig.joint_of[keep], rig.weights[keep], rig.points[keep]
+    cut = SkinnedCharacter(mesh, rig.joint_names, rig.parents, rig.T_world_joint, *rows)
+    with pytest.raises(InputError, match="expected four feet on the ground, found none left front"):
+        name_animal_joints(cut, "a.glb")
+
+
+def test_legs_on_several_skeletons_are_refused():
+    made = animal(0, bones(3), detached=("LeftThigh",))
+    with pytest.raises(InputError, match="expected legs that hang on one joint"):
+        name_animal_joints(made.character(), "a.glb")
+
+
+def test_all_joints_of_the_trunk_are_named_once():
+    found = found_in(animal(0, bones(3, (*TRUNK, "Spine1", "Spine3", "Spine4", "Neck2", "Neck3"))))
+    assert len(set(found.values())) == len(found)
+    assert {"Neck1", "Neck2", "Neck3", "Head"} <= set(found)
