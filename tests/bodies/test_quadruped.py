@@ -1,5 +1,7 @@
 """The shipped quadruped: symmetric, skinned, with shapes of other proportions, and its joints by what they are."""
 
+import itertools
+
 import numpy as np
 import pytest
 from animals import BODY
@@ -97,7 +99,7 @@ def test_all_joints_of_an_anatomy_are_those_of_its_body(name):
     assert named <= set(body.joint_names)
     assert sum(anatomy.props.values()) == pytest.approx(1.0)
     for chain in (*anatomy.legs, *anatomy.hinges):
-        for above, below in zip(chain, chain[1:], strict=False):
+        for above, below in itertools.pairwise(chain):
             assert body.parents[body.joint(below)] == body.joint(above)
 
 

@@ -30,8 +30,7 @@ def test_points_and_normals_are_sound(seed):
     assert np.isfinite(animal.points).all()
     assert np.isfinite(animal.joints).all()
     np.testing.assert_allclose(np.linalg.norm(animal.normals, axis=1), 1)
-    np.testing.assert_allclose(animal.alignment @ animal.alignment.swapaxes(-1, -2), np.eye(3) + 0 * animal.alignment,
-                               atol=1e-9)  # fmt: skip
+    assert np.abs(animal.alignment @ animal.alignment.swapaxes(-1, -2) - np.eye(3)).max() < 1e-9
 
 
 @pytest.mark.parametrize("seed", SEEDS)

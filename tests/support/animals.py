@@ -125,13 +125,16 @@ class Animal:
         spell: Callable[[str], str] = nothing_said,
         permutation: np.ndarray | None = None,
         size: float = 1.0,
+        turn: np.ndarray | None = None,
     ) -> Path:
         """Write a skinned .glb with clips, lists of poses and places of the root; without, it stands still.
 
         Args:
             permutation: of the vertices.
             size: factor of the whole animal.
+            turn: rotation of the whole animal.
         """
+        turn = np.eye(3) if turn is None else turn
         several = self.parents.count(-1) > 1
         names = [spell(name) for name in self.order]
         joints, parents, weights = self.joints, self.parents, self.weights
@@ -140,17 +143,17 @@ class Animal:
             parents = (-1, *(parent + 1 for parent in parents))
             weights = np.column_stack([np.zeros(len(weights)), weights])
         order = np.arange(len(weights)) if permutation is None else permutation
-        mesh = Mesh(size * self.mesh.vertices[order], np.argsort(order)[self.mesh.faces], name=path.stem)
+        mesh = Mesh(size * self.mesh.vertices[order] @ turn.T, np.argsort(order)[self.mesh.faces], name=path.stem)
         axes = np.stack([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0] for k in range(len(names))])
         axes *= np.linalg.det(axes)[:, None, None]
-        rig = Rig(axes, size * joints, weights[order])
+        rig = Rig(turn @ axes, size * joints @ turn.T, weights[order])
         animations = []
         for name, frames in (clips or {"still": [({}, np.zeros(3))] * 2}).items():
             moves = np.stack([self.transforms(*frame) for frame in frames])
             if several:
                 moves = np.concatenate([np.tile(np.eye(4), (len(moves), 1, 1, 1)), moves], axis=1)
-            rotation = moves[..., :3, :3] @ axes
-            positions = size * (np.einsum("tjkl,jl->tjk", moves[..., :3, :3], joints) + moves[..., :3, 3])
+            rotation = turn @ moves[..., :3, :3] @ axes
+            positions = size * (np.einsum("tjkl,jl->tjk", moves[..., :3, :3], joints) + moves[..., :3, 3]) @ turn.T
             posed = AnimatedRig(mesh, tuple(names), tuple(parents), rig, rotation, positions[:, 0], {}, positions)
             animations.append(RigAnimation(name, posed, 30.0))
         write_gltf_skinned(animations, path)
