@@ -48,14 +48,15 @@ def with_body(
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
         return method
-    networks = {body: _network(method, body) for body in NETWORK_OF_BODY}
     if asked != "auto":
-        return networks[asked]
+        return _network(method, asked)
+    # Opening the other network takes a while, so it is left alone where both rigs say what they are.
+    networks = {body: _network(method, body) for body in NETWORK_OF_BODY} if None in rigs.bodies else {}
     identity, driving = (
         rig or _shown_body(networks, mesh, norm) for rig, mesh, norm in zip(rigs.bodies, meshes, norms, strict=True)
     )
     if identity == driving:
-        return networks[identity]
+        return networks.get(identity) or _network(method, identity)
     names = meshes[0].name, meshes[1].name
     raise InputError(
         f"{names[0]} is taken for {KINDS[identity]}, and {names[1]} for {KINDS[driving]}: expected two of a kind; "
