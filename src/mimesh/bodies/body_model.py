@@ -159,7 +159,7 @@ QUADRUPED_ON_SKIN = {
     "withers": ("Chest", (0.0, 1.0, 0.0)),
     "croup": ("Hips", (0.0, 1.0, 0.0)),
     "root of the tail": ("Tail2", (0.0, 1.0, 0.0)),
-    "neck": ("Neck3", (0.0, 0.0, -1.0)),
+    "neck": ("Neck3", (0.0, 0.8, -0.6)),
     **{f"{side} elbow": (f"{side.title()}Forearm", (0.0, 0.0, -1.0)) for side in ("left", "right")},
     **{f"{side} knee": (f"{side.title()}Shin", (0.0, 0.0, 1.0)) for side in ("left", "right")},
 }
@@ -171,7 +171,10 @@ DISTANCE_COST = 0.1
 
 
 def landmarks(body: RiggedBody) -> dict[str, int]:
-    """Find the vertex index of 13 landmarks on a shipped body, at rest; it is the same for all shapes and poses."""
+    """Find the vertex index of 13 landmarks on a shipped body, at rest; it is the same for all shapes and poses.
+
+    Other surfaces with its joints may lack a vertex at a landmark: its index is -1.
+    """
     quadruped = body.name == "quadruped"
     extremes, on_skin = (QUADRUPED_EXTREMES, QUADRUPED_ON_SKIN) if quadruped else (EXTREMES, ON_SKIN)
     found = {name: _extreme(body, joint, np.array(direction)) for name, (joint, direction) in extremes.items()}
@@ -190,7 +193,8 @@ def _line_coordinates(
 def _extreme(body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]) -> int:
     """Find the vertex farthest along a line through a joint, among those less than NEAR from the line."""
     along, distance = _line_coordinates(body, joint, direction)
-    return int(np.where(distance < NEAR, along, -np.inf).argmax())
+    near = distance < NEAR
+    return int(np.where(near, along, -np.inf).argmax()) if near.any() else -1
 
 
 def _on_skin(body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]) -> int:
@@ -198,4 +202,5 @@ def _on_skin(body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]) -
     along, distance = _line_coordinates(body, joint, direction)
     index = body.joint(joint)
     weighted = body.weights[:, index] + body.weights[:, body.parents[index]] > 0.5
-    return int(np.where(weighted & (along > 0), distance + DISTANCE_COST * along, np.inf).argmin())
+    ahead = weighted & (along > 0)
+    return int(np.where(ahead, distance + DISTANCE_COST * along, np.inf).argmin()) if ahead.any() else -1

@@ -114,7 +114,11 @@ def find_animal_landmarks(animal: PoolCharacter) -> Int[np.ndarray, " M"]:
     names = {joint: name for name, joint in animal.joints.items()}
     for j, parent in enumerate(rig.parents):
         target[j] = body.joint(names[j]) if j in names else target[parent]
-    weights = rig.summed_weights(target, len(body.parents))
+    # Joints that the animal lacks are carried by the nearest one above them.
+    carrier = np.arange(len(body.parents))
+    for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+        carrier[j] = j if name in animal.joints else carrier[parent]
+    weights = rig.summed_weights(target, len(body.parents))[:, carrier]
     nothing = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
     wrapped = RiggedBody(
         "quadruped",
