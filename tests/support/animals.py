@@ -144,7 +144,9 @@ class Animal:
             weights = np.column_stack([np.zeros(len(weights)), weights])
         order = np.arange(len(weights)) if permutation is None else permutation
         mesh = Mesh(size * self.mesh.vertices[order] @ turn.T, np.argsort(order)[self.mesh.faces], name=path.stem)
-        axes = np.stack([np.linalg.qr(np.random.default_rng(k).normal(size=(3, 3)))[0] for k in range(len(names))])
+        # Joints of one name have one frame in all animals.
+        seeds = [0] * several + [1 + BODY.joint(name) for name in self.order]
+        axes = np.stack([np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))[0] for seed in seeds])
         axes *= np.linalg.det(axes)[:, None, None]
         rig = Rig(turn @ axes, size * joints @ turn.T, weights[order])
         animations = []
