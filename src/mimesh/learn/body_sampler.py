@@ -31,8 +31,6 @@ class DataConfig:
     of motions. `clips80`: AniFormer's 16 people x 80 motions of 30 frames. `clips`: endless people and motions.
     `hands`: hands of the shipped body and of characters with posed fingers, and hands without fingers. `meshes`:
     registered meshes or clips of a folder."""
-    body: Literal["human", "quadruped"] = "human"
-    """Whose people, or animals, are drawn."""
     vertices: int = 0
     """Vertices of each mesh: 0 for all, else a random subset (ends of random edges for identity and truth)."""
     target_scale: Literal["truth", "identity"] = "truth"
@@ -44,7 +42,7 @@ class DataConfig:
     tumble: float = 0.0
     """`wide`: share of driving meshes that are rotated any way at all, as people who lie or roll are."""
     contacts: float = 0.0
-    """`wide`: share of people whose body parts touch each other."""
+    """`wide`: share of people whose body parts touch each other; animals have no such poses."""
     characters: float = 0.0
     """`mime`, `npt` (`wide`) and `hands`: share of a batch that are characters of a folder, for `mime` also of
     primitives."""
@@ -65,6 +63,8 @@ class DataConfig:
     """`meshes`: axis of the files away from the ground, such as "+z"; empty: that of the files, or detected."""
     front: str = ""
     """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
+    body: Literal["human", "quadruped"] = "human"
+    """`mime`, `wide`: shipped body of the people, or the animals, that are drawn."""
 
 
 TABLE_KINDS = ("table6", "clips80")
@@ -153,7 +153,7 @@ class BodySampler(VertexSampler):
         poses, touching = [], torch.zeros(2, size, dtype=torch.bool, device=self.device)
         for row, mix in enumerate((IDENTITY_MIX, DRIVING_MIX)):
             pose = self._sample_poses(kinds[row], mix, rng)
-            if self.config.contacts:
+            if self.config.contacts and len(self.contacts[0]):
                 shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
             rotmat = rotvec_to_rotmat(pose)
             driving = row == 1
