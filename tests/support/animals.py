@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from people import decimation
+from pools import write_clip
 
 from mimesh.bodies import RiggedBody, load_body
 from mimesh.bodies.character_limbs import SIDES
@@ -23,6 +25,9 @@ LEGS = {"front": ("UpperArm", "Forearm", "Hand", "Fingers"), "hind": ("Thigh", "
 TRUNK = ("Hips", "Spine2", "Chest", "Neck1", "Head", "Tail1", "Tail3", "Tail5")
 FEET = tuple(side + chain[-1] for side in SIDES for chain in LEGS.values())
 FACES = 1500
+
+Motion = list[tuple[dict[str, np.ndarray], np.ndarray]]
+"""Rotations of joints, relative to their parents, and the place of the root, in each frame."""
 
 
 def bones(count: int = 4, trunk: Collection[str] = TRUNK) -> tuple[str, ...]:
@@ -121,7 +126,7 @@ class Animal:
     def write(
         self,
         path: Path,
-        clips: dict[str, list[tuple[dict[str, np.ndarray], np.ndarray]]] | None = None,
+        clips: dict[str, Motion] | None = None,
         spell: Callable[[str], str] = nothing_said,
         permutation: np.ndarray | None = None,
         size: float = 1.0,
@@ -160,6 +165,30 @@ class Animal:
             animations.append(RigAnimation(name, posed, 30.0))
         write_gltf_skinned(animations, path)
         return path
+
+
+def write_pool_animal(folder: Path, file: str, made: Animal, motion: Motion, **meta: str) -> None:
+    """Write an animal and its clip as a file of a pool, and add it to index.json."""
+    columns = np.argsort(-made.weights, axis=1)[:, :4]
+    world = np.tile(np.eye(4), (len(made.order), 1, 1))
+    world[:, :3, 3] = made.joints
+    arrays = {
+        "vertices": made.mesh.vertices.astype("f4"),
+        "faces": made.mesh.faces.astype("i4"),
+        "joint_names": np.array([nothing_said(name) for name in made.order]),
+        "parents": np.array(made.parents, "i2"),
+        "rest_matrices": world.astype("f4"),
+        "weight_joints": columns.astype("i2"),
+        "weights": np.take_along_axis(made.weights, columns, axis=1).astype("f4"),
+    }
+    values = {"pack": "zoo", "maker": "we", "licence": "CC0-1.0", "kind": "realistic", "class": "quadruped",
+              "split": "train", "facing": "+z", "clips_from": f"_clips_{file}.npz"} | meta  # fmt: skip
+    np.savez_compressed(folder / f"{file}.npz", meta=json.dumps({"file": file, **values}), **arrays)
+    frames = np.stack([made.transforms(*frame) for frame in motion]) @ world
+    write_clip(folder / f"_clips_{file}.npz", arrays, frames, world)
+    index = folder / "index.json"
+    rows = json.loads(index.read_text()) if index.exists() else []
+    index.write_text(json.dumps([*rows, {"file": file, **values}]))
 
 
 def animal(

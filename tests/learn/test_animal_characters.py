@@ -1,0 +1,177 @@
+"""Animals of folders and pools as training surfaces, and a training on them."""
+
+import json
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+import onnx  # noqa: E402
+from animals import BODY, FEET, LEGS, animal, bones, random_turns, write_pool_animal  # noqa: E402
+from pools import write_character  # noqa: E402
+from rigs import character  # noqa: E402
+
+from mimesh.bodies.anatomy import QUADRUPED  # noqa: E402
+from mimesh.bodies.character_limbs import SIDES  # noqa: E402
+from mimesh.bodies.character_pool import read_pool  # noqa: E402
+from mimesh.bodies.sampling import rotvec_to_rotmat  # noqa: E402
+from mimesh.core.errors import InputError  # noqa: E402
+from mimesh.learn.body_sampler import DataConfig  # noqa: E402
+from mimesh.learn.character_folder import read_character_folder  # noqa: E402
+from mimesh.learn.character_surfaces import CharacterSurface, TrainingCharacters, body_spread  # noqa: E402
+from mimesh.learn.export import export_command  # noqa: E402
+from mimesh.learn.pose_sources import pose_sources  # noqa: E402
+from mimesh.learn.tasks.mime import SurfaceSource  # noqa: E402
+from mimesh.learn.train import train_command  # noqa: E402
+
+CPU = torch.device("cpu")
+TINY = ["data.body=quadruped", "data.characters=0.5", "pairs=16", "batch=8", "validate_every=1000"]
+TINY += ["validation_pairs=1", "compile=false", "data.vertices=32", "model.width=32", "precision=fp32"]
+
+
+def motion(made, seed: int = 0):
+    return [(random_turns(seed + t, made.order, 25), np.array([0.0, 0.0, 0.1 * t])) for t in range(6)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two files of a pack, one with fewer bones, a person, and a damaged file."""
+    folder = tmp_path_factory.mktemp("files")
+    (folder / "farm").mkdir()
+    animal(0).write(folder / "farm" / "cow.glb", {"dance": motion(animal(0))})
+    made = animal(1, bones(2), ())
+    made.write(folder / "farm" / "pig.glb", {"dance": motion(made, 9)})
+    (folder / "farm" / "License.txt").write_text("CC0")
+    character(folder / "man.glb")
+    (folder / "bad.glb").write_bytes(b"glTF\x02\0\0\0")
+    return folder
+
+
+def test_a_folder_has_its_animals_and_says_what_is_left_out(folder):
+    pool = read_character_folder(folder, body="quadruped")
+    assert [(c.meta.file, c.meta.pack, c.meta.licence) for c in pool.characters] == [
+        ("cow", "farm", "License.txt"),
+        ("pig", "farm", "License.txt"),
+    ]
+    assert set(pool.refused) == {"man.glb", "bad.glb"}
+    people = read_character_folder(folder)
+    assert [c.meta.file for c in people.characters] == ["man"]
+
+
+def test_a_pool_has_animals_and_people(tmp_path):
+    write_pool_animal(tmp_path, "cow", animal(0), motion(animal(0)))
+    write_pool_animal(tmp_path, "goat", animal(1, detached=FEET), motion(animal(1)), split="test")
+    write_character(tmp_path, "man", split="train")
+    pool = read_pool(tmp_path, "train", body="quadruped")
+    assert [c.meta.file for c in pool.characters] == ["cow"]
+    assert [c.meta.file for c in read_pool(tmp_path, "train").characters] == ["man"]
+    (goat,) = read_pool(tmp_path, "test", body="quadruped").characters
+    assert {"LeftFingers", "RightToes", "Head"} <= set(goat.joints)
+    cow = pool.characters[0]
+    for t, frame in enumerate(motion(animal(0))):
+        np.testing.assert_allclose(cow.rig.skinned(cow.clip_transforms("dance", t)), animal(0).posed(*frame), atol=1e-5)
+
+
+def test_animals_of_another_class_are_refused(tmp_path):
+    write_pool_animal(tmp_path, "cow", animal(0), motion(animal(0)))
+    arrays = dict(np.load(tmp_path / "cow.npz"))
+    arrays["meta"] = np.array(json.dumps(json.loads(str(arrays["meta"])) | {"class": "humanoid"}))
+    np.savez(tmp_path / "cow.npz", **arrays)
+    pool = read_pool(tmp_path, "train", body="quadruped")
+    assert pool.refused == {"cow": "expected a quadruped, found humanoid; leave it out"}
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_surfaces_have_the_weights_and_joints_of_the_body(count, tmp_path):
+    made = animal(0, bones(count, ("Hips", "Neck1", "Chest", "Head", "Tail1", "Tail3")))
+    made.write(tmp_path / "cow.glb", {"dance": motion(made)})
+    (found,) = read_character_folder(tmp_path, body="quadruped").characters
+    surface = CharacterSurface.of(found, BODY)
+    np.testing.assert_allclose(surface.weights.sum(axis=1), 1)
+    np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1)
+    size = np.sqrt(np.square(surface.points - surface.points.mean(axis=0)).sum(-1).mean())
+    assert size == pytest.approx(body_spread(BODY), rel=0.01)
+    legs = {side + part for side in SIDES for chain in LEGS.values() for part in chain}
+    had = {name for name in legs if surface.turning[BODY.joint(name)]}
+    assert had == legs & set(made.order)
+    placed = np.array([surface.joints[BODY.joint(name)] for name in made.order if name in had | {"Head", "Neck1"}])
+    own = np.array([made.joints[k] for k, name in enumerate(made.order) if name in had | {"Head", "Neck1"}])
+    scale = np.linalg.norm(placed) / np.linalg.norm(own)
+    np.testing.assert_allclose(placed, scale * own, atol=1e-4)
+    for name in had | {"Head", "Neck1"}:
+        assert surface.placed[BODY.joint(name)], name
+        assert surface.weights[:, BODY.joint(name)].any(), name
+    below = BODY.joint("LeftToes")
+    assert BODY.joint_names[surface.carrier[below]] == f"Left{LEGS['hind'][count - 1]}"
+
+
+def test_clips_become_poses_of_the_body(folder):
+    found = TrainingCharacters.read(folder, BODY)
+    assert found.facts["makers"] == {"not stated: farm (License.txt)": 2}
+    assert len(found.poses) > 2
+    assert found.poses.shape[1:] == (len(BODY.parents), 3)
+    # Posed by them, the body has the legs of the animal in its own frames.
+    made = animal(0)
+    clip = next(c for c in read_character_folder(folder, body="quadruped").characters if c.meta.file == "cow")
+    poses = TrainingCharacters.read(folder, BODY).poses[: (len(clip.clips["dance"]) + 1) // 2]
+    for t, pose in zip(range(0, 6, 2), poses, strict=True):
+        turns, _ = motion(made)[t]
+        rotation, translation = BODY.skinning_transforms(BODY.joints, rotvec_to_rotmat(pose.astype(float)))
+        ours = np.einsum("jkl,jl->jk", rotation, BODY.joints) + translation
+        moves = made.transforms(turns)
+        theirs = np.einsum("jkl,jl->jk", moves[:, :3, :3], made.joints) + moves[:, :3, 3]
+        for start, end in (("LeftThigh", "LeftShin"), ("RightForearm", "RightHand"), ("LeftFoot", "LeftToes")):
+            one = ours[BODY.joint(end)] - ours[BODY.joint(start)]
+            other = theirs[made.order.index(end)] - theirs[made.order.index(start)]
+            assert one @ other / np.linalg.norm(one) / np.linalg.norm(other) > np.cos(np.radians(1)), (t, start)
+
+
+def test_people_are_no_animals_to_train_on(tmp_path):
+    character(tmp_path / "man.glb")
+    with pytest.raises(InputError, match="expected quadrupeds of the split train, found none"):
+        TrainingCharacters.read(tmp_path, BODY)
+
+
+def test_poses_of_training_animals_are_those_of_animals():
+    sources = pose_sources(BODY)
+    low, high = sources.limits
+    assert (low <= high).all()
+    assert (sources.usual[0] >= low - np.radians(1)).mean() > 0.95
+    assert sources.frames.shape[1:] == BODY.joints.shape
+    assert len(sources.contact_shapes) == len(sources.contact_poses) == 0
+    lowered = BODY.posed(np.zeros(1), rotvec_to_rotmat(sources.resting))
+    head = BODY.weights[:, BODY.joint("Head")] > 0.5
+    assert lowered[head, 1].mean() < BODY.vertices[head, 1].mean() - 0.1
+
+
+@pytest.mark.parametrize("characters", [0.0, 1.0])
+def test_truths_of_a_batch_are_the_identity_in_the_pose_of_the_driving(characters, folder):
+    config = DataConfig("wide", 64, "identity", heading=180.0, characters=characters, body="quadruped")
+    surfaces = TrainingCharacters.read(folder, BODY) if characters else None
+    source = SurfaceSource(config, BODY, CPU, 0, surfaces)
+    batch = source.batch(6, 0)
+    assert torch.equal(batch.truth.weights, batch.identity.weights)
+    assert torch.allclose(batch.truth.weights.sum(-1), torch.ones(6, 64), atol=1e-5)
+    assert torch.isfinite(batch.truth.points).all()
+    for name in ("LeftShin", "RightForearm", "Neck2"):
+        a, b = BODY.joint(name), BODY.parents[BODY.joint(name)]
+        one, two = ((m.joints[:, a] - m.joints[:, b]).norm(dim=-1) for m in (batch.identity, batch.truth))
+        assert torch.allclose(one, two, atol=1e-4)
+    assert torch.equal(source.batch(6, 0).truth.points, batch.truth.points)
+    assert not torch.equal(source.batch(6, 1).truth.points, batch.truth.points)
+
+
+def test_a_training_on_animals_is_exported_as_one(folder, tmp_path):
+    out = train_command("mime", "small", tmp_path / "run", None, 0.001, TINY, None, folder)
+    losses = (out / "log.jsonl").read_text() if (out / "log.jsonl").exists() else ""
+    assert "nan" not in losses.lower()
+    export_command(out / "last.safetensors", tmp_path / "animal.onnx", 16)
+    network = onnx.load(str(tmp_path / "animal.onnx"))
+    card = json.loads({entry.key: entry.value for entry in network.metadata_props}["mimesh"])
+    assert card["body"] == "quadruped"
+    assert tuple(card["joints"]) == BODY.joint_names
+    assert [[BODY.joint_names[j] for j in leg] for leg in card["legs"]] == [list(leg) for leg in QUADRUPED.legs]
+    from mimesh.methods.find import find_method
+
+    assert find_method(str(tmp_path / "animal.onnx")).body == "quadruped"
