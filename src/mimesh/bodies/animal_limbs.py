@@ -182,7 +182,7 @@ class _AnimalRig:
         side = np.sign(joints[foot, 0] - self.middle)
         beside = side * (joints[:, 0] - self.middle) > BESIDE * abs(joints[foot, 0] - self.middle)
         higher = joints[:, 1] > joints[foot, 1]
-        own = [j for j in np.flatnonzero(beside & higher & moving) if j not in others]
+        own = [int(j) for j in np.flatnonzero(beside & higher & moving) if j not in others]
         if not own:
             return []
         lowest = min(own, key=lambda j: float(np.linalg.norm(joints[j] - joints[foot])))

@@ -64,7 +64,7 @@ class _Style:
         """Draw a figure of boxes, or one of mixed primitives."""
         blocks = rng.random() < BLOCKS
         leg = np.exp(rng.uniform(*np.log((0.02, 0.1 if blocks else 0.05))))
-        trunk = np.exp(rng.uniform(*np.log((0.07, 0.24)), 2) * [1.0, 0.9])
+        trunk = np.exp(rng.uniform(np.log(0.07), np.log(0.24), 2) * [1.0, 0.9])
         head = np.array([0.08, 0.08, 0.1]) * np.exp(rng.uniform(-0.3, 0.7) + rng.normal(0, 0.2, 3))
         return cls(("box",) if blocks else SHAPES[:3], leg, trunk, head)
 
