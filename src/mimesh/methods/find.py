@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
@@ -78,6 +81,24 @@ def takes_rigs(model: str | Method) -> bool:
     return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
 
 
+def _with_other_bodies(method: Method, seed: int) -> Method:
+    """Return the shipped mime with the networks of the other shipped bodies."""
+    from .mime.drive import MimeMethod
+
+    def opener(model: str) -> Callable[[], MimeMethod]:
+        @cache  # the choice of a body asks for it again
+        def open_network() -> MimeMethod:
+            other = find_method(model, seed=seed)
+            assert isinstance(other, MimeMethod)
+            return other
+
+        return open_network
+
+    assert isinstance(method, MimeMethod)
+    others = {body: opener(model) for body, model in NETWORK_OF_BODY.items() if body != method.body}
+    return dataclasses.replace(method, other_bodies=others)
+
+
 def find_method(
     model: str,
     *,
@@ -119,7 +140,7 @@ def find_method(
     if path.suffix == ".onnx":
         known = Path(model).name
         name = known if known in REDUCED_MODELS else path.stem
-        return load_network(
+        network = load_network(
             path,
             name=name,
             ensemble=ensemble,
@@ -127,4 +148,5 @@ def find_method(
             fits=known not in WITHOUT_FIT,
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
+        return _with_other_bodies(network, seed) if model == "mime" else network
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -6,14 +6,11 @@ skinning weights is taken.
 
 from __future__ import annotations
 
-import dataclasses
-
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.normalization import Normalization
-from ..methods.base import Method
-from ..methods.find import NETWORK_OF_BODY, find_method
-from ..methods.mime.drive import MimeMethod
+from ..methods.base import BodyMethod, Method
+from ..methods.find import NETWORK_OF_BODY
 from .orientation import normalised
 from .rigs import Rigs
 
@@ -34,7 +31,7 @@ def check_body(body: str) -> None:
 def with_body(
     method: Method, asked: str, rigs: Rigs, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization]
 ) -> Method:
-    """Return the method for the body of both meshes; only the shipped `mime` has several.
+    """Return the method for the body of both meshes; most have one.
 
     Args:
         asked: one of BODIES.
@@ -43,19 +40,18 @@ def with_body(
     Raises:
         InputError: a person and an animal, or a body that the method has not.
     """
-    if not isinstance(method, MimeMethod) or method.name != NETWORK_OF_BODY["human"]:
-        own = method.body if isinstance(method, MimeMethod) else "human"
+    if not isinstance(method, BodyMethod) or len(method.bodies) == 1:
+        own = method.body if isinstance(method, BodyMethod) else "human"
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
         return method
-    networks = {body: _network(method, body) for body in NETWORK_OF_BODY}
     if asked != "auto":
-        return networks[asked]
+        return method.of_body(asked)
     identity, driving = (
-        rig or _shown_body(networks, mesh, norm) for rig, mesh, norm in zip(rigs.bodies, meshes, norms, strict=True)
+        rig or _shown_body(method, mesh, norm) for rig, mesh, norm in zip(rigs.bodies, meshes, norms, strict=True)
     )
     if identity == driving:
-        return networks[identity]
+        return method.of_body(identity)
     names = meshes[0].name, meshes[1].name
     raise InputError(
         f"{names[0]} is taken for {KINDS[identity]}, and {names[1]} for {KINDS[driving]}: expected two of a kind; "
@@ -63,17 +59,8 @@ def with_body(
     )
 
 
-def _network(method: MimeMethod, body: str) -> MimeMethod:
-    """Open the network of a body with the options of another."""
-    if method.body == body:
-        return method
-    other = find_method(NETWORK_OF_BODY[body], seed=method.seed)
-    assert isinstance(other, MimeMethod)
-    return dataclasses.replace(other, name=method.name)
-
-
-def _shown_body(networks: dict[str, MimeMethod], mesh: Mesh, norm: Normalization) -> str:
+def _shown_body(method: BodyMethod, mesh: Mesh, norm: Normalization) -> str:
     """Tell whose shape a mesh has."""
     upright = normalised(mesh, norm)
-    entropy = {body: network.quick_predict(upright)[0] for body, network in networks.items()}
+    entropy = {body: method.of_body(body).quick_predict(upright)[0] for body in method.bodies}
     return "quadruped" if entropy["quadruped"] + MARGIN < entropy["human"] else "human"

@@ -15,6 +15,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -129,6 +130,8 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    other_bodies: Mapping[str, Callable[[], MimeMethod]] = MappingProxyType({})
+    """Name of each other body that there is a network for -> opens it."""
     hands: HandFinder | None = None
     """Finds hands that show fingers; without it fingers follow the hand."""
     identity_targets: JointTargets | None = None
@@ -146,6 +149,15 @@ class MimeMethod:
     def network(self) -> JointNetwork:
         """The network."""
         return JointNetwork(self.session, self.joints)
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that there are networks for."""
+        return (self.body, *self.other_bodies)
+
+    def of_body(self, body: str) -> MimeMethod:
+        """Return this method with the network of another body."""
+        return self if body == self.body else dataclasses.replace(self.other_bodies[body](), name=self.name)
 
     @property
     def fits_body(self) -> bool:
