@@ -6,13 +6,16 @@ skinning weights is taken.
 
 from __future__ import annotations
 
+import numpy as np
+
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method
+from ..methods.confidence import MAX_ENTROPY
 from ..methods.find import NETWORK_OF_BODY
-from .orientation import normalised
-from .rigs import Rigs
+from .orientation import normalised, predicted_orientation
+from .rigs import Axes, Rigs
 
 BODIES = ("auto", *NETWORK_OF_BODY)
 """Choices of `--body`."""
@@ -29,13 +32,20 @@ def check_body(body: str) -> None:
 
 
 def with_body(
-    method: Method, asked: str, rigs: Rigs, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization]
-) -> Method:
-    """Return the method for the body of both meshes; most have one.
+    method: Method,
+    asked: str,
+    rigs: Rigs,
+    meshes: tuple[Mesh, Mesh],
+    norms: tuple[Normalization, Normalization],
+    axes: Axes,
+) -> tuple[Method, tuple[Normalization, Normalization]]:
+    """Return the method for the body of both meshes, and their normalisations: animals are not detected as people are.
 
     Args:
+        method: most methods have one body, and are returned as they are.
         asked: one of BODIES.
         meshes: the identity and the driving.
+        axes: up and front of both, where they are known.
 
     Raises:
         InputError: a person and an animal, or a body that the method has not.
@@ -44,23 +54,29 @@ def with_body(
         own = method.body if isinstance(method, BodyMethod) else "human"
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
-        return method
-    if asked != "auto":
-        return method.of_body(asked)
-    identity, driving = (
-        rig or _shown_body(method, mesh, norm) for rig, mesh, norm in zip(rigs.bodies, meshes, norms, strict=True)
-    )
+        return method, norms
+    found = []
+    for mesh, norm, own, (up, front) in zip(meshes, norms, rigs.bodies, (axes[:2], axes[2:]), strict=True):
+        known = own if asked == "auto" else asked
+        found.append((own, norm) if own is not None else _shown_body(method, known, mesh, norm, (up, front)))
+    (identity, norm), (driving, driving_norm) = found
     if identity == driving:
-        return method.of_body(identity)
-    names = meshes[0].name, meshes[1].name
+        return method.of_body(identity), (norm, driving_norm)
     raise InputError(
-        f"{names[0]} is taken for {KINDS[identity]}, and {names[1]} for {KINDS[driving]}: expected two of a kind; "
-        "give another driving, or --body human or quadruped if one of the two is taken for the wrong one"
+        f"{meshes[0].name} is taken for {KINDS[identity]}, and {meshes[1].name} for {KINDS[driving]}: expected two of "
+        "a kind; give another driving, or --body human or quadruped if one of the two is taken for the wrong one"
     )
 
 
-def _shown_body(method: BodyMethod, mesh: Mesh, norm: Normalization) -> str:
-    """Tell whose shape a mesh has."""
-    upright = normalised(mesh, norm)
-    entropy = {body: method.of_body(body).quick_predict(upright)[0] for body in method.bodies}
-    return "quadruped" if entropy["quadruped"] + MARGIN < entropy["human"] else "human"
+def _shown_body(
+    method: BodyMethod, known: str | None, mesh: Mesh, norm: Normalization, axes: tuple[str | None, str | None]
+) -> tuple[str, Normalization]:
+    """Tell whose shape a mesh has, if that is not known, and return its normalisation as that."""
+    if known == "human":
+        return known, norm
+    person = method.of_body("human").quick_predict(normalised(mesh, norm))[0] if known is None else np.inf
+    unsure = norm.detected and norm.up_from != "file" and axes[0] is None
+    if unsure and person < MAX_ENTROPY:  # 24 orientations of an animal are not tried for each person
+        return "human", norm
+    lowest, _, turned = predicted_orientation(method.of_body("quadruped"), mesh, norm, axes)
+    return ("quadruped", turned) if lowest + MARGIN < person else ("human", norm)

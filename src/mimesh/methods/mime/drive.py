@@ -13,9 +13,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -130,7 +129,7 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
-    other_bodies: Mapping[str, Callable[[], MimeMethod]] = MappingProxyType({})
+    other_bodies: Mapping[str, Callable[[], MimeMethod]] = field(default_factory=dict)
     """Name of each other body that there is a network for -> opens it."""
     hands: HandFinder | None = None
     """Finds hands that show fingers; without it fingers follow the hand."""
