@@ -16,9 +16,9 @@ from ..core.mesh import Mesh
 from .base import Method, RigMethod
 
 # Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
-SHIPPED_NETWORKS = ("mime", "mime-quadruped", "npt", "npt-maxpool", "aniformer")
+SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
-"""Shipped body -> the network that finds its joints."""
+"""Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
 TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
@@ -45,7 +45,7 @@ def weights_path(model: str) -> Path:
         folder = ABLATIONS if model == path.name else path.parent
         return folder / f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
     model = REDUCED_MODELS.get(model, model)
-    if model in SHIPPED_NETWORKS:
+    if model in (*SHIPPED_NETWORKS, *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path(model)
 
@@ -76,8 +76,8 @@ def takes_rigs(model: str | Method) -> bool:
     Raises:
         InputError: as `find_method`.
     """
-    if model in ("mime", "mime-quadruped", "copy", "deformation-transfer", "skeleton"):
-        return str(model).startswith("mime")
+    if model in (*NETWORK_OF_BODY.values(), "copy", "deformation-transfer", "skeleton"):
+        return model in NETWORK_OF_BODY.values()
     return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
 
 

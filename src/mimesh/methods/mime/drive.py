@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
+from ...core.errors import InputError
 from ...core.geometry import vertex_normals
 from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
@@ -168,7 +169,15 @@ class MimeMethod:
         identity: Mapping[str, Float[np.ndarray, " 3"]],
         driving: Mapping[str, Float[np.ndarray, " 3"]],
     ) -> MimeMethod:
-        """Return this method with known joints of the identity, and of the driving in its last keyframe."""
+        """Return this method with known joints of the identity, and of the driving in its last keyframe.
+
+        Raises:
+            InputError: the body is not that of a person.
+        """
+        if self.body != "human" and (identity or driving):
+            raise InputError(
+                "--joints: expected a person, whose joints can be corrected, found an animal; leave it out"
+            )
         identity_targets, driving_targets = (
             JointTargets([self.joints.index(name) for name in known], np.array(list(known.values()))) if known else None
             for known in (identity, driving)
