@@ -19,6 +19,7 @@ import anny  # pyright: ignore[reportMissingImports]
 import fast_simplification
 import numpy as np
 import torch
+from body_components import on_ground, principal_components, residual_mm
 
 from mimesh.bodies.body_model import RiggedBody, save_body
 from mimesh.core.geometry import closest_on_mesh, rotate_between
@@ -72,7 +73,7 @@ def main() -> None:
     )
     save_body(body, args.output)
     print(f"{args.output}: {args.output.stat().st_size / 1e6:.2f} MB, {len(body_mean)} vertices, {FACES} faces")
-    report_fit(body, transferred)
+    report_fit(body, transferred, joints)
 
 
 def parse_args() -> argparse.Namespace:
@@ -145,41 +146,12 @@ def turn(old: np.ndarray, new: np.ndarray) -> np.ndarray:
     return rotate_between(old, new, np.eye(3)).T
 
 
-def principal_components(people: np.ndarray, joints: np.ndarray, count: int):
-    """Compute means and principal components (scaled to one standard deviation) of vertices, with those of joints.
-
-    Every body is first moved so that the centre of its bounding box is above the origin and its soles on the ground.
-    """
-    low, high = people.min(axis=1, keepdims=True), people.max(axis=1, keepdims=True)
-    origin = np.concatenate([(low + high)[..., :1] / 2, low[..., 1:2], (low + high)[..., 2:] / 2], axis=-1)
-    people, joints = people - origin, joints - origin
-    flat = np.concatenate([people.reshape(len(people), -1), joints.reshape(len(joints), -1)], axis=1)
-    mean = flat.mean(axis=0)
-    # Joints do not influence the components; theirs are fitted to the scores of the vertices.
-    split = people[0].size
-    left, sigma, right = np.linalg.svd(flat[:, :split] - mean[:split], full_matrices=False)
-    scores = left[:, :count] * np.sqrt(len(people))
-    components = right[:count] * sigma[:count, None] / np.sqrt(len(people))
-    joint_components = np.linalg.lstsq(scores, flat[:, split:] - mean[split:], rcond=None)[0]
-    shape, joint_shape = people[0].shape, joints[0].shape
-    return (
-        mean[:split].reshape(shape),
-        mean[split:].reshape(joint_shape),
-        components.reshape(count, *shape),
-        joint_components.reshape(count, *joint_shape),
-    )
-
-
-def report_fit(body: RiggedBody, people: np.ndarray) -> None:
+def report_fit(body: RiggedBody, people: np.ndarray, joints: np.ndarray) -> None:
     """Print the mean distance between the sampled people and their least-squares fit by 10 and by all components."""
-    low, high = people.min(axis=1, keepdims=True), people.max(axis=1, keepdims=True)
-    centred = people - np.concatenate([(low + high)[..., :1] / 2, low[..., 1:2], (low + high)[..., 2:] / 2], axis=-1)
-    flat = (centred - body.vertices).reshape(len(people), -1)
+    standing, _ = on_ground(people, joints)
     for count in (10, len(body.components)):
-        basis = body.components[:count].reshape(count, -1)
-        residual = flat - flat @ np.linalg.pinv(basis) @ basis
-        millimetres = 1e3 * np.linalg.norm(residual.reshape(len(people), -1, 3), axis=-1)
-        print(f"{count} components: residual {millimetres.mean():.2f} mm")
+        residual = residual_mm(standing, body.vertices, body.components[:count]).mean()
+        print(f"{count} components: residual {residual:.2f} mm")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import argparse
 import struct
 import zipfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import fast_simplification
 import numpy as np
@@ -193,9 +193,8 @@ def divide(weights: np.ndarray, names: list[str], old: str, new: str, share: Flo
 
 def simplified(body: RiggedBody) -> RiggedBody:
     """Simplify a body to FACES; weights follow by the nearest points of the surface."""
-    points, faces, *_ = fast_simplification.simplify(
-        body.vertices.astype(np.float32), body.faces.astype(np.int32), target_count=FACES
-    )
+    fine: Any = body.vertices.astype(np.float32)  # its stub asks for float64, which it takes too
+    points, faces, *_ = fast_simplification.simplify(fine, body.faces.astype(np.int32), target_count=FACES)
     nearest, barycentric, _ = closest_on_mesh(points.astype(float), body.vertices, body.faces)
     weights = np.einsum("vkj,vk->vj", body.weights[body.faces[nearest]], barycentric)
     nothing = np.zeros((0, len(points), 3))
@@ -218,14 +217,15 @@ def parameters(dog: RiggedBody, species: Species) -> Parameters:
     roll = [side * species.roll.get(kind, 0.0) for kind, side in zip(kinds, sides, strict=True)]
     turn = np.radians(np.stack([pitch, np.zeros(len(kinds)), roll], axis=1))
     bumps = np.array([float(other is species) for other in SPECIES.values()])
-    return Parameters(*map(np.array, (length, width, height)), turn, bumps, np.log(species.height_of_shoulder))
+    factors = np.array(length), np.array(width), np.array(height)
+    return Parameters(*factors, turn, bumps, float(np.log(species.height_of_shoulder)))
 
 
 def random_animal(dog: RiggedBody, species: list[Parameters], rng: np.random.Generator) -> Parameters:
     """Draw an animal between two species, with variations of its own: the same on both sides."""
     first, second = (species[i] for i in rng.integers(len(species), size=2))
     t = rng.beta(0.6, 0.6)
-    mixed = Parameters(*((1 - t) * np.asarray(a) + t * np.asarray(b) for a, b in zip(first, second, strict=True)))
+    mixed = Parameters._make((1 - t) * np.asarray(a) + t * np.asarray(b) for a, b in zip(first, second, strict=True))
     kinds = [bare(name) for name in dog.joint_names]
     spread = np.array([next((s for part, s in SPREAD.items() if kind.startswith(part)), 1.0) for kind in kinds])
     same = np.unique(kinds, return_inverse=True)[1]
@@ -254,7 +254,8 @@ def build_animal(dog: RiggedBody, animal: Parameters) -> tuple[Float[np.ndarray,
         vertices, _ = deform(dog, lengthened(animal, legs, factor))
         return vertices[hind, 1].min() - vertices[front, 1].min()
 
-    vertices, joints = deform(dog, lengthened(animal, legs, brentq(gap, -2.5, 2.5, xtol=1e-3)))
+    factor = float(np.asarray(brentq(gap, -2.5, 2.5, xtol=1e-3)))
+    vertices, joints = deform(dog, lengthened(animal, legs, factor))
     ground = np.array([0.0, vertices[front, 1].min(), 0.0])
     scale = np.exp(animal.size) / (joints[at("LeftScapula"), 1] - ground[1])
     return scale * (vertices - ground), scale * (joints - ground)

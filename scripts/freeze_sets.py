@@ -14,8 +14,7 @@ import json
 from pathlib import Path
 
 from mimesh.evaluate.frozen_sets import FILE, FrozenSet, freeze, frozen_sets, kinds_of
-from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.evaluate.run import FOLDERS, find_protocol
+from mimesh.evaluate.run import FOLDERS, WITHOUT_FOLDER, find_protocol
 from mimesh.io.atomic import whole_file
 
 OUTPUT = Path(__file__).parents[1] / "src" / "mimesh" / "evaluate" / FILE
@@ -29,7 +28,7 @@ def main() -> None:
     folders = {name: Path(folder) for name, _, folder in (entry.partition("=") for entry in args.data)}
     stored = frozen_sets() if OUTPUT.exists() else {}
     sets = []
-    for name in (*PROTOCOLS, *FOLDERS):
+    for name in (*WITHOUT_FOLDER, *FOLDERS):
         # People with fingers need no folder, only the characters of `fingers` do.
         needs_folder = name in FOLDERS and name not in (*folders, "fingers")
         made = [] if needs_folder else freeze_protocol(name, folders.get(name), stored)

@@ -16,8 +16,7 @@ from pathlib import Path
 import write_results
 
 from mimesh.commands.terminal import progress
-from mimesh.evaluate.protocols import PROTOCOLS
-from mimesh.evaluate.run import FOLDERS, evaluate_command
+from mimesh.evaluate.run import FOLDERS, WITHOUT_FOLDER, evaluate_command
 from mimesh.evaluate.tables import TABLES
 
 METHODS = (
@@ -27,6 +26,8 @@ METHODS = (
 """Methods that are measured on every protocol."""
 FINGER_METHODS = ("identity", "mime", "mime-rigid-fingers")
 """Methods that are measured on fingers: the others know no fingers."""
+ANIMAL_METHODS = ("identity", "copy", "mime-quadruped", "deformation-transfer-13")
+"""Methods that are measured on four-legged animals: the others know only people."""
 SLOW = ("skeleton",)
 """Left out on clips: they need seconds per frame."""
 
@@ -34,15 +35,16 @@ SLOW = ("skeleton",)
 def main() -> None:
     """Measure one protocol after the other."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*PROTOCOLS, *FOLDERS)))
+    parser.add_argument("protocols", nargs="*", metavar="PROTOCOL", help=", ".join((*WITHOUT_FOLDER, *FOLDERS)))
     parser.add_argument("--characters", type=Path, help="pool of rigged characters, for characters and fingers")
     parser.add_argument("--people", type=Path, help="rigged characters, for cross-body")
     parser.add_argument("--clips", type=Path, help="DeepMimic clips, for clips-aniformer")
+    parser.add_argument("--animals", type=Path, help="rigged four-legged animals, for animals")
     parser.add_argument("--garments", type=Path, help="folder of test_dress.npz, for dressed")
     args = parser.parse_args()
     folders = {"characters": args.characters, "cross-body": args.people, "clips-aniformer": args.clips}
-    folders |= {"dressed": args.garments, "fingers": args.characters}
-    for name in args.protocols or (*PROTOCOLS, *(name for name in FOLDERS if folders[name])):
+    folders |= {"dressed": args.garments, "fingers": args.characters, "animals": args.animals}
+    for name in args.protocols or (*WITHOUT_FOLDER, *(name for name in FOLDERS if folders[name])):
         out = write_results.RESULTS / f"{name}.json"
         with progress(name, quiet=False) as advance:
             evaluate_command(name, methods(name), out, progress=advance, data=folders.get(name))
@@ -54,6 +56,8 @@ def methods(protocol: str) -> list[str]:
     """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
     if protocol == "fingers":
         return list(FINGER_METHODS)
+    if protocol in ("quadruped", "animals"):
+        return list(ANIMAL_METHODS)
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
     left_out = SLOW if protocol == "clips-aniformer" else ()
     return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]

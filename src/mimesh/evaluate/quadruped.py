@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
@@ -22,7 +23,7 @@ def quadruped() -> RiggedBody:
 
 
 @cache
-def split_poses(split: str) -> np.ndarray:
+def split_poses(split: Literal["train", "val", "test"]) -> np.ndarray:
     """Return the frames of the split's gaits and postures."""
     return quadruped_poses(quadruped(), split)
 
@@ -36,13 +37,16 @@ class Quadruped(Protocol):
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
         body, seed = quadruped(), self.seed(f"{split}/{kind}")
-        animals = [Person(body, sample_shape(body, seed, 2 * i + k, self.spread), str(2 * i + k)) for k in range(2)]
+        identity, driving = (
+            Person(body, sample_shape(body, seed, 2 * i + k, self.spread), str(2 * i + k)) for k in range(2)
+        )
         rest = np.zeros_like(body.joints)
         for name, degrees in LOWERED_HEAD.items():
             rest[body.joint(name), 0] = rng.random() * np.radians(degrees)
         if rng.random() < 0.5:
             rest = sample_pose(body, seed, 10_000 + i, USUAL)
         if kind == "gaits":
+            assert split in ("train", "val", "test")
             frames = split_poses(split)
             pose = frames[rng.integers(len(frames))].astype(np.float64)
         else:
@@ -50,7 +54,8 @@ class Quadruped(Protocol):
         rotmat = rotvec_to_rotmat(pose)
         turn = np.radians(self.heading) * rng.uniform(-1, 1)
         rotmat[0] = rotvec_to_rotmat(np.array([0.0, turn, 0.0])) @ rotmat[0]
-        return make_pair(*animals, Pose(rotvec_to_rotmat(rest), f"{kind}{10_000 + i}"), Pose(rotmat, f"{kind}{i}"))
+        still = Pose(rotvec_to_rotmat(rest), f"{kind}{10_000 + i}")
+        return make_pair(identity, driving, still, Pose(rotmat, f"{kind}{i}"))
 
 
 QUADRUPED = Quadruped("quadruped", 1, ("gaits", "usual", "limits"), 72, 1.0)

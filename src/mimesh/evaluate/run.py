@@ -34,6 +34,8 @@ from .provenance import commit, libraries, machine
 from .quadruped import QUADRUPED
 from .summary import summary
 
+WITHOUT_FOLDER: dict[str, Protocol] = {**PROTOCOLS, QUADRUPED.name: QUADRUPED}
+"""Protocols that need no folder."""
 FOLDERS = ("cross-body", "characters", "clips-aniformer", "fingers", "animals")
 """Names of the protocols that read a folder."""
 
@@ -277,7 +279,7 @@ def find_protocol(
     Raises:
         InputError: no such protocol or list, no folder where one is needed, or an option that lists alone have.
     """
-    if name not in (*PROTOCOLS, QUADRUPED.name, *FOLDERS) and Path(name).exists():
+    if name not in (*WITHOUT_FOLDER, *FOLDERS) and Path(name).exists():
         return listed_pairs(Path(name), data, height, fps)
     for option, value in (("--height", height), ("--fps", fps)):
         if value is not None:
@@ -296,18 +298,16 @@ def find_protocol(
         if data is None:
             raise InputError("animals: expected a folder of rigged animals, found none; give it with --data")
         return animals(data)
-    if name == QUADRUPED.name:
-        return QUADRUPED
     if name == "clips-aniformer":
         return clips_aniformer(data)
     if name == "fingers":
         return fingers(data)
     if name == DRESSED.name and data is not None:
         return with_test_garments(data)
-    if name not in PROTOCOLS:
-        known = ", ".join((*PROTOCOLS, QUADRUPED.name, *FOLDERS))
+    if name not in WITHOUT_FOLDER:
+        known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
         raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
-    return PROTOCOLS[name]
+    return WITHOUT_FOLDER[name]
 
 
 def settings(protocol: Protocol) -> dict[str, Any]:

@@ -164,6 +164,8 @@ def described_data(config: TrainConfig) -> str:
 
 def test_set(card: dict[str, Any]) -> str:
     """Give the protocol whose figures belong into a card: clips for networks that are trained on them, else pairs."""
+    if card["config"].get("data", {}).get("body") == "quadruped":
+        return "quadruped"
     return find_task(card["config"].get("network", "npt")).test_set
 
 

@@ -15,7 +15,7 @@ from ..bodies.sampling import rotvec_to_rotmat
 from ..motions.animal_rig import rest_directions
 from ..motions.rest_calibration import rotation_between
 from .character_surfaces import CharacterSurface
-from .primitives import SHAPES, Part, Shape, assemble
+from .primitives import SHAPES, Primitive, Shape, assemble
 
 ANIMALS, BLOCKS = 256, 0.5
 """Number of animals of primitives, and the share of figures of boxes among them."""
@@ -64,7 +64,7 @@ class _Style:
         """Draw a figure of boxes, or one of mixed primitives."""
         blocks = rng.random() < BLOCKS
         leg = np.exp(rng.uniform(*np.log((0.02, 0.1 if blocks else 0.05))))
-        trunk = np.exp(rng.uniform(*np.log((0.07, 0.24)), 2) * [1.0, 0.9])
+        trunk = np.exp(rng.uniform(np.log(0.07), np.log(0.24), 2) * [1.0, 0.9])
         head = np.array([0.08, 0.08, 0.1]) * np.exp(rng.uniform(-0.3, 0.7) + rng.normal(0, 0.2, 3))
         return cls(("box",) if blocks else SHAPES[:3], leg, trunk, head)
 
@@ -132,16 +132,16 @@ def _bone(
     width: Float[np.ndarray, " 2"],
     shape: Shape,
     joint: int,
-) -> Part:
+) -> Primitive:
     """Make a primitive along a bone."""
     along = end - start
     half = np.array([width[0], max(np.linalg.norm(along) / 2, 1e-3), width[1]])
-    return Part(shape, joint, (start + end) / 2, rotation_between(np.array([0.0, 1.0, 0.0]), along), half)
+    return Primitive(shape, joint, (start + end) / 2, rotation_between(np.array([0.0, 1.0, 0.0]), along), half)
 
 
 def _legs(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make a primitive for each bone of a leg that the animal has; left and right are alike."""
     shape, parts = style.shape(rng), []
     for chain in LEGS.values():
@@ -157,13 +157,13 @@ def _legs(
                 end = points[k + 1] if k + 1 < len(had) else sole
                 parts.append(_bone(points[k], end, widths[k], shape, body.joint(side + part)))
             size = np.array([widths[-1][0] * 1.2, 0.02, widths[-1][1] * 1.2 * foot])
-            parts.append(Part("box", body.joint(side + had[-1]), sole + [0, 0.02, size[2] * 0.4], np.eye(3), size))
+            parts.append(Primitive("box", body.joint(side + had[-1]), sole + [0, 0.02, size[2] * 0.4], np.eye(3), size))
     return parts
 
 
 def _trunk(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make the trunk, of one or two primitives from behind the hind legs to before the forelegs."""
     hind, front = ((places["Left" + LEGS[pair][0]] + places["Right" + LEGS[pair][0]]) / 2 for pair in ("hind", "front"))
     along = unit = front - hind
@@ -190,7 +190,7 @@ def _trunk(
 
 def _head(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make neck, head, muzzle, and boxes on the head, half of which come in pairs, left and right."""
     head, size, parts = body.joint("Head"), style.head, []
     centre = places["Head"] + [0, 0.0, 0.6 * size[2]]
@@ -203,22 +203,22 @@ def _head(
         end = stops[k + 1] if k + 1 < len(stops) else centre
         joint = body.joint(carriers[k]) if carriers else (head if rng.random() < 0.5 else body.joint(chest))
         parts.append(_bone(start, end, width, shape, joint))
-    parts.append(Part(style.shape(rng), head, centre, np.eye(3), size))
+    parts.append(Primitive(style.shape(rng), head, centre, np.eye(3), size))
     if rng.random() < 0.7:
         muzzle = size * np.array([rng.uniform(0.3, 0.8), rng.uniform(0.3, 0.7), rng.uniform(0.4, 1.3)])
         place = centre + [0, -0.4 * size[1], size[2] + 0.5 * muzzle[2]]
-        parts.append(Part(style.shape(rng), head, place, np.eye(3), muzzle))
+        parts.append(Primitive(style.shape(rng), head, place, np.eye(3), muzzle))
     for _ in range(int(rng.integers(5))):
         direction = rng.normal(size=3) + [0, 1, 0]
         place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.7, 3)
         for side in (1.0, -1.0) if rng.random() < 0.6 else (1.0,):
-            parts.append(Part("box", head, centre + place * [side, 1, 1], np.eye(3), half))
+            parts.append(Primitive("box", head, centre + place * [side, 1, 1], np.eye(3), half))
     return parts
 
 
 def _tail(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make a primitive for each bone of the tail that the animal has."""
     own = [name for name in TAIL if name in has]
     last = 2 * places[TAIL[-1]] - places[TAIL[-2]]

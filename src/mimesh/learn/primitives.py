@@ -70,7 +70,7 @@ def sample_primitive(shape: Shape, half: Float[np.ndarray, " 3"], count: int, rn
 
 
 @dataclass(frozen=True)
-class Part:
+class Primitive:
     """A primitive that one joint moves."""
 
     shape: Shape
@@ -94,7 +94,7 @@ class Part:
 
 
 def assemble(
-    parts: Sequence[Part],
+    parts: Sequence[Primitive],
     body: RiggedBody,
     joints: Float[np.ndarray, "J 3"],
     alignment: Float[np.ndarray, "J 3 3"],
@@ -221,7 +221,7 @@ def _rest(
 
 def _limbs(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make a primitive for each limb joint, as long as its bone; left and right are alike."""
     shape, parts = style.shape(rng), []
     for part, (tail, last) in LIMBS.items():
@@ -234,7 +234,7 @@ def _limbs(
                 along = end - start
                 axes = rotation_between(np.array([0.0, 1.0, 0.0]), along)
                 half = np.array([width[0], overlap * np.linalg.norm(along) / 2, width[1]])
-                parts.append(Part(shape, body.joint(side + part), (start + end) / 2, axes, half))
+                parts.append(Primitive(shape, body.joint(side + part), (start + end) / 2, axes, half))
     return parts
 
 
@@ -245,7 +245,7 @@ def _ends(
     has: set[str],
     style: _Style,
     rng: np.random.Generator,
-) -> list[Part]:
+) -> list[Primitive]:
     """Make hands and feet; left and right are alike."""
     parts = []
     for part, offset, size in (
@@ -257,13 +257,13 @@ def _ends(
             if side + part in has:
                 j = body.joint(side + part)
                 centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
-                parts.append(Part(shape, j, centre, alignment[j], np.array(size) * scale))
+                parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
     return parts
 
 
 def _trunk(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
-) -> list[Part]:
+) -> list[Primitive]:
     """Make the trunk, of one or two primitives."""
     hips, chest = body.joint("Hips"), body.joint("Spine1")
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
@@ -277,19 +277,21 @@ def _trunk(
     parts = []
     for joint, low, high in cuts:
         half = np.array([width * rng.uniform(0.7, 1.0), (high - low)[1] / 2, depth])
-        parts.append(Part(shape, joint, (low + high) / 2, np.eye(3), half))
+        parts.append(Primitive(shape, joint, (low + high) / 2, np.eye(3), half))
     return parts
 
 
-def _head(body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator) -> list[Part]:
+def _head(
+    body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator
+) -> list[Primitive]:
     """Make the head and the boxes on it, half of which come in pairs, left and right."""
     head, size = body.joint("Head"), style.head
     centre = joints[head] + [0, 0.8 * size[1], 0.02]
-    parts = [Part(style.shape(rng), head, centre, np.eye(3), size)]
+    parts = [Primitive(style.shape(rng), head, centre, np.eye(3), size)]
     for _ in range(style.pieces):
         # Somewhere on the head's surface: hair, ears, horns, hats and noses are there.
         direction = rng.normal(size=3)
         place, half = size * direction / np.abs(direction).max(), size * rng.uniform(0.1, 0.9, 3)
         for side in (1.0, -1.0) if rng.random() < 0.5 else (1.0,):
-            parts.append(Part("box", head, centre + place * [side, 1, 1], np.eye(3), half))
+            parts.append(Primitive("box", head, centre + place * [side, 1, 1], np.eye(3), half))
     return parts

@@ -175,6 +175,25 @@ class RigMethod(SkinnedMethod, Protocol):
 
 
 @runtime_checkable
+class BodyMethod(QuickPredictor, Method, Protocol):
+    """A method that looks for the joints of one shipped body, and may have others for other bodies."""
+
+    @property
+    def body(self) -> str:
+        """Name of the body."""
+        ...
+
+    @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of all bodies that there are methods for, this one's first."""
+        ...
+
+    def of_body(self, body: str) -> BodyMethod:
+        """Return the method for one of `bodies`, with the options of this one."""
+        ...
+
+
+@runtime_checkable
 class CorrectableMethod(SkinnedMethod, Protocol):
     """A method with joints that takes known positions of some of them. Only these support `--joints`."""
 

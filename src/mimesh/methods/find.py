@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Callable
+from functools import cache
 from importlib import resources
 from pathlib import Path
 
@@ -13,9 +16,9 @@ from ..core.mesh import Mesh
 from .base import Method, RigMethod
 
 # Names that `find_method` takes, besides "copy", "deformation-transfer", "skeleton" and paths of .onnx files.
-SHIPPED_NETWORKS = ("mime", "mime-quadruped", "npt", "npt-maxpool", "aniformer")
+SHIPPED_NETWORKS = ("mime", "npt", "npt-maxpool", "aniformer")
 NETWORK_OF_BODY = {"human": "mime", "quadruped": "mime-quadruped"}
-"""Shipped body -> the network that finds its joints."""
+"""Shipped body -> the network that finds its joints. `mime` opens the others itself; their names are for measuring."""
 TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
@@ -42,7 +45,7 @@ def weights_path(model: str) -> Path:
         folder = ABLATIONS if model == path.name else path.parent
         return folder / f"{REDUCED_MODELS.get(path.name, path.name)}.onnx"
     model = REDUCED_MODELS.get(model, model)
-    if model in SHIPPED_NETWORKS:
+    if model in (*SHIPPED_NETWORKS, *NETWORK_OF_BODY.values()):
         return Path(str(resources.files("mimesh") / "zoo" / f"{model}.onnx"))
     return Path(model)
 
@@ -73,9 +76,27 @@ def takes_rigs(model: str | Method) -> bool:
     Raises:
         InputError: as `find_method`.
     """
-    if model in ("mime", "mime-quadruped", "copy", "deformation-transfer", "skeleton"):
-        return str(model).startswith("mime")
+    if model in (*NETWORK_OF_BODY.values(), "copy", "deformation-transfer", "skeleton"):
+        return model in NETWORK_OF_BODY.values()
     return isinstance(find_method(model) if isinstance(model, str) else model, RigMethod)
+
+
+def _with_other_bodies(method: Method, seed: int) -> Method:
+    """Return the shipped mime with the networks of the other shipped bodies."""
+    from .mime.drive import MimeMethod
+
+    def opener(model: str) -> Callable[[], MimeMethod]:
+        @cache  # the choice of a body asks for it again
+        def open_network() -> MimeMethod:
+            other = find_method(model, seed=seed)
+            assert isinstance(other, MimeMethod)
+            return other
+
+        return open_network
+
+    assert isinstance(method, MimeMethod)
+    others = {body: opener(model) for body, model in NETWORK_OF_BODY.items() if body != method.body}
+    return dataclasses.replace(method, other_bodies=others)
 
 
 def find_method(
@@ -119,7 +140,7 @@ def find_method(
     if path.suffix == ".onnx":
         known = Path(model).name
         name = known if known in REDUCED_MODELS else path.stem
-        return load_network(
+        network = load_network(
             path,
             name=name,
             ensemble=ensemble,
@@ -127,4 +148,5 @@ def find_method(
             fits=known not in WITHOUT_FIT,
             fingers=known not in (*REDUCED_MODELS, *TABLE_MODELS),
         )
+        return _with_other_bodies(network, seed) if model == "mime" else network
     raise InputError(f"--model: expected one of {', '.join(MODELS)} or the path of an .onnx file, found {model!r}")

@@ -8,7 +8,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float
@@ -42,7 +41,7 @@ class AnimalRig(HumanoidRig):
         chains = (tuple(self.joints.get(name, -1) for name in leg) for leg in QUADRUPED.legs)
         return tuple(chain for chain in chains if -1 not in chain)
 
-    @cached_property
+    @property
     def leg(self) -> float:
         """Mean length of the legs from the top to wrist or ankle, from all bones down to the ground."""
         body, facing = self.body, self.character.turned(self.turn)

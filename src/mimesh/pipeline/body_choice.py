@@ -6,16 +6,16 @@ skinning weights is taken.
 
 from __future__ import annotations
 
-import dataclasses
+import numpy as np
 
 from ..core.errors import InputError
 from ..core.mesh import Mesh
 from ..core.normalization import Normalization
-from ..methods.base import Method
-from ..methods.find import NETWORK_OF_BODY, find_method
-from ..methods.mime.drive import MimeMethod
-from .orientation import normalised
-from .rigs import Rigs
+from ..methods.base import BodyMethod, Method
+from ..methods.confidence import MAX_ENTROPY
+from ..methods.find import NETWORK_OF_BODY
+from .orientation import normalised, predicted_orientation
+from .rigs import Axes, Rigs
 
 BODIES = ("auto", *NETWORK_OF_BODY)
 """Choices of `--body`."""
@@ -32,49 +32,51 @@ def check_body(body: str) -> None:
 
 
 def with_body(
-    method: Method, asked: str, rigs: Rigs, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization]
-) -> Method:
-    """Return the method for the body of both meshes; only the shipped `mime` has several.
+    method: Method,
+    asked: str,
+    rigs: Rigs,
+    meshes: tuple[Mesh, Mesh],
+    norms: tuple[Normalization, Normalization],
+    axes: Axes,
+) -> tuple[Method, tuple[Normalization, Normalization]]:
+    """Return the method for the body of both meshes, and their normalisations: animals are not detected as people are.
 
     Args:
+        method: most methods have one body, and are returned as they are.
         asked: one of BODIES.
         meshes: the identity and the driving.
+        axes: up and front of both, where they are known.
 
     Raises:
         InputError: a person and an animal, or a body that the method has not.
     """
-    if not isinstance(method, MimeMethod) or method.name != NETWORK_OF_BODY["human"]:
-        own = method.body if isinstance(method, MimeMethod) else "human"
+    if not isinstance(method, BodyMethod) or len(method.bodies) == 1:
+        own = method.body if isinstance(method, BodyMethod) else "human"
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
-        return method
-    if asked != "auto":
-        return _network(method, asked)
-    # Opening the other network takes a while, so it is left alone where both rigs say what they are.
-    networks = {body: _network(method, body) for body in NETWORK_OF_BODY} if None in rigs.bodies else {}
-    identity, driving = (
-        rig or _shown_body(networks, mesh, norm) for rig, mesh, norm in zip(rigs.bodies, meshes, norms, strict=True)
-    )
+        return method, norms
+    found = []
+    for mesh, norm, own, (up, front) in zip(meshes, norms, rigs.bodies, (axes[:2], axes[2:]), strict=True):
+        known = own if asked == "auto" else asked
+        found.append((own, norm) if own is not None else _shown_body(method, known, mesh, norm, (up, front)))
+    (identity, norm), (driving, driving_norm) = found
     if identity == driving:
-        return networks.get(identity) or _network(method, identity)
-    names = meshes[0].name, meshes[1].name
+        return method.of_body(identity), (norm, driving_norm)
     raise InputError(
-        f"{names[0]} is taken for {KINDS[identity]}, and {names[1]} for {KINDS[driving]}: expected two of a kind; "
-        "give another driving, or --body human or quadruped if one of the two is taken for the wrong one"
+        f"{meshes[0].name} is taken for {KINDS[identity]}, and {meshes[1].name} for {KINDS[driving]}: expected two of "
+        "a kind; give another driving, or --body human or quadruped if one of the two is taken for the wrong one"
     )
 
 
-def _network(method: MimeMethod, body: str) -> MimeMethod:
-    """Open the network of a body with the options of another."""
-    if method.body == body:
-        return method
-    other = find_method(NETWORK_OF_BODY[body], seed=method.seed)
-    assert isinstance(other, MimeMethod)
-    return dataclasses.replace(other, name=method.name)
-
-
-def _shown_body(networks: dict[str, MimeMethod], mesh: Mesh, norm: Normalization) -> str:
-    """Tell whose shape a mesh has."""
-    upright = normalised(mesh, norm)
-    entropy = {body: network.quick_predict(upright)[0] for body, network in networks.items()}
-    return "quadruped" if entropy["quadruped"] + MARGIN < entropy["human"] else "human"
+def _shown_body(
+    method: BodyMethod, known: str | None, mesh: Mesh, norm: Normalization, axes: tuple[str | None, str | None]
+) -> tuple[str, Normalization]:
+    """Tell whose shape a mesh has, if that is not known, and return its normalisation as that."""
+    if known == "human":
+        return known, norm
+    person = method.of_body("human").quick_predict(normalised(mesh, norm))[0] if known is None else np.inf
+    unsure = norm.detected and norm.up_from != "file" and axes[0] is None
+    if unsure and person < MAX_ENTROPY:  # 24 orientations of an animal are not tried for each person
+        return "human", norm
+    lowest, _, turned = predicted_orientation(method.of_body("quadruped"), mesh, norm, axes)
+    return ("quadruped", turned) if lowest + MARGIN < person else ("human", norm)

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import load_body
+from ..bodies.anatomy import QUADRUPED, anatomy_of_joints
 from ..bodies.joint_names import without_fingers
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
@@ -99,10 +100,10 @@ NO_CORRECTIONS = Corrections()
 def found_joints(prepared: Prepared, frame: int = 0) -> tuple[JointPositions, JointPositions] | None:
     """Return the joints of the identity, and of the driving in a frame, both without those of fingers.
 
-    None if the method has no joints.
+    None if the method has no joints, or they are those of an animal, which cannot be corrected.
     """
     drive, norm = prepared.drive, prepared.driving_norm
-    if not isinstance(drive, SkinnedDrive):
+    if not isinstance(drive, SkinnedDrive) or anatomy_of_joints(drive.driving_joints) is QUADRUPED:
         return None
     vertices = norm.apply(np.asarray(prepared.clip.vertices[frame], np.float64))
     identity = prepared.identity_norm.undo(drive.rig.joints)

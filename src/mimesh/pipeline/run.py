@@ -173,7 +173,7 @@ def prepare(
     norms = _fitted(identity, first, rigs.axes(axes))
     method = choice(norms[1])
     options.check(method)
-    method = with_body(method, options.body, rigs, (identity, first), norms)
+    method, norms = with_body(method, options.body, rigs, (identity, first), norms, rigs.axes(axes))
     if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, ClassVar
 
@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.canonical_order import canonical_faces, canonical_order
+from ...core.errors import InputError
 from ...core.geometry import vertex_normals
 from ...core.joint_tracks import JointTrack
 from ...core.mesh import Clip, Mesh
@@ -129,6 +130,8 @@ class MimeMethod:
     fits: bool = True
     """Fit the shipped body to each surface; has no effect if the network's joints are not the body's."""
     seed: int = 0
+    other_bodies: Mapping[str, Callable[[], MimeMethod]] = field(default_factory=dict)
+    """Name of each other body that there is a network for -> opens it."""
     hands: HandFinder | None = None
     """Finds hands that show fingers; without it fingers follow the hand."""
     identity_targets: JointTargets | None = None
@@ -148,6 +151,15 @@ class MimeMethod:
         return JointNetwork(self.session, self.joints)
 
     @property
+    def bodies(self) -> tuple[str, ...]:
+        """Names of the bodies that there are networks for."""
+        return (self.body, *self.other_bodies)
+
+    def of_body(self, body: str) -> MimeMethod:
+        """Return this method with the network of another body."""
+        return self if body == self.body else dataclasses.replace(self.other_bodies[body](), name=self.name)
+
+    @property
     def fits_body(self) -> bool:
         """Whether a body is fitted: it is not switched off, and the network's joints are the body's."""
         return self.fits and self.joints == sampled_body(self.body).names
@@ -157,7 +169,15 @@ class MimeMethod:
         identity: Mapping[str, Float[np.ndarray, " 3"]],
         driving: Mapping[str, Float[np.ndarray, " 3"]],
     ) -> MimeMethod:
-        """Return this method with known joints of the identity, and of the driving in its last keyframe."""
+        """Return this method with known joints of the identity, and of the driving in its last keyframe.
+
+        Raises:
+            InputError: the body is not that of a person.
+        """
+        if self.body != "human" and (identity or driving):
+            raise InputError(
+                "--joints: expected a person, whose joints can be corrected, found an animal; leave it out"
+            )
         identity_targets, driving_targets = (
             JointTargets([self.joints.index(name) for name in known], np.array(list(known.values()))) if known else None
             for known in (identity, driving)
