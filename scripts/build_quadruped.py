@@ -27,6 +27,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from mimesh.bodies.body_model import RiggedBody, save_body
+from mimesh.bodies.quadruped import mean_posture
 from mimesh.core.geometry import closest_on_mesh
 from mimesh.core.skinning import place_joints, skin_points
 
@@ -69,8 +70,8 @@ PLACES = {"Spine4": (0.0, 0.51, -0.07), "Chest": (0.0, 0.51, 0.06), "LeftEar": (
 """Places of joints that the dog lacks, and of the chest, whose bone the dog has in its middle."""
 AXIS = {"Hips": (0, 0, 1), "Chest": (0, 0, 1), "Head": (0, -0.35, 1), "Jaw": (0, -0.45, 1)}
 """Directions of bones with several children, or of which the direction to the child is not that of the shape."""
-VARIATION, TURN = 0.08, 3.0
-"""Standard deviation of an animal's own factors (of their logarithms) and turns (degrees), beside its two species'."""
+VARIATION = 0.08
+"""Standard deviation of an animal's own factors (of their logarithms), beside its two species'."""
 SPREAD = {"Spine": 0.4, "Hips": 0.3, "Chest": 0.5, "Ear": 3.0, "Tail": 2.0, "Neck": 1.5, "Head": 1.5, "Scapula": 0.5,
           "Toes": 0.5, "Fingers": 0.5}  # fmt: skip
 """Kind of joint -> factor on them."""
@@ -117,7 +118,7 @@ def parse_args() -> argparse.Namespace:
     parser.add_argument("package", type=Path, help="the wheel of dm_control, or its .skn file")
     parser.add_argument("-o", "--output", type=Path, default=Path("src/mimesh/bodies/quadruped.npz"))
     parser.add_argument("--animals", type=int, default=2000)
-    parser.add_argument("--components", type=int, default=24)
+    parser.add_argument("--components", type=int, default=32)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draw", type=Path, metavar="DIR", help="write the species as OBJ files there, and no body")
     return parser.parse_args()
@@ -212,9 +213,11 @@ def parameters(dog: RiggedBody, species: Species) -> Parameters:
     kinds = [bare(name) for name in dog.joint_names]
     length, width = ([np.log(table.get(kind, 1.0)) for kind in kinds] for table in (species.length, species.width))
     height = [np.log(species.height.get(kind, species.width.get(kind, 1.0))) for kind in kinds]
-    pitch = [species.pitch.get(kind, 0.0) + STANDING.get(kind, 0.0) for kind in kinds]
+    # All animals rest in one posture, so that what a shape has and what a pose has can be told apart.
+    mean = mean_posture()
+    pitch = [mean.get(kind, (0.0, 0.0))[0] + STANDING.get(kind, 0.0) for kind in kinds]
     sides = [-1.0 if name.startswith("Right") else 1.0 for name in dog.joint_names]
-    roll = [side * species.roll.get(kind, 0.0) for kind, side in zip(kinds, sides, strict=True)]
+    roll = [side * mean.get(kind, (0.0, 0.0))[1] for kind, side in zip(kinds, sides, strict=True)]
     turn = np.radians(np.stack([pitch, np.zeros(len(kinds)), roll], axis=1))
     bumps = np.array([float(other is species) for other in SPECIES.values()])
     factors = np.array(length), np.array(width), np.array(height)
@@ -230,12 +233,10 @@ def random_animal(dog: RiggedBody, species: list[Parameters], rng: np.random.Gen
     spread = np.array([next((s for part, s in SPREAD.items() if kind.startswith(part)), 1.0) for kind in kinds])
     same = np.unique(kinds, return_inverse=True)[1]
     length, width, height = (VARIATION * spread * rng.normal(size=len(kinds))[same] for _ in range(3))
-    turn = np.radians(TURN) * spread * rng.normal(size=len(kinds))[same]
     return mixed._replace(
         length=mixed.length + length,
         width=mixed.width + width,
         height=mixed.height + (width + height) / np.sqrt(2.0),
-        turn=mixed.turn + turn[:, None] * [1.0, 0.0, 0.0],
     )
 
 

@@ -32,10 +32,6 @@ class Species:
     """Factor across each bone, from side to side."""
     height: Factors = field(default_factory=dict)
     """Factor across each bone in the plane of the animal; where none is given, that of `width`."""
-    pitch: Factors = field(default_factory=dict)
-    """Rotation of each joint at rest about the axis to the animal's left (degrees): necks sink, legs go back."""
-    roll: Factors = field(default_factory=dict)
-    """Rotation about the axis to the front (degrees), mirrored on the right: ears sink outwards where negative."""
     bumps: tuple[Bump, ...] = ()
     height_of_shoulder: float = 0.6
     """Metres from the ground to the top of the shoulder blades."""
@@ -55,11 +51,10 @@ STANDING = {"Thigh": -16.0, "Shin": -2.0, "Foot": 18.0, "Jaw": -16.0}
 HOOVES = {"Fingers": 0.75, "Toes": 0.75}
 
 SPECIES: dict[str, Species] = {
-    "dog": Species(pitch={}),
+    "dog": Species(),
     "hound": Species(
         length={**every("Forearm Hand Shin Foot", 1.12), "Head": 1.1, "Ear": 1.2},
         width={**every("Hand Foot", 0.85), "Spine2": 0.85, "Spine1": 0.85},
-        roll={"Ear": -70},
         height_of_shoulder=0.7,
     ),
     "terrier": Species(
@@ -73,7 +68,6 @@ SPECIES: dict[str, Species] = {
                 **every("Tail3 Tail4 Tail5 Tail6", 1.15)},
         width={"Head": 1.0, "Jaw": 0.9, "Ear": 1.2, **every("Tail3 Tail4 Tail5 Tail6", 1.6)},
         height={"Head": 0.9, "Chest": 0.9, "Spine4": 0.88},
-        pitch={"Neck1": 14, "Neck2": 8, "Head": -16},
         height_of_shoulder=0.26,
     ),
     "lion": Species(
@@ -82,13 +76,11 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.35, "Jaw": 1.2, "Ear": 0.8, **every(NECK, 1.5), **every("Forearm Hand Fingers", 1.35),
                **every("Shin Foot Toes", 1.25), **every(SPINE, 1.3), "Tail6": 3.0},
         height={"Head": 1.2, **every(NECK, 1.5), **every(SPINE, 1.1)},
-        pitch={"Neck1": 18, "Neck2": 10, "Head": -18},
         height_of_shoulder=1.0,
     ),
     "fox": Species(
         length={"Head": 0.95, **every("UpperArm Forearm Hand Thigh Shin Foot", 0.85), "Ear": 1.05, **every(TAIL, 1.05)},
         width={**every("Tail2 Tail6", 2.2), **every("Tail3 Tail4 Tail5", 3.6), "Head": 0.95, **every(NECK, 1.1)},
-        pitch={"Neck1": 14, "Head": -8},
         height_of_shoulder=0.38,
     ),
     "horse": Species(
@@ -99,7 +91,6 @@ SPECIES: dict[str, Species] = {
                **every("Tail2 Tail3 Tail4 Tail5 Tail6", 3.2), **HOOVES},
         height={"Head": 1.3, "Jaw": 1.3, **every(SPINE, 1.15), "Spine1": 1.3, "Spine2": 1.3, "Neck1": 1.7, "Neck2": 1.5,
                 "Neck3": 1.3},
-        pitch={"Neck1": 6, "Head": 34, "Fingers": 22, "Toes": 20, "Tail1": -40, "Tail2": -20, "Thigh": -4},
         height_of_shoulder=1.6,
     ),
     "donkey": Species(
@@ -108,7 +99,6 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.25, "Jaw": 1.15, **every(SPINE, 1.6), "Hips": 1.3, **every(NECK, 1.25), "Thigh": 1.2,
                **HOOVES},
         height={"Head": 1.3, "Jaw": 1.3, **every(SPINE, 1.15), "Spine1": 1.3, "Spine2": 1.3, **every(NECK, 1.5)},
-        pitch={"Neck1": 16, "Head": 26, "Fingers": 22, "Toes": 20, "Tail1": -40, "Tail2": -20, "Thigh": -4},
         height_of_shoulder=1.2,
     ),
     "cow": Species(
@@ -118,8 +108,6 @@ SPECIES: dict[str, Species] = {
                **every(NECK, 1.4), "Thigh": 1.2, **every(FOREFEET, 1.2), **every(HINDFEET, 1.15), "Tail6": 3.0},
         height={"Head": 1.4, "Jaw": 1.3, **every(SPINE, 1.35), "Spine1": 1.6, "Spine2": 1.6, "Hips": 1.25,
                 "Neck1": 1.9, "Neck2": 1.7, "Neck3": 1.5},
-        pitch={"Neck1": 34, "Neck2": 10, "Head": 2, "Fingers": 22, "Toes": 20, "Tail1": -50, "Tail2": -25, "Thigh": -2},
-        roll={"Ear": -70},
         bumps=(Bump("Head", (0.045, 0.075, -0.05), 0.016, (0.06, 0.06, 0.02)),),
         height_of_shoulder=1.4,
     ),
@@ -129,8 +117,6 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.5, "Jaw": 1.5, **every(SPINE, 2.1), "Hips": 1.6, **every(NECK, 1.9), "Ear": 1.2,
                **every("Thigh UpperArm", 1.2), **HOOVES},
         height={"Head": 1.3, "Jaw": 1.2, **every(SPINE, 1.25), "Spine1": 1.6, "Spine2": 1.6, **every(NECK, 1.9)},
-        pitch={"Neck1": 32, "Neck2": 16, "Head": -4, "Ear": 40, "Fingers": 18, "Toes": 18},
-        roll={"Ear": -25},
         height_of_shoulder=0.75,
     ),
     "sheep": Species(
@@ -139,16 +125,12 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.2, "Jaw": 1.1, **every(SPINE, 2.3), "Hips": 1.8, **every(NECK, 1.8), "Thigh": 1.5,
                "UpperArm": 1.3, **every("Tail1 Tail2 Tail3", 2.0), **HOOVES},
         height={**every(SPINE, 1.35), "Spine1": 1.8, "Spine2": 1.8, "Hips": 1.35, **every(NECK, 1.9), "Head": 1.15},
-        pitch={"Neck1": 20, "Head": 12, "Fingers": 20, "Toes": 18},
-        roll={"Ear": -70},
         height_of_shoulder=0.75,
     ),
     "goat": Species(
         length={**every(NECK, 1.15), "Head": 1.15, "Jaw": 1.1, "Hand": 1.1, "Ear": 0.8, **every(TAIL, 0.35)},
         width={**every(SPINE, 1.6), "Spine2": 1.9, "Hips": 1.3, **every(NECK, 1.1), "Hand": 0.9, **HOOVES},
         height={**every(SPINE, 1.15), "Spine1": 1.5, "Spine2": 1.5},
-        pitch={"Neck1": 12, "Head": 12, "Fingers": 20, "Toes": 18},
-        roll={"Ear": -60},
         bumps=(Bump("Head", (0.02, 0.08, -0.03), 0.014, (0.02, 0.12, -0.08)),),
         height_of_shoulder=0.75,
     ),
@@ -157,8 +139,6 @@ SPECIES: dict[str, Species] = {
                 **every(TAIL, 0.35), "Ear": 1.1},
         width={"Head": 0.95, **every("Hand Foot", 0.75), **every("Spine2 Spine3", 1.3), "Forearm": 0.85, "Ear": 1.1,
                **every("Tail2 Tail3", 1.6), "Fingers": 0.65, "Toes": 0.65},
-        pitch={"Neck1": 8, "Head": 16, "Fingers": 22, "Toes": 20},
-        roll={"Ear": -35},
         bumps=(Bump("Head", (0.022, 0.08, -0.03), 0.013, (0.07, 0.2, -0.03)),),
         height_of_shoulder=1.1,
     ),
@@ -168,7 +148,6 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.15, **every(SPINE, 1.5), "Neck1": 1.1, "Ear": 0.6, **every(FOREFEET, 1.15), "Fingers": 1.4,
                "Toes": 1.4},
         height={**every(SPINE, 1.15), "Neck1": 1.4, "Neck2": 1.1},
-        pitch={"Neck1": 44, "Neck2": -18, "Neck3": -12, "Head": 8, "Thigh": -4},
         bumps=(Bump("Spine3", (0.0, 0.04, 0.0), 0.11, (0.0, 0.15, 0.0)),),
         height_of_shoulder=1.9,
     ),
@@ -177,8 +156,6 @@ SPECIES: dict[str, Species] = {
                 **every(SPINE, 0.85), **every(TAIL, 0.7)},
         width={**every(SPINE, 1.4), "Neck1": 1.2, **HOOVES},
         height={**every(SPINE, 1.2), "Neck1": 1.6, "Neck2": 1.1},
-        pitch={"Spine1": -6, "Spine3": -6, "Neck1": 4, "Head": 26, "Fingers": 20, "Toes": 20},
-        roll={"Ear": -50},
         bumps=(Bump("Head", (0.02, 0.08, -0.03), 0.014, (0.0, 0.06, 0.0)),),
         height_of_shoulder=3.0,
     ),
@@ -190,7 +167,6 @@ SPECIES: dict[str, Species] = {
                "Ear": 0.8},
         height={"Head": 1.4, "Jaw": 1.3, **every(SPINE, 1.5), "Spine1": 1.9, "Spine2": 1.9, "Hips": 1.4,
                 **every(NECK, 2.0)},
-        pitch={"Neck1": 40, "Neck2": 12, "Head": 2},
         bumps=(Bump("Head", (0.0, 0.045, 0.085), 0.02, (0.0, 0.1, 0.05)),),
         height_of_shoulder=1.7,
     ),
@@ -200,7 +176,6 @@ SPECIES: dict[str, Species] = {
         width={"Head": 1.5, "Jaw": 1.2, **every(SPINE, 1.9), "Hips": 1.6, **every(NECK, 1.8), "Thigh": 1.5, "Shin": 1.7,
                "Foot": 1.9, "Toes": 1.6, "UpperArm": 1.5, "Forearm": 1.8, "Hand": 1.9, "Fingers": 1.6, "Ear": 1.1},
         height={"Head": 1.3, **every(SPINE, 1.3), "Spine1": 1.7, "Spine2": 1.7, "Hips": 1.3, **every(NECK, 1.8)},
-        pitch={"Neck1": 34, "Neck2": 8, "Head": -12},
         height_of_shoulder=1.1,
     ),
 }  # fmt: skip

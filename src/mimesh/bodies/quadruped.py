@@ -6,6 +6,10 @@ positive ones about the first turn what hangs down backwards, and what points fo
 
 from __future__ import annotations
 
+import numpy as np
+from jaxtyping import Float
+
+from .body_model import RiggedBody
 from .sampling import Range, mirror_ranges
 
 Ranges = dict[str, tuple[Range, Range, Range]]
@@ -72,3 +76,80 @@ USUAL: Ranges = _both_sides(_USUAL_CENTRE, _USUAL_LEFT)
 """Ranges of everyday poses on four feet: what Table 6 of the NPT paper is for people."""
 LOWERED_HEAD = {"Neck1": 40.0, "Neck2": 20.0, "Head": -20.0}
 """First angle of joints (degrees) in which animals are modelled too: a share of this, from the head up to it down."""
+POSTURES: dict[str, dict[str, tuple[float, float]]] = {
+    "dog": {},
+    "hound": {"Ear": (0, -70)},
+    "terrier": {},
+    "cat": {"Neck1": (14, 0), "Neck2": (8, 0), "Head": (-16, 0)},
+    "lion": {"Neck1": (18, 0), "Neck2": (10, 0), "Head": (-18, 0)},
+    "fox": {"Neck1": (14, 0), "Head": (-8, 0)},
+    "horse": {
+        "Neck1": (6, 0),
+        "Head": (34, 0),
+        "Fingers": (22, 0),
+        "Toes": (20, 0),
+        "Tail1": (-40, 0),
+        "Tail2": (-20, 0),
+        "Thigh": (-4, 0),
+    },
+    "donkey": {
+        "Neck1": (16, 0),
+        "Head": (26, 0),
+        "Fingers": (22, 0),
+        "Toes": (20, 0),
+        "Tail1": (-40, 0),
+        "Tail2": (-20, 0),
+        "Thigh": (-4, 0),
+    },
+    "cow": {
+        "Neck1": (34, 0),
+        "Neck2": (10, 0),
+        "Head": (2, 0),
+        "Fingers": (22, 0),
+        "Toes": (20, 0),
+        "Tail1": (-50, 0),
+        "Tail2": (-25, 0),
+        "Thigh": (-2, 0),
+        "Ear": (0, -70),
+    },
+    "pig": {"Neck1": (32, 0), "Neck2": (16, 0), "Head": (-4, 0), "Ear": (40, -25), "Fingers": (18, 0), "Toes": (18, 0)},
+    "sheep": {"Neck1": (20, 0), "Head": (12, 0), "Fingers": (20, 0), "Toes": (18, 0), "Ear": (0, -70)},
+    "goat": {"Neck1": (12, 0), "Head": (12, 0), "Fingers": (20, 0), "Toes": (18, 0), "Ear": (0, -60)},
+    "deer": {"Neck1": (8, 0), "Head": (16, 0), "Fingers": (22, 0), "Toes": (20, 0), "Ear": (0, -35)},
+    "camel": {"Neck1": (44, 0), "Neck2": (-18, 0), "Neck3": (-12, 0), "Head": (8, 0), "Thigh": (-4, 0)},
+    "giraffe": {
+        "Spine1": (-6, 0),
+        "Spine3": (-6, 0),
+        "Neck1": (4, 0),
+        "Head": (26, 0),
+        "Fingers": (20, 0),
+        "Toes": (20, 0),
+        "Ear": (0, -50),
+    },
+    "rhino": {"Neck1": (40, 0), "Neck2": (12, 0), "Head": (2, 0)},
+    "bear": {"Neck1": (34, 0), "Neck2": (8, 0), "Head": (-12, 0)},
+}
+"""How animals stand at rest, beside the dog that the shipped quadruped was made from: first and third angle (degrees)
+of joints without their side, the third of the left one. The shipped quadruped at rest has the mean of them. Looked up
+in no book: chosen by eye."""
+
+
+def mean_posture() -> dict[str, tuple[float, float]]:
+    """Compute the mean of POSTURES, which is in the rest pose of the shipped quadruped."""
+    joints = dict.fromkeys(joint for posture in POSTURES.values() for joint in posture)
+    each = {joint: [posture.get(joint, (0.0, 0.0)) for posture in POSTURES.values()] for joint in joints}
+    return {
+        joint: (float(np.mean([a for a, _ in angles])), float(np.mean([b for _, b in angles])))
+        for joint, angles in each.items()
+    }
+
+
+def postures(body: RiggedBody) -> Float[np.ndarray, "R J 3"]:
+    """Give POSTURES as rotation vectors (radians) from the rest pose of the shipped quadruped."""
+    mean, rotvec = mean_posture(), np.zeros((len(POSTURES), *body.joints.shape))
+    for row, posture in zip(rotvec, POSTURES.values(), strict=True):
+        for j, name in enumerate(body.joint_names):
+            kind, side = name.removeprefix("Left").removeprefix("Right"), -1 if name.startswith("Right") else 1
+            (pitch, roll), (mean_pitch, mean_roll) = posture.get(kind, (0.0, 0.0)), mean.get(kind, (0.0, 0.0))
+            row[j] = np.radians([pitch - mean_pitch, 0.0, side * (roll - mean_roll)])
+    return rotvec

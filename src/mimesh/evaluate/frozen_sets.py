@@ -52,6 +52,7 @@ NOTES = {
     ("clips-aniformer", "seen"): "motions that the rows of the tables are trained on, by new people",
     ("clips-aniformer", "held-out"): "10 seconds of one boxing capture, 20 clips by an animator",
     ("clips-aniformer", "stress"): "13 clips of DeepMimic, which were looked at during development",
+    ("animals", "clips"): "five animals of one maker; their rigs were looked at when rigs were first read",
 }
 """Protocol and kind (empty: all kinds) of other sets of `test` with something that a reader must know."""
 INEXACT = {"contact": "poses are solved to a tolerance, so coordinates depend on the libraries: no checksum"}

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.quadruped import LIMITS, LOWERED_HEAD, USUAL
+from ..bodies.quadruped import LIMITS, LOWERED_HEAD, USUAL, postures
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions.gaits import quadruped_poses
 from .pairs import Pair, Person, Pose, make_pair
@@ -51,6 +51,11 @@ class Quadruped(Protocol):
             pose = frames[rng.integers(len(frames))].astype(np.float64)
         else:
             pose = sample_pose(body, seed, i, LIMITS if kind == "limits" else USUAL)
+        stands = postures(body)
+        rest, pose = (
+            angles if limited else angles + rng.random() * stands[rng.integers(len(stands))]
+            for angles, limited in ((rest, False), (pose, kind == "limits"))
+        )
         rotmat = rotvec_to_rotmat(pose)
         turn = np.radians(self.heading) * rng.uniform(-1, 1)
         rotmat[0] = rotvec_to_rotmat(np.array([0.0, turn, 0.0])) @ rotmat[0]

@@ -18,7 +18,15 @@ from ..bodies.dress import TEST_FILE
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..io.atomic import whole_file
-from ..methods.find import MODELS, REDUCED_MODELS, check_weights, find_method, is_table_model, weights_path
+from ..methods.find import (
+    MODELS,
+    NETWORK_OF_BODY,
+    REDUCED_MODELS,
+    check_weights,
+    find_method,
+    is_table_model,
+    weights_path,
+)
 from .animals import animals
 from .characters import Characters, characters
 from .clip_protocols import ClipsAniformer, clips_aniformer
@@ -343,7 +351,7 @@ def fingerprint(method: str) -> int:
 
 def check_method(method: str) -> None:
     """Raise InputError, with the known names, for a method that does not exist."""
-    names = sorted({*EXTRA_INPUTS, *MODELS} - {"deformation-transfer"})
+    names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
     named = method in (*names, *REDUCED_MODELS) or is_table_model(method)
     if not named and not (method.endswith(".onnx") and Path(method).is_file()):
         raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither; check -m")

@@ -108,7 +108,7 @@ class BodySampler(VertexSampler):
             sources = pose_sources(body)
             self.usual, self.limits = self._tensor(sources.usual), self._tensor(sources.limits)
             self.motion_frames = self._tensor(sources.frames)
-            self.resting = self._tensor(sources.resting)
+            self.resting, self.postures = self._tensor(sources.resting), self._tensor(sources.postures)
             self.contacts = [self._tensor(array) for array in (sources.contact_shapes, sources.contact_poses)]
 
     def _sample_pairs(
@@ -174,6 +174,10 @@ class BodySampler(VertexSampler):
         frame = self.motion_frames[self._random_index(len(self.motion_frames), (size,), rng)]
         rest = self.resting * torch.rand(size, 1, 1, generator=rng, device=self.device)
         rest = rest + REST_NOISE * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
+        if len(self.postures):
+            share = torch.rand(size, 1, 1, generator=rng, device=self.device)
+            posture = share * self.postures[self._random_index(len(self.postures), (size,), rng)]
+            rest, table, frame = rest + posture, table + posture, frame + posture
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
 

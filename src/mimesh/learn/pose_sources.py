@@ -25,6 +25,9 @@ class PoseSources(NamedTuple):
     """Frames of motions."""
     resting: Float[np.ndarray, "J 3"]
     """A pose that bodies are modelled in between rest and it: people with lowered arms, animals with a lowered head."""
+    postures: Float[np.ndarray, "R J 3"]
+    """Ways in which animals stand, of which a share of one is added to every pose but those within the joint limits;
+    empty for people."""
     contact_shapes: Float[np.ndarray, "M K"]
     """Shape coefficients of bodies whose limbs touch each other."""
     contact_poses: Float[np.ndarray, "M J 3"]
@@ -44,5 +47,7 @@ def pose_sources(body: RiggedBody) -> PoseSources:
         resting = np.zeros_like(body.joints)
         for name, degrees in quadruped.LOWERED_HEAD.items():
             resting[body.joint(name), 0] = np.radians(degrees)
-        return PoseSources(usual, limits, quadruped_poses(body, "train"), resting, *nobody)
-    return PoseSources(usual, limits, pose_bank("train"), lowered_arms(body), *contact_bank())
+        return PoseSources(usual, limits, quadruped_poses(body, "train"), resting, quadruped.postures(body), *nobody)
+    return PoseSources(
+        usual, limits, pose_bank("train"), lowered_arms(body), np.zeros((0, *body.joints.shape)), *contact_bank()
+    )
