@@ -16,7 +16,9 @@ from mimesh.methods.confidence import (
     MIN_SHARE,
     MISSING_LIMB,
     Confidence,
+    Standards,
     largest_flexion,
+    limb_joints,
 )
 from mimesh.pipeline import transfer
 
@@ -199,3 +201,32 @@ def test_uncertainty_is_above_one_exactly_where_there_is_a_note():
     assert 50 < sum(noted) < 450, "both happen"
     lost = Confidence(1.0, 0.1, dict.fromkeys(MIN_SHARE, 0.0))
     assert 1 < lost.uncertainty < np.inf
+
+
+def test_animals_have_the_limbs_and_standards_of_animals():
+    animal, person = load_body("quadruped"), load_body()
+    limbs = limb_joints(animal.joint_names, animal.parents)
+    assert set(limbs) == {"head", *(f"{side} {leg}" for side in ("left", "right") for leg in ("foreleg", "hind leg"))}
+    assert animal.joint("LeftToes") in limbs["left hind leg"]
+    assert animal.joint("Jaw") in limbs["head"]
+    for body, kind in ((animal, "a four-legged animal"), (person, "a person")):
+        standards = Standards.of(body.joint_names)
+        assert standards.kind == kind
+        assert set(standards.min_share) == set(limb_joints(body.joint_names, body.parents))
+        whole = Confidence.of(2.0, body.weights, body.joint_names, body.parents)
+        assert whole.standards is standards
+        assert whole.notes("it") == ()
+
+
+def test_a_missing_hind_leg_is_noted_by_its_name():
+    body = load_body("quadruped")
+    gone = limb_joints(body.joint_names, body.parents)["left hind leg"]
+    weights = body.weights[body.weights[:, gone].sum(axis=1) < 0.01]
+    (note,) = Confidence.of(2.0, weights, body.joint_names, body.parents).notes("cow")
+    assert "no whole left hind leg was found" in note
+    assert "feet are not planted" in note
+    lost = fitted(
+        standards=Standards.of(body.joint_names), unmatched_body={}, limbs={}, fit_angle=170.0, fit_distance=0.1
+    )
+    (note,) = lost.notes("chair")
+    assert "does not look like a four-legged animal" in note
