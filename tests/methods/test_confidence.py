@@ -225,6 +225,8 @@ def test_a_missing_hind_leg_is_noted_by_its_name():
     (note,) = Confidence.of(2.0, weights, body.joint_names, body.parents).notes("cow")
     assert "no whole left hind leg was found" in note
     assert "feet are not planted" in note
-    lost = fitted(standards=Standards.of(body.joint_names), unmatched_body={}, limbs={}, fit_angle=170.0)
+    lost = fitted(
+        standards=Standards.of(body.joint_names), unmatched_body={}, limbs={}, fit_angle=170.0, fit_distance=0.1
+    )
     (note,) = lost.notes("chair")
     assert "does not look like a four-legged animal" in note
