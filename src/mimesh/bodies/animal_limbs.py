@@ -27,7 +27,8 @@ legs have two bones, which meet in the middle."""
 MOST_OF_IT = 0.6
 """A joint that moves a larger share of the surface is not that of a head."""
 NECK, TAIL = ("Neck1", "Neck2", "Neck3"), tuple(f"Tail{k}" for k in range(1, 7))
-TRUNK = ("Spine1", "Spine2", "Spine3", "Spine4", "Chest")
+TRUNK = {"Spine1": 0.18, "Spine2": 0.33, "Spine3": 0.42, "Spine4": 0.49, "Chest": 0.74}
+"""Joints of the trunk and their places between hips and shoulders in the shipped quadruped."""
 GROUND = 0.12
 """Share of the height from the ground up in which the surface is that of feet. Chosen by eye, as all figures here."""
 APART = 0.15
@@ -141,7 +142,7 @@ class _AnimalRig:
         before_legs = [j for j in low if rig.joints[j, 2] <= stop + 0.1 * (stop - start)] if not trunk else []
         for joint in [*trunk, *before_legs]:
             share = (rig.joints[joint, 2] - start) / max(stop - start, 1e-9)
-            found.setdefault(TRUNK[int(np.clip(round(share * 4), 0, 4))], joint)
+            found.setdefault(min(TRUNK, key=lambda name: abs(TRUNK[name] - share)), joint)
         neck = [j for j in above if j not in before_legs][::-1]
         spread = [neck[0], neck[len(neck) // 2], neck[-1]] if len(neck) > 2 else neck
         found |= dict(zip(NECK, spread, strict=False))

@@ -71,6 +71,8 @@ class Standards:
     """As MAX_ERROR."""
     no_such_body: float
     """As NO_PERSON."""
+    folded: float = FOLDED
+    """As FOLDED."""
 
     @classmethod
     def of(cls, joints: tuple[str, ...]) -> Standards:
@@ -87,6 +89,7 @@ QUADRUPED_STANDARDS = Standards(
     expected_error=EXPECTED_ERROR,
     max_error=MAX_ERROR,
     no_such_body=NO_PERSON,
+    folded=172.0,  # animals that lie fold their legs by up to 164
 )
 
 
@@ -165,7 +168,8 @@ class Confidence:
 
         A limb that the mesh lacks is predicted somewhere, and all predictions of it may agree.
         """
-        return max(*(self._incompleteness(limb) for limb in self.standards.min_share), self.flexion / FOLDED)
+        missing = max(self._incompleteness(limb) for limb in self.standards.min_share)
+        return max(missing, self.flexion / self.standards.folded)
 
     @property
     def uncertainty(self) -> float:
@@ -230,7 +234,7 @@ class Confidence:
             reasons.append(f"{_listed('no whole', incomplete)} was found")
         if unmatched and not incomplete:
             reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
-        if self.flexion > FOLDED:
+        if self.flexion > self.standards.folded:
             reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
         return reasons
 
