@@ -38,12 +38,13 @@ def demo(
 
 def models(json: Json = False) -> None:
     """List the models that -m takes, with figures."""
-    from ..methods.find import MODELS, SHIPPED_NETWORKS
+    from ..methods.find import MODELS, NETWORK_OF_BODY, SHIPPED_NETWORKS
     from ..zoo import cards
 
     shipped = {card["name"]: card for card in cards()}
     if json:
-        print_json({"models": [shipped.get(name, {"name": name}) for name in MODELS]})
+        names = [*MODELS, *(name for name in NETWORK_OF_BODY.values() if name not in MODELS)]
+        print_json({"models": [shipped.get(name, {"name": name}) for name in names]})
         return
     for name in MODELS:
         print(f"{name:<22}{DESCRIPTIONS[name]}")
@@ -56,7 +57,8 @@ DESCRIPTIONS = {
     "copy": "the driving vertices themselves: no transfer, for comparison",
     "deformation-transfer": "Sumner and Popovic 2004; needs --reference, and --markers where topologies differ",
     "skeleton": "fits the shipped body to both meshes and skins the identity to its bones; slow",
-    "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity",
+    "mime": "ours, the default: predicts the joints of both meshes, fits a body to each, and skins the identity;\n"
+    f"{'':<22}people, and four-legged animals by a second network, mime-quadruped",
     "npt": "Neural Pose Transfer, trained on generated people and poses",
     "npt-maxpool": "its variant with one pose code for the whole driving mesh, of any vertex count",
     "aniformer": "AniFormer: three frames at once, trained on generated people and motions",
