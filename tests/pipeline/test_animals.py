@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -14,6 +15,10 @@ import mimesh
 from mimesh.bodies.characters import proportioned
 from mimesh.cli import run
 from mimesh.core.errors import InputError
+from mimesh.evaluate.metrics import pmd_of_pair
+from mimesh.evaluate.pairs import Pair
+from mimesh.evaluate.protocols import PROTOCOLS
+from mimesh.evaluate.quadruped import QUADRUPED
 from mimesh.io import load_clip
 
 OTHER = proportioned(
@@ -227,3 +232,37 @@ def test_wrong_bodies_are_refused(tmp_path, capsys):
     assert "--body: expected one of auto, human, quadruped, found 'octopus'" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"--body: expected human with the model own, found quadruped"):
         mimesh.animate(str(one), str(two), str(own), body="quadruped")
+
+
+# Without rigs: the body is chosen by the shape, and joints are predicted.
+
+
+def surfaces(i: int) -> Pair:
+    return QUADRUPED.pair("val", "gaits", i)
+
+
+@pytest.mark.parametrize("i", range(3))
+def test_animals_without_rigs_are_taken_for_animals_and_moved(i):
+    """Nearer to the truth than the identity as it is, in the driving's pose and not on its head."""
+    pair = surfaces(i)
+    result = mimesh.transfer(pair.identity, pair.driving, up="+y", driving_up="+y")
+    assert pmd_of_pair(result.mesh.vertices, pair.truth) < 0.5 * pmd_of_pair(pair.identity.vertices, pair.truth)
+
+
+def test_animals_without_axes_are_found_upright():
+    pair = surfaces(0)
+    lying = dataclasses.replace(pair.identity, vertices=pair.identity.vertices[:, [0, 2, 1]] * [1, -1, 1], up=None)
+    result = mimesh.transfer(lying, pair.driving, driving_up="+y")
+    assert result.report["identity"]["up"] == "+z"
+
+
+def test_a_person_and_an_animal_without_rigs_are_refused():
+    person = PROTOCOLS["human-npt"].pair("val", "seen", 0).identity
+    with pytest.raises(InputError, match=r"taken for a person.*four-legged animal"):
+        mimesh.transfer(person, surfaces(0).driving, up="+y", driving_up="+y")
+
+
+def test_joints_of_animals_cannot_be_corrected():
+    pair = surfaces(0)
+    with pytest.raises(InputError, match="expected a person"):
+        mimesh.transfer(pair.identity, pair.driving, joints={"Head": (0.0, 1.0, 0.0)}, body="quadruped")
