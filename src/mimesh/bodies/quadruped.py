@@ -147,9 +147,9 @@ def mean_posture() -> dict[str, tuple[float, float]]:
 def postures(body: RiggedBody) -> Float[np.ndarray, "R J 3"]:
     """Give POSTURES as rotation vectors (radians) from the rest pose of the shipped quadruped."""
     mean, rotvec = mean_posture(), np.zeros((len(POSTURES), *body.joints.shape))
-    for row, posture in zip(rotvec, POSTURES.values(), strict=True):
+    for k, posture in enumerate(POSTURES.values()):
         for j, name in enumerate(body.joint_names):
             kind, side = name.removeprefix("Left").removeprefix("Right"), -1 if name.startswith("Right") else 1
             (pitch, roll), (mean_pitch, mean_roll) = posture.get(kind, (0.0, 0.0)), mean.get(kind, (0.0, 0.0))
-            row[j] = np.radians([pitch - mean_pitch, 0.0, side * (roll - mean_roll)])
+            rotvec[k, j] = np.radians([pitch - mean_pitch, 0.0, side * (roll - mean_roll)])
     return rotvec

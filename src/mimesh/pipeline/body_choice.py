@@ -22,7 +22,8 @@ BODIES = ("auto", *NETWORK_OF_BODY)
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
 """What a mesh with each body is called in messages."""
 MARGIN = 0.1
-"""Largest entropy of skinning weights (nats) beyond the human network's at which the other one is still not taken."""
+"""By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
+splits train and val of the pool (docs/LOG.md): most files show people."""
 
 
 def check_body(body: str) -> None:
@@ -58,7 +59,7 @@ def with_body(
     found = []
     for mesh, norm, own, (up, front) in zip(meshes, norms, rigs.bodies, (axes[:2], axes[2:]), strict=True):
         known = own if asked == "auto" else asked
-        found.append((own, norm) if own is not None else _shown_body(method, known, mesh, norm, (up, front)))
+        found.append((own, norm) if own is not None else shown_body(method, known, mesh, norm, (up, front)))
     (identity, norm), (driving, driving_norm) = found
     if identity == driving:
         return method.of_body(identity), (norm, driving_norm)
@@ -68,7 +69,7 @@ def with_body(
     )
 
 
-def _shown_body(
+def shown_body(
     method: BodyMethod, known: str | None, mesh: Mesh, norm: Normalization, axes: tuple[str | None, str | None]
 ) -> tuple[str, Normalization]:
     """Tell whose shape a mesh has, if that is not known, and return its normalisation as that."""
@@ -79,4 +80,6 @@ def _shown_body(
     if unsure and person < MAX_ENTROPY:  # 24 orientations of an animal are not tried for each person
         return "human", norm
     lowest, _, turned = predicted_orientation(method.of_body("quadruped"), mesh, norm, axes)
+    if known is None and lowest + MARGIN < person:  # a person may be recognised in another orientation, too
+        person = predicted_orientation(method.of_body("human"), mesh, norm, axes)[0]
     return ("quadruped", turned) if lowest + MARGIN < person else ("human", norm)
