@@ -230,7 +230,7 @@ def test_models_lists_all_models(capsys):
     from mimesh.methods.find import MODELS
 
     assert run(["models", "--json"]) == 0
-    assert [m["name"] for m in json.loads(capsys.readouterr().out)["models"]] == list(MODELS)
+    assert [m["name"] for m in json.loads(capsys.readouterr().out)["models"]] == [*MODELS, "mime-quadruped"]
     assert run(["models"]) == 0
     assert all(name in capsys.readouterr().out for name in ["copy"])
 

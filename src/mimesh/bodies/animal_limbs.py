@@ -95,9 +95,11 @@ class _AnimalRig:
         """Vertices of the feet, by side and pair of legs."""
         vertices = self.rig.mesh.vertices
         near = vertices[:, 1] < self.low + GROUND * self.height
+        if not near.any():  # a flat mesh has no height
+            raise InputError(f"{self.path}: expected four feet on the ground, found a flat mesh; is it an animal?")
         middle = (vertices[near, 0].min() + vertices[near, 0].max()) / 2
         offset = vertices[:, 0] - middle
-        near &= np.abs(offset) > BESIDE * np.quantile(np.abs(offset[near]), 0.9)  # a tail may lie on the ground
+        near &= np.abs(offset) >= BESIDE * np.quantile(np.abs(offset[near]), 0.9)  # a tail may lie on the ground
         split = (vertices[near, 2].min() + vertices[near, 2].max()) / 2
         found = {}
         for pair, of_pair in (("front", vertices[:, 2] > split), ("hind", vertices[:, 2] <= split)):

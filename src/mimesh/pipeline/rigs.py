@@ -24,6 +24,7 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
 from ..io.gltf.bake import AnimatedValues
+from ..io.gltf.character import NotUpright
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
@@ -37,6 +38,8 @@ Axes = tuple[str | None, str | None, str | None, str | None]
 T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
+NO_PERSON = (UnnamedJoints, NotUpright)
+"""Reasons why a rig is not that of a person, so that it may be that of an animal."""
 UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
@@ -162,7 +165,7 @@ def _if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | N
     try:
         return read("human" if body == "auto" else body), (), False
     except InputError as error:
-        if body == "auto":
+        if body == "auto" and isinstance(error, NO_PERSON):
             with contextlib.suppress(InputError):
                 return read("quadruped"), (), False
         return None, (f"{without}: {error}",), isinstance(error, UnnamedJoints)
@@ -202,6 +205,8 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
         humanoid = read_own_rig(at_rest).humanoid
     except InputError as error:
         with contextlib.suppress(InputError):
+            if not isinstance(error, NO_PERSON):
+                raise
             animal = read_own_rig(at_rest, body="quadruped").humanoid
             return True, f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
         return (True, UNNAMED) if isinstance(error, UnnamedJoints) else (False, str(error))
