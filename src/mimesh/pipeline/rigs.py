@@ -203,13 +203,13 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
     at_rest = dataclasses.replace(mesh, vertices=mesh.source.vertices)
     try:
         humanoid = read_own_rig(at_rest).humanoid
-    except InputError as error:
+    except NO_PERSON as error:
         with contextlib.suppress(InputError):
-            if not isinstance(error, NO_PERSON):
-                raise
             animal = read_own_rig(at_rest, body="quadruped").humanoid
             return True, f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
         return (True, UNNAMED) if isinstance(error, UnnamedJoints) else (False, str(error))
+    except InputError as error:
+        return False, str(error)
     fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
     known = len(humanoid.joints) - fingers
     return True, f"{len(humanoid.character.parents)} joints, {known} of a person and {fingers} of fingers known by name"
