@@ -44,6 +44,11 @@ MIME_DATA = (
     "missing parts"
 )
 """Description of `wide` where `mime` is trained on it."""
+ANIMAL_DATA = (
+    "random animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, joint limits; "
+    "headings, some turned over; noise, one-sided surfaces, missing parts"
+)
+"""The same where it is trained on four-legged animals."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
 NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
@@ -159,6 +164,8 @@ def described_data(config: TrainConfig) -> str:
     """Say in words what a training had as data."""
     if config.network != "mime" or config.data.kind != "wide":
         return DATA[config.data.kind] + (NPT_CHARACTERS if config.network == "npt" and config.data.characters else "")
+    if config.data.body == "quadruped":
+        return ANIMAL_DATA + (CHARACTERS.replace("people", "animals") if config.data.characters else "")
     return MIME_DATA + (CHARACTERS if config.data.characters else "")
 
 
