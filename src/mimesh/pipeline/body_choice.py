@@ -1,7 +1,7 @@
 """Choose the shipped body whose joints both meshes have: that of a person, or that of a four-legged animal.
 
-A rig in a file says it. Of other meshes both networks predict the joints once, and the one with the more decided
-skinning weights is taken.
+A rig in one of the files says it for both. Of two meshes without rigs both networks predict the joints once, and the
+one with the more decided skinning weights is taken.
 """
 
 from __future__ import annotations
@@ -56,9 +56,9 @@ def with_body(
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
         return method, norms
-    found = []
+    found, of_rig = [], next((body for body in rigs.bodies if body is not None), None)
+    known = of_rig if asked == "auto" else asked
     for mesh, norm, own, (up, front) in zip(meshes, norms, rigs.bodies, (axes[:2], axes[2:]), strict=True):
-        known = own if asked == "auto" else asked
         found.append((own, norm) if own is not None else shown_body(method, known, mesh, norm, (up, front)))
     (identity, norm), (driving, driving_norm) = found
     if identity == driving:
