@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Literal
 
-BodyName = Literal["human", "quadruped"]
-SIDES = ("Left", "Right")
+from .character_limbs import SIDES
 
 
 @dataclass(frozen=True)

@@ -278,7 +278,7 @@ def transferred_transforms(
     posed = transforms[:-1] @ source.T_world_joint
     parents = np.array(source.parents)
     local, source_rest, target_rest = (
-        _locals(world, parents) for world in (posed, source.T_world_joint, target.T_world_joint)
+        local_frames(world, parents) for world in (posed, source.T_world_joint, target.T_world_joint)
     )
     frames = local.copy()
     frames[:, :3, 3] = target_rest[:, :3, 3] + scale * (local[:, :3, 3] - source_rest[:, :3, 3])
@@ -349,7 +349,7 @@ def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterC
     """
     arrays = _clip_arrays(path)
     count = len(character["parents"])
-    rest = _locals(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]
+    rest = local_frames(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]
     try:
         same = all(arrays[name].tolist() == character[name].tolist() for name in ("joint_names", "parents"))
         moved = arrays["clip_translated"].astype(np.int64)
@@ -399,7 +399,9 @@ def _world_frames(clip: CharacterClip, frames: Int[np.ndarray, " N"], parents, t
     return world
 
 
-def _locals(world: Float[np.ndarray, "J 4 4"], parents: Int[np.ndarray, " J"]) -> Float[np.ndarray, "J 4 4"]:
+def local_frames(
+    world: Float[np.ndarray, "J 4 4"], parents: tuple[int, ...] | Int[np.ndarray, " J"]
+) -> Float[np.ndarray, "J 4 4"]:
     """Compute the frame of each joint in its parent's frame."""
     inverse = np.linalg.inv(world)
     return np.stack([world[j] if parent < 0 else inverse[parent] @ world[j] for j, parent in enumerate(parents)])

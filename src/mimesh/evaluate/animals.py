@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from ..bodies import RiggedBody
 from ..bodies.body_model import landmarks
-from ..bodies.character_pool import Pool, PoolCharacter, read_pool
+from ..bodies.character_pool import Pool, PoolCharacter, local_frames, read_pool
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
 from ..core.mesh import Mesh
@@ -90,8 +90,8 @@ def transforms_by_name(
     rest in the frames of their parents.
     """
     place = {name: j for j, name in enumerate(source.joint_names)}
-    posed = _local_frames(transforms[:-1] @ source.T_world_joint, source.parents)
-    rest, frames = (_local_frames(rig.T_world_joint, rig.parents) for rig in (source, target))
+    posed = local_frames(transforms[:-1] @ source.T_world_joint, source.parents)
+    rest, frames = (local_frames(rig.T_world_joint, rig.parents) for rig in (source, target))
     for j, name in enumerate(target.joint_names):
         if name in place:
             k = place[name]
@@ -110,10 +110,7 @@ def find_animal_landmarks(animal: PoolCharacter) -> Int[np.ndarray, " M"]:
     low, high = rig.mesh.vertices.min(axis=0), rig.mesh.vertices.max(axis=0)
     scale = np.ptp(body.vertices[:, 2]) / (high - low)[2]
     joints = place_animal_joints(animal, body) * scale
-    target = np.full(len(rig.parents) + 1, body.joint("Hips"))
-    names = {joint: name for name, joint in animal.joints.items()}
-    for j, parent in enumerate(rig.parents):
-        target[j] = body.joint(names[j]) if j in names else target[parent]
+    target = rig.nearest_columns({j: body.joint(name) for name, j in animal.joints.items()}, body.joint("Hips"))
     # Joints that the animal lacks are carried by the nearest one above them.
     carrier = np.arange(len(body.parents))
     for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
@@ -183,12 +180,6 @@ def _moving(animal: PoolCharacter) -> set[str]:
     rig = animal.rig
     used = np.unique(rig.joint_of[rig.weights > 0])
     return {rig.joint_names[j] for j in used if j < len(rig.joint_names)}
-
-
-def _local_frames(world: Float[np.ndarray, "J 4 4"], parents: tuple[int, ...]) -> Float[np.ndarray, "J 4 4"]:
-    """Compute the frame of each joint in its parent's frame."""
-    inverse = np.linalg.inv(world)
-    return np.stack([world[j] if parent < 0 else inverse[parent] @ world[j] for j, parent in enumerate(parents)])
 
 
 def _height(animal: PoolCharacter) -> float:

@@ -223,10 +223,8 @@ def _rest_of(
 def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray, "V J"]:
     """Add up a character's weights by the shipped body's joints, rows sum to 1."""
     rig = character.rig
-    names = {joint: name for name, joint in character.joints.items()}
-    target = np.full(len(rig.parents) + 1, body.joint("Hips"))  # the last entry is the world
-    for j, parent in enumerate(rig.parents):
-        target[j] = body.joint(names[j]) if j in names else target[parent]
+    columns = {joint: body.joint(name) for name, joint in character.joints.items()}
+    target = rig.nearest_columns(columns, body.joint("Hips"))
     weights = rig.summed_weights(target, len(body.parents))
     return weights / weights.sum(axis=1, keepdims=True)
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
-from ..bodies.anatomy import SIDES
 from ..bodies.animal_limbs import LEGS, NECK, TAIL, TRUNK
+from ..bodies.character_limbs import SIDES
 from ..bodies.sampling import rotvec_to_rotmat
 from ..motions.animal_rig import rest_directions
 from ..motions.rest_calibration import rotation_between

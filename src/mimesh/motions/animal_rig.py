@@ -8,6 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -30,16 +31,7 @@ CHAINS = tuple(tuple(side + part for part in parts) for side in SIDES for parts 
 class AnimalRig(HumanoidRig):
     """An animal at rest with its known joints, in the axes and unit of its file; `limbs` is empty."""
 
-    @property
-    def body(self) -> RiggedBody:
-        """The shipped quadruped."""
-        return load_body("quadruped")
-
-    @property
-    def legs(self) -> tuple[tuple[int, ...], ...]:
-        """Shoulder or hip, elbow or knee, and wrist or ankle of each leg that has all three."""
-        chains = (tuple(self.joints.get(name, -1) for name in leg) for leg in QUADRUPED.legs)
-        return tuple(chain for chain in chains if -1 not in chain)
+    body_name: ClassVar[str] = "quadruped"
 
     @property
     def leg(self) -> float:
@@ -120,19 +112,18 @@ def rest_directions(
         positions: of the joints that the animal has, at rest, y up, facing +z.
         ground: height of the ground.
     """
-    chains = [[side + part for part in parts] for side in SIDES for parts in LEGS.values()]
     turned = {}
-    for chain in [*chains, [*NECK, "Head"], list(TAIL)]:
+    for chain in (*CHAINS, (*NECK, "Head"), TAIL):
         had = [name for name in chain if name in positions]
         theirs = np.array([positions[name] for name in had]).reshape(-1, 3)
         ours = body.joints[[body.joint(name) for name in had]]
-        if chain in chains:
+        if chain in CHAINS:
             toes = body.joints[body.joint(chain[-1])] * [1, 0, 1]
             theirs = np.concatenate([theirs, theirs[-1:] * [1, 0, 1] + [0, ground, 0]])
             ours = np.concatenate([ours, [toes]])
             had = had[:-1] if had[-1] == chain[-1] else had
         for k, name in enumerate(had[: len(theirs) - 1]):
             turned[name] = rotation_between(ours[k + 1] - ours[k], theirs[k + 1] - theirs[k])
-        if chain[0] == TAIL[0] and len(had) > 1:
+        if chain == TAIL and len(had) > 1:
             turned[had[-1]] = turned[had[-2]]
     return turned

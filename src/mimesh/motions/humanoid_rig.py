@@ -10,11 +10,13 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
+from ..bodies.anatomy import anatomy_of
 from ..bodies.character_limbs import SIDES, Limb, attach_feet, find_limbs, moves_vertices, name_limb_joints
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import FINGERS, ancestors, finger_joints, named_fingers
@@ -49,15 +51,18 @@ class HumanoidRig:
     turn: Float[np.ndarray, "3 3"]
     """Rotation from the file's axes to y up, +z front."""
 
+    body_name: ClassVar[str] = "human"
+    """The shipped body whose joints these are."""
+
     @property
     def body(self) -> RiggedBody:
-        """The shipped body whose joints these are."""
-        return load_body()
+        """That body, read from its file."""
+        return load_body(self.body_name)
 
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:
-        """Hip, knee and ankle of each leg that has all three."""
-        chains = (tuple(self.joints.get(side + part, -1) for part in LEG) for side in SIDES)
+        """Hip, knee and ankle of each leg that has all three; of forelegs shoulder, elbow and wrist."""
+        chains = (tuple(self.joints.get(name, -1) for name in leg) for leg in anatomy_of(self.body_name).legs)
         return tuple(chain for chain in chains if -1 not in chain)
 
     @property

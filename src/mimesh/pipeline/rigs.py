@@ -115,7 +115,7 @@ class Rigs:
         """Whose joints the rigs of identity and driving are; None where no rig is used."""
         own = self.humanoid
         theirs = None if self.driving is None else anatomy_of_joints(self.driving.joints)
-        return own and own.body.name, theirs and ("quadruped" if theirs is QUADRUPED else "human")
+        return own and own.body_name, theirs and ("quadruped" if theirs is QUADRUPED else "human")
 
     @property
     def humanoid(self) -> HumanoidRig | None:
