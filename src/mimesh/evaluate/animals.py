@@ -46,7 +46,7 @@ class Animals(Protocol):
             )
 
     def left_out(self, split: str) -> dict[str, int]:
-        return _read(self.data, split).refusals()
+        return read_animals(self.data, split).refusals()
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
         choices = _choices(self.data, split)
@@ -145,7 +145,8 @@ def place_animal_joints(animal: PoolCharacter, body: RiggedBody) -> Float[np.nda
 
 
 @cache
-def _read(data: Path, split: str) -> Pool:
+def read_animals(data: Path, split: str) -> Pool:
+    """Read the rigged four-legged animals of a pool's split, or all those of a folder of files."""
     if (data / "index.json").is_file():
         return read_pool(data, split, body="quadruped")
     found, refused = [], {}
@@ -161,11 +162,11 @@ def _read(data: Path, split: str) -> Pool:
 def _choices(data: Path, split: str) -> list[tuple[PoolCharacter, list[PoolCharacter]]]:
     """List the animals, each with those that may drive it."""
     choices = []
-    for identity in _read(data, split).characters:
+    for identity in read_animals(data, split).characters:
         moving = _moving(identity)
         partners = [
             other
-            for other in _read(data, split).characters
+            for other in read_animals(data, split).characters
             if other is not identity
             and other.clips
             and len(moving & set(other.rig.joint_names)) >= SHARED * len(moving)
