@@ -3,8 +3,8 @@
     python scripts/measure_animals.py FOLDER [--splits train,val] [--frames 2] [-o benchmarks/animals.json]
 
 Each animal of a pool or a folder of rigged files is the identity at rest and in frames of its clips, with y up as files
-of most formats say, and with no axes at all. The driving mesh is the shipped quadruped. Joints found on the surface are
-compared with those of the file's own rig.
+of most formats say, and with no axes at all. The driving mesh is the shipped quadruped. The limbs found are compared
+with those of the file's own rig.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ import numpy as np
 
 from mimesh import transfer
 from mimesh.bodies import load_body
-from mimesh.bodies.anatomy import QUADRUPED
 from mimesh.bodies.character_pool import PoolCharacter
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Mesh
+from mimesh.core.rig import descendants
 from mimesh.evaluate.animals import read_animals
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
+from mimesh.methods.confidence import limb_joints
 
-LARGEST_ERROR = 0.12
-"""Distance of head and feet from their joints in the rig, in the animal's longest extent, from which on an animal does
-not count as found: less than half of the distance between two feet."""
-MARKED = ("Head", *(names[-1] for names in QUADRUPED.legs))
-"""Joints that say whether an animal stands on its feet and faces forward, where its rig has them."""
+SMALLEST_SHARE = 0.8
+"""Share of the surface of head and feet that must belong to the same limb in the file's own rig."""
+LOWER = 0.5
+"""Share of a leg's surface, from the ground up, that is looked at: where a trunk ends is a matter of taste."""
 
 
 def main() -> None:
@@ -46,16 +46,17 @@ def main() -> None:
     rows = []
     for split in args.splits.split(","):
         for animal in read_animals(args.folder, split).characters:
+            limbs = limb_surfaces(animal)
             for name, vertices in shown(animal, args.frames):
                 for up in ("+y", None):
-                    mesh = Mesh(vertices["surface"], animal.rig.mesh.faces, name=name, up=up)
-                    rows.append({"split": split, "mesh": name, "up": up, **found(mesh, driving, vertices["joints"])})
+                    mesh = Mesh(vertices, animal.rig.mesh.faces, name=name, up=up)
+                    rows.append({"split": split, "mesh": name, "up": up, **found(mesh, driving, limbs)})
                     print(json.dumps(rows[-1]), flush=True)
     report = {"provenance": provenance(vars(args) | {"folder": args.folder.name, "output": None}), "results": rows}
     for up in ("+y", None):
         of = [row for row in rows if row["up"] == up]
-        right = [row for row in of if row.get("error", 1.0) < LARGEST_ERROR]
-        doubted = [row for row in of if row not in right and (row.get("confidence", 0) < 0.5)]
+        right = [row for row in of if row.get("share", 0.0) >= SMALLEST_SHARE]
+        doubted = [row for row in of if row not in right and row.get("confidence", 0.0) < 0.5]
         print(
             f"up {up}: {len(right)} of {len(of)} found, {sum(row['confidence'] < 0.5 for row in right)} of them with "
             f"a note; {len(doubted)} of the {len(of) - len(right)} others with a note or refused"
@@ -64,41 +65,48 @@ def main() -> None:
         temporary.write_text(json.dumps(report, indent=1) + "\n")
 
 
-def shown(animal: PoolCharacter, frames: int) -> list[tuple[str, dict[str, Any]]]:
-    """Pose an animal at rest and in frames of its clips: its surface, and its joints by their names in the body."""
+def shown(animal: PoolCharacter, frames: int) -> list[tuple[str, np.ndarray]]:
+    """Pose an animal at rest and in frames of its clips."""
     rng, rig = np.random.default_rng(0), animal.rig
-    poses = [("rest", np.tile(np.eye(4), (len(rig.parents) + 1, 1, 1)))]
+    poses = [(f"{animal.meta.file} rest", rig.mesh.vertices)]
     for clip in list(animal.clips)[:frames]:
-        poses.append((clip, animal.clip_transforms(clip, int(rng.integers(len(animal.clips[clip]))))))
-    return [
-        (
-            f"{animal.meta.file} {name}",
-            {
-                "surface": rig.skinned(transforms),
-                "joints": {
-                    joint: transforms[j, :3, :3] @ rig.joints[j] + transforms[j, :3, 3]
-                    for joint, j in animal.joints.items()
-                    if joint in MARKED
-                },
-            },
-        )
-        for name, transforms in poses
-    ]
+        transforms = animal.clip_transforms(clip, int(rng.integers(len(animal.clips[clip]))))
+        poses.append((f"{animal.meta.file} {clip}", rig.skinned(transforms)))
+    return poses
 
 
-def found(mesh: Mesh, driving: Mesh, truth: dict[str, np.ndarray]) -> dict[str, Any]:
-    """Say what `mime` found on a mesh: the largest error of head and feet in its extent, and its confidence."""
+def limb_surfaces(animal: PoolCharacter) -> dict[str, np.ndarray]:
+    """Find the vertices of the head and of the lower parts of the legs by an animal's own rig."""
+    rig, body = animal.rig, load_body("quadruped")
+    column = rig.nearest_columns({j: body.joint(name) for name, j in animal.joints.items()}, body.joint("Hips"))
+    carrier = rig.summed_weights(column, len(body.parents)).argmax(axis=1)
+    regions = limb_joints(body.joint_names, body.parents)
+    regions["head"] = list(descendants([body.joint("Head")], body.parents))
+    surfaces = {}
+    for limb, joints in regions.items():
+        own = np.flatnonzero(np.isin(carrier, joints))
+        if limb != "head" and len(own):
+            height = rig.mesh.vertices[own, 1]
+            own = own[height <= height.min() + LOWER * np.ptp(height)]
+        if len(own):
+            surfaces[limb] = own
+    return surfaces
+
+
+def found(mesh: Mesh, driving: Mesh, limbs: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Say what `mime` found on a mesh: the smallest share of a limb that is that limb, and its confidence."""
     try:
         result = transfer(mesh, driving)
     except InputError as error:
         return {"refused": str(error)}
-    joints = result.joints or {}
-    size = float(np.ptp(mesh.vertices, axis=0).max())
-    errors = {name: float(np.linalg.norm(joints[name] - place)) / size for name, place in truth.items()}
-    worst = max(errors, key=lambda name: errors[name])
+    assert result.skeleton is not None
+    carrier = result.skeleton.rig.weights.argmax(axis=1)
+    regions = limb_joints(result.skeleton.names, result.skeleton.parents)
+    shares = {limb: float(np.isin(carrier[own], regions[limb]).mean()) for limb, own in limbs.items()}
+    worst = min(shares, key=lambda limb: shares[limb])
     about = result.report["identity"]
     return {
-        "error": round(errors[worst], 3),
+        "share": round(shares[worst], 3),
         "worst": worst,
         "confidence": about["confidence"],
         "expected_error": about["expected_error"],

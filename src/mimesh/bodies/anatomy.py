@@ -22,6 +22,8 @@ class Anatomy:
     """Hands and feet, or forefeet and hind feet: the joints of each kind, on both sides."""
     regions: dict[str, str]
     """Head and limbs as messages name them -> the first joint of each."""
+    optional_trunk: tuple[str, ...]
+    """Joints of the trunk that many rigs lack, so that one joint moves all of it."""
     props: dict[str, float]
     """Share of the hats, saddles, swords, ... that figures wear or carry on each joint. Chosen by hand."""
 
@@ -49,6 +51,7 @@ HUMAN = Anatomy(
         **{f"{side.lower()} arm": f"{side}Arm" for side in SIDES},
         **{f"{side.lower()} leg": f"{side}UpLeg" for side in SIDES},
     },
+    optional_trunk=(),
     props={
         "Head": 0.3,
         "LeftHand": 0.12,
@@ -73,6 +76,7 @@ QUADRUPED = Anatomy(
         **{f"{side.lower()} foreleg": f"{side}UpperArm" for side in SIDES},
         **{f"{side.lower()} hind leg": f"{side}Thigh" for side in SIDES},
     },
+    optional_trunk=("Spine1", "Spine2", "Spine3", "Spine4", "Chest"),
     props={"Head": 0.3, "Chest": 0.2, "Spine3": 0.2, "Hips": 0.15, "Neck2": 0.15},
 )
 

@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...bodies.anatomy import anatomy_of
 from ...core.canonical_order import canonical_faces, canonical_order
 from ...core.errors import InputError
 from ...core.geometry import vertex_normals
@@ -149,6 +150,11 @@ class MimeMethod:
     def network(self) -> JointNetwork:
         """The network."""
         return JointNetwork(self.session, self.joints)
+
+    @property
+    def trunk(self) -> list[int]:
+        """Return the joints of the body's trunk that many rigs lack."""
+        return [self.joints.index(name) for name in anatomy_of(self.body).optional_trunk if name in self.joints]
 
     @property
     def bodies(self) -> tuple[str, ...]:
@@ -318,7 +324,7 @@ class MimeMethod:
         if fit:
             nearest = fit.nearest(vertices)
             weights = fit.blended_weights(weights, nearest)
-        weights = clean_weights(weights, vertices, faces, self.parents, nearest)
+        weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
         return dataclasses.replace(rig, weights=weights), confidence
 
     def _predict(

@@ -13,6 +13,7 @@ whole arm or leg has no vertices to bend at: it gets the first joint of this lim
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cache
 
 import numpy as np
@@ -37,7 +38,8 @@ the pool's characters 16 do); its joint is the last one whose subtree has LIMB_S
 LARGEST_PART = 0.5
 """Share of the surface from which on a piece is the figure itself, neither a block of it nor something it holds."""
 MAX_BONES = 5
-"""Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
+"""Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart.
+The trunk of an animal may be one joint's, beside those of the legs, so its bones are not counted."""
 
 
 def clean_weights(
@@ -46,17 +48,19 @@ def clean_weights(
     faces: Int[np.ndarray, "F 3"],
     parents: tuple[int, ...],
     nearest: NearestBody | None = None,
+    trunk: Collection[int] = (),
 ) -> Float[np.ndarray, "V J"]:
     """Return weights without influences far from each vertex's strongest joint, wrong components being inpainted.
 
     Args:
+        trunk: joints at the ends of bones that are not counted.
         nearest: of each vertex, on the body that was fitted to the surface; None if there is none.
 
     Point clouds have no connectivity: their weights are returned as they are.
     """
     if len(faces) == 0:
         return weights
-    distance, pairs = bone_distances(parents), edges(faces)
+    distance, pairs = bone_distances(parents, trunk), edges(faces)
     strongest = weights.argmax(axis=1)
     cut = distance[strongest[pairs[:, 0]], strongest[pairs[:, 1]]] >= MAX_BONES
     wrong = _disconnected(cut, pairs, vertices, faces)
@@ -124,12 +128,15 @@ def _attachment(
     return int(weights[near].sum(axis=0).argmax())
 
 
-def bone_distances(parents: tuple[int, ...]) -> Int[np.ndarray, "J J"]:
-    """Count the bones on the path between each two joints; -1 is the root's parent."""
+def bone_distances(parents: tuple[int, ...], uncounted: Collection[int] = ()) -> Int[np.ndarray, "J J"]:
+    """Count the bones on the path between each two joints, but for those from the parents of some joints.
+
+    The root's parent is -1.
+    """
     distance = np.zeros((len(parents), len(parents)), np.int64)
     for j, parent in enumerate(parents):
         if parent >= 0:  # parents come before their children: all distances of the parent are known
-            distance[j, :j] = distance[:j, j] = distance[parent, :j] + 1
+            distance[j, :j] = distance[:j, j] = distance[parent, :j] + (j not in uncounted)
     return distance
 
 
