@@ -32,7 +32,10 @@ def describe(session: Session) -> dict[str, Any]:
         "identities": [_describe_item(session, item) for item in list(session.identities.values())],
         "driving": None if driving is None else _describe_item(session, driving),
         "options": vars(session.options),
-        "models": [{"name": name, "joints": has_joints(name, session.skinned_models)} for name in session.models],
+        "models": [
+            {"name": name, "joints": has_joints(name, session.skinned_models), "bodies": name == "mime"}
+            for name in session.models
+        ],
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
@@ -150,6 +153,7 @@ def _describe_outcome(session: Session, item: Item) -> dict[str, Any] | None:
         "notes": [] if result is None else [operations.for_page(note, folder) for note in result.notes],
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
         "model": "" if result is None else result.model,
+        "body": "" if result is None else result.report.get("body", ""),
         "joints": result is not None and result.skeleton is not None,
     }
 
