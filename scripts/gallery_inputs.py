@@ -110,9 +110,7 @@ def animal_meshing(name: str, faces: int) -> remesh.Remesh:
     import fast_simplification
 
     body = animal_body(name)
-    points, triangles, *_ = fast_simplification.simplify(
-        body.vertices.astype(np.float32), body.faces.astype(np.int32), target_count=faces
-    )
+    points, triangles, *_ = fast_simplification.simplify(body.vertices, body.faces.astype(np.int32), target_count=faces)
     face, barycentric, _ = closest_on_mesh(points.astype(np.float64), body.vertices, body.faces)
     return remesh.Remesh(triangles.astype(np.int64), body.faces[face], barycentric)
 
