@@ -16,7 +16,7 @@ LUNGE_CHARACTERS = (("brute", -2.7), ("imp", 0.7), ("stork", 2.9))
 ROOTS = ("keep", "scale", "drop")
 GALLOPING, WALKING = ("cow", "cat", "dog", "rhino"), ("cow", "cat", "horse", "rhino")
 """Animals that a horse and a dog drive."""
-ANIMAL_TILE = (176, 150)
+ANIMAL_TILE = (172, 146)
 COMPARED_MODELS = ("copy", "npt", "aniformer", "mime")
 
 

@@ -97,7 +97,13 @@ def test_the_body_is_found_or_given(animal_session):
     for body in ("auto", "quadruped"):
         session.set_options({"body": body})
         result = finished_outcome(session).result
-        assert describe(session)["identities"][0]["outcome"]["body"] == "quadruped"
+        state = describe(session)
+        assert state["identities"][0]["outcome"]["body"] == "quadruped"
+        for item, axes in (
+            (state["identities"][0], result.report["identity"]),
+            (state["driving"], result.report["driving"]),
+        ):
+            assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
         expected = animate(folder / "cat.ply", folder / "dog.npz", body=body)
         np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
     number = only_item(session).number
