@@ -145,6 +145,7 @@ def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path
     row = "#identities .row:has-text('cat.glb')"
     page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a four-legged animal in')", timeout=60_000)
     wait_and_pause(page)
+    page.set_viewport_size({"width": 1100, "height": 600})
     page.click("[data-name=joints]")
     page.wait_for_selector("text=Joints of animals cannot be corrected.", timeout=60_000)
     assert page.locator("svg.joints").count() == 0
@@ -157,6 +158,7 @@ def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path
     assert "hero is taken for a person, and dog for a four-legged animal" in error
     assert "choose the body" in error
     assert page.locator(row).get_attribute("data-state") == "done", "the other mesh is still moved"
+    page.set_viewport_size({"width": 760, "height": 480})
 
 
 def test_unreadable_files_give_messages_and_the_page_stays_usable(fresh, files):
