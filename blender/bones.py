@@ -23,7 +23,7 @@ SHEAR = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class OwnArmature:
-    """The armature of an identity, whose bones are a person's."""
+    """The armature of an identity, whose bones are those of a person or of a four-legged animal."""
 
     armature: bpy.types.Object
     mesh: Mesh
@@ -63,7 +63,10 @@ def known_bones(armature: bpy.types.Object) -> tuple[int, int]:
 
 
 def bone_tree(armature: bpy.types.Object) -> tuple[tuple[str, ...], tuple[int, ...]]:
-    """List the deforming bones with the nearest deforming one above each; all bones, if only these are a person's."""
+    """List the deforming bones with the nearest deforming one above each.
+
+    All bones, if only these are a person's by name, or if none deforms.
+    """
     bones = armature.data.bones
     return _chosen_tree(tuple((one.name, one.parent and one.parent.name, one.use_deform) for one in bones))
 
@@ -73,7 +76,10 @@ def _chosen_tree(bones: tuple[tuple[str, str | None, bool], ...]) -> tuple[tuple
     """Choose the bones for `bone_tree`, from their names, parents and use; kept, because panels are drawn often."""
     parents = {name: parent for name, parent, _ in bones}
     deforming = _tree({name for name, _, deforms in bones if deforms}, parents)
-    return deforming if _person(*deforming) else _tree(set(parents), parents)
+    if _person(*deforming):
+        return deforming
+    whole = _tree(set(parents), parents)
+    return whole if _person(*whole) or not deforming[0] else deforming
 
 
 def _tree(names: set[str], parents: dict[str, str | None]) -> tuple[tuple[str, ...], tuple[int, ...]]:

@@ -13,6 +13,8 @@ PANEL_NAMES = {
     "give --driving-front": "choose a front of the driving (Facing)",
     "give --front": "choose a front of the identity (Facing)",
     "choose it with -m": "choose it as the model",
+    "--body human or quadruped": "choose the body (Both are)",
+    "--body chooses": "Both are chooses",
     "--skinned": "New armature",
     "--rig": "Own armature",
 }

@@ -57,6 +57,8 @@ def show_joints(context: Context, frame: int) -> Generator[Step, None, tuple[str
     if context.scene.mimesh.model != "mime":
         raise InputError(f"joints: expected the model mime, found {context.scene.mimesh.model}; choose it as the model")
     _, result = yield from _run(context, range(frame, frame + 1), own=False, with_bones=False)
+    if result.report["body"] == "quadruped":
+        raise InputError("joints: expected people, found four-legged animals, whose joints cannot be corrected")
     joints.show(context, result, frame)
     return ()
 
@@ -81,7 +83,7 @@ def _run(
             raise InputError(f"Own armature: expected the model mime, found {settings.model}; choose it as the model")
         joints.refuse_moved(context, "identity")
         identity = reading.read_own_armature(
-            context, settings.identity, settings.identity_up, settings.front("identity")
+            context, settings.identity, settings.identity_up, settings.front("identity"), settings.body
         )
         options["rig"] = identity.rig
     else:

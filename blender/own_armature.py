@@ -34,7 +34,7 @@ class _Motion:
     target: dict[str, np.ndarray]
     """Of each bone that moves (T, 4, 4), parents first."""
     keyed: list[str]
-    """Bones that are keyed: those of a person, and others that would not move with these."""
+    """Bones that are keyed: those of a person, and others that would not move with these; all those of an animal."""
     size: float
     """Largest extent of the mesh, in the space of the armature."""
 
@@ -88,7 +88,9 @@ def _motion(own: OwnArmature, result: ClipResult) -> _Motion:
     controlled = {
         name for name in ordered if any(_follows_control(armature, c, of_name) for c in _acting(armature, name))
     }
-    keyed = [name for name in ordered if name in person | loose | controlled]
+    # Legs of animals have helpers beside the known bones, which the action before left in its pose.
+    all_bones = own.rig.body_name == "quadruped"
+    keyed = [name for name in ordered if all_bones or name in person | loose | controlled]
     size = float(np.ptp(own.mesh.vertices, axis=0).max() * np.cbrt(abs(np.linalg.det(to_armature[:3, :3]))))
     return _Motion(armature, {name: of_name[name] for name in ordered}, keyed, size)
 

@@ -23,6 +23,9 @@ class MIMESH_PT_main(_Sidebar, Panel):
             if (text := _bones_text(settings, which)) is not None:
                 layout.label(text=text, icon="ARMATURE_DATA")
         layout.prop(settings, "model")
+        row = layout.row()
+        row.enabled = settings.model == "mime"
+        row.prop(settings, "body")
         layout.prop(settings, "result")
         problem = _problem(settings)
         if problem is not None:
@@ -97,12 +100,19 @@ def _known(source: Object | None) -> int:
     return 0 if armature is None else bones.known_bones(armature)[1]
 
 
+def _own_bones(settings: MimeshSettings) -> int:
+    """Count the known bones in the identity's armature."""
+    return _known(settings.identity) or settings.animal_bones
+
+
 def _bones_text(settings: MimeshSettings, which: str) -> str | None:
     """Tell in a line what is known of the armature of identity or driving; None without one."""
     armature = bones.armature_of(getattr(settings, which))
     if armature is None:
         return None
     count, known = bones.known_bones(armature)
+    if which == "identity" and settings.animal_bones:
+        return f"{count} bones, {settings.animal_bones} of an animal"
     return f"{count} bones, {known} of a person" if known else f"{count} bones, not known as a person's"
 
 
@@ -110,8 +120,8 @@ def _problem(settings: MimeshSettings) -> str | None:
     """Tell why the result that is chosen cannot be made; None: it can."""
     if settings.result != "SHAPE_KEYS" and settings.model != "mime":
         return "Only mime has joints"
-    if settings.result == "OWN" and settings.identity is not None and not _known(settings.identity):
-        return "No armature of a person: choose another result"
+    if settings.result == "OWN" and settings.identity is not None and not _own_bones(settings):
+        return "No known armature: choose another result"
     if settings.result != "OWN" and settings.identity is not None and settings.identity.type == "ARMATURE":
         return "Choose the mesh, or Own armature"
     return None

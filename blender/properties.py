@@ -4,10 +4,14 @@
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty, StringProperty
 from bpy.types import Context, Object, PropertyGroup
 
-from . import bones
+from . import bones, reading
 
 MODELS = (
-    ("mime", "mime", "Predicts joints and skinning weights of both meshes; fast, made for people"),
+    (
+        "mime",
+        "mime",
+        "Predicts joints and skinning weights of both meshes; fast, made for people and four-legged animals",
+    ),
     ("skeleton", "skeleton", "Fits a body model to both meshes, frame by frame; takes seconds per frame"),
     ("npt", "NPT", "Neural Pose Transfer (2020), frame by frame"),
     ("npt-maxpool", "NPT, max-pooled", "Its variant with one pose code"),
@@ -23,6 +27,11 @@ ROOTS = (
     ("keep", "As far as the driving", "Distances on the ground are those of the driving"),
     ("drop", "In place", "No motion along the ground"),
 )
+BODIES = (
+    ("auto", "Detected", "By their bones or their shapes"),
+    ("human", "People", "Two people"),
+    ("quadruped", "Four-legged animals", "Two four-legged animals"),
+)
 AXES = tuple((axis, axis.upper(), f"{axis} of world space") for axis in ("+x", "-x", "+y", "-y", "+z", "-z"))
 FRONTS = (("auto", "Detected", "Detected from the shape"), *AXES)
 
@@ -36,9 +45,12 @@ def _can_drive(settings: PropertyGroup, candidate: Object) -> bool:
 
 
 def _choose_result(settings: PropertyGroup, context: Context) -> None:
-    """Choose the identity's own armature as the result where it is a person's, and another result where not."""
-    armature = bones.armature_of(settings.identity)
-    if armature is not None and bones.known_bones(armature)[1]:
+    """Choose the identity's own armature as the result where it is a person's or an animal's, another where not."""
+    armature, axes = bones.armature_of(settings.identity), (settings.identity_up, settings.front("identity"))
+    person = armature is not None and bones.known_bones(armature)[1] > 0
+    unknown = armature is not None and not person
+    settings.animal_bones = reading.count_animal_bones(context, settings.identity, *axes) if unknown else 0
+    if person or settings.animal_bones:
         settings.result = "OWN"
     elif settings.result == "OWN":
         settings.result = "SHAPE_KEYS"
@@ -61,6 +73,13 @@ class MimeshSettings(PropertyGroup):
         description="Object with the motion: an animated mesh, an armature, or an empty with its child meshes",
     )
     model: EnumProperty(name="Model", items=MODELS, default="mime")
+    body: EnumProperty(
+        name="Both are",
+        items=BODIES,
+        default="auto",
+        description="What identity and driving are: two people, or two four-legged animals (mime only)",
+    )
+    animal_bones: IntProperty(options={"HIDDEN"})
     result: EnumProperty(name="Result", items=RESULTS, default="SHAPE_KEYS")
     use_scene_range: BoolProperty(name="Scene range", default=True, description="Use the frame range of the scene")
     frame_start: IntProperty(name="Start", default=1)
@@ -115,7 +134,7 @@ class MimeshSettings(PropertyGroup):
             "skinned": self.result == "ARMATURE",
         }
         if self.model == "mime":
-            options |= {"root": self.root, "ground": self.ground, "smooth": self.smooth}
+            options |= {"root": self.root, "ground": self.ground, "smooth": self.smooth, "body": self.body}
         return options
 
 

@@ -84,12 +84,15 @@ def rest_copy(source: bpy.types.Object) -> bpy.types.Object:
 
 
 def read_own_armature(
-    context: bpy.types.Context, source: bpy.types.Object, up: str, front: str | None
+    context: bpy.types.Context, source: bpy.types.Object, up: str, front: str | None, body: str = "auto"
 ) -> bones.OwnArmature:
     """Read the armature of an identity, with the visible meshes that it deforms.
 
+    Args:
+        body: as `mimesh.animate` takes it.
+
     Raises:
-        InputError: no armature, none of a person, no visible mesh, or an armature that cannot be used.
+        InputError: no armature, none of a person or an animal, no visible mesh, or an armature that cannot be used.
     """
     from mimesh import InputError, Mesh
     from mimesh.pipeline.bone_rigs import rig_of_bones
@@ -104,8 +107,21 @@ def read_own_armature(
     level = bones.level_axes(armature, up, front)
     vertices, faces, binding = _read_bound(context, armature, bound)
     mesh = Mesh(vertices @ level[:3, :3].T, faces, name=source.name)
-    rig = rig_of_bones(mesh, bones.bones_at_rest(armature, level), binding, up, front)
+    rig = rig_of_bones(mesh, bones.bones_at_rest(armature, level), binding, up, front, body)
     return bones.OwnArmature(armature, mesh, rig, level)
+
+
+def count_animal_bones(context: bpy.types.Context, source: bpy.types.Object, up: str, front: str | None) -> int:
+    """Count the bones of an identity's armature that are known as a four-legged animal's; 0 if it is none's.
+
+    They are found by where they are and what they deform, which takes too long for a panel that is drawn.
+    """
+    from mimesh import InputError
+
+    try:
+        return len(read_own_armature(context, source, up, front, "quadruped").rig.joints)
+    except InputError:
+        return 0
 
 
 def driving_meshes(context: bpy.types.Context, source: bpy.types.Object) -> list[bpy.types.Object]:
@@ -118,10 +134,23 @@ def driving_meshes(context: bpy.types.Context, source: bpy.types.Object) -> list
     return _visible(one for one in found if one in children or bones.is_bound(one, source))
 
 
-def driving_armature(source: bpy.types.Object) -> bpy.types.Object | None:
-    """Return the armature that moves the driving, if its bones are a person's by name."""
+def driving_armature(source: bpy.types.Object, objects: list[bpy.types.Object], body: str) -> bpy.types.Object | None:
+    """Return the armature that moves the driving, if its bones are a person's by name, or may be an animal's.
+
+    An animal's are known only by the surface that they deform; what is no animal is then read on its surface.
+    """
+    from mimesh import InputError
+
     armature = bones.armature_of(source)
-    return armature if armature is not None and bones.known_bones(armature)[1] else None
+    if armature is None or bones.known_bones(armature)[1]:
+        return armature
+    if body == "human" or not any(bones.is_bound(one, armature) for one in objects):
+        return None
+    try:
+        bones.check_usable(armature)
+    except InputError:
+        return None
+    return armature
 
 
 def read_clip(
@@ -130,9 +159,9 @@ def read_clip(
     """Read the frames of the scene; yields the number of frames read, returns the clip.
 
     It has the meshes in world space, turned about the vertical as `bones.level_axes` says, and the bones of a person's
-    armature; without a mesh, the bones move mimesh's own body. The scene is set back to its current frame afterwards,
-    also when the caller stops half-way. The current frame alone is read without setting it, so that a pose without keys
-    is not lost.
+    or an animal's armature; without a mesh, a person's bones move mimesh's own body. The scene is set back to its
+    current frame afterwards, also when the caller stops half-way. The current frame alone is read without setting it,
+    so that a pose without keys is not lost.
 
     Args:
         with_bones: read the bones of an armature; without, meshes alone.
@@ -144,7 +173,8 @@ def read_clip(
 
     if not frames:
         raise InputError("frames: expected a first frame before the last, found none between them; change the range")
-    objects, armature = driving_meshes(context, source), driving_armature(source) if with_bones else None
+    objects, body = driving_meshes(context, source), context.scene.mimesh.body
+    armature = driving_armature(source, objects, body) if with_bones else None
     if not objects and armature is None:
         wanted = "a visible mesh, or an armature with the bones of a person by name" if with_bones else "a visible mesh"
         reason = "" if with_bones else " (bones alone need the model mime, and no joints that were moved)"

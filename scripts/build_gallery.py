@@ -36,8 +36,8 @@ Made by `make gallery`, which runs the commands below. To run them yourself, wri
 `gallery/inputs/` with `python scripts/build_gallery.py --inputs`, and change to `gallery/`. Every command also writes a
 picture and a page next to its result. The driving mesh is blue; captions name it.
 
-People and clothes are the shipped body's, the jump is from the CMU Motion Capture Database (mocap.cs.cmu.edu), the
-other motions are generated. Pictures are not retouched. The last example fails.
+People, clothes and animals are the shipped bodies', the jump is from the CMU Motion Capture Database
+(mocap.cs.cmu.edu), the other motions are generated. Pictures are not retouched. The last example fails.
 """
 
 

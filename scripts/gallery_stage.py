@@ -42,14 +42,19 @@ Movie = tuple[list[Image.Image], float]
 """Frames, and frames per second."""
 
 
-def side_by_side(folder: Path, panels: Sequence[Panel], tile: tuple[int, int] = TILE) -> Movie:
+def side_by_side(
+    folder: Path,
+    panels: Sequence[Panel],
+    tile: tuple[int, int] = TILE,
+    view: str | tuple[float, float] = "three-quarter",
+) -> Movie:
     """Draw clips in separate panels with a camera that follows them; meshes are drawn as static clips."""
     clips = [load_clip(folder / panel.file, fps=FPS) for panel in panels]
     length = max(map(len, clips))
     clips = [_extended(clip, length) for clip in clips]
     tints = [sheet.DRIVING_TINT if panel.drives else None for panel in panels]
     named = [(panel.label, clip) for panel, clip in zip(panels, clips, strict=True)]
-    return list(movie.clip_frames(named, tile, tints=tints, track=True)), FPS
+    return list(movie.clip_frames(named, tile, view=view, tints=tints, track=True)), FPS
 
 
 def on_one_floor(

@@ -44,9 +44,12 @@ def main() -> None:
             for mesh in shown(character, np.random.default_rng(0))
         ]
         for up in ("+y", None):
-            wrong = [mesh.name for mesh in meshes if recognised(method, mesh, up) != body]
-            rows.append({"body": body, "up": up, "meshes": len(meshes), "wrong": wrong})
+            found = {mesh.name: recognised(method, mesh, up) for mesh in meshes}
+            wrong = [name for name, (taken, _) in found.items() if taken != body]
+            turned = [name for name, (taken, front) in found.items() if taken == body == "quadruped" and front != "+z"]
+            rows.append({"body": body, "up": up, "meshes": len(meshes), "wrong": wrong, "turned": turned})
             print(f"{body}, up {up}: {len(meshes) - len(wrong)} of {len(meshes)}; wrong: {', '.join(wrong) or 'none'}")
+            print(f"  animals with a wrong front: {', '.join(turned) or 'none'}")
     report = {"provenance": provenance({"split": args.split, "frames": FRAMES}), "results": rows}
     with whole_file(args.output) as temporary:
         temporary.write_text(json.dumps(report, indent=2) + "\n")
@@ -62,9 +65,10 @@ def shown(character: PoolCharacter, rng: np.random.Generator) -> list[Mesh]:
     return meshes
 
 
-def recognised(method: BodyMethod, mesh: Mesh, up: str | None) -> str:
-    """Return the body that a mesh is taken for."""
-    return shown_body(method, None, mesh, Normalization.fit(mesh, up, None), (up, None))[0]
+def recognised(method: BodyMethod, mesh: Mesh, up: str | None) -> tuple[str, str]:
+    """Return the body that a mesh is taken for, and the front of that."""
+    body, norm = shown_body(method, None, mesh, Normalization.fit(mesh, up, None), (up, None))
+    return body, norm.front
 
 
 if __name__ == "__main__":

@@ -8,6 +8,8 @@ import pytest
 from people import person, walk
 
 from mimesh import animate, load_clip, save_clip, save_mesh
+from mimesh.bodies.animals import animal
+from mimesh.motions.gaits import gait_clip
 from mimesh.studio import make_server, make_session, open_socket
 from mimesh.studio.security import new_token
 
@@ -129,6 +131,34 @@ def test_changing_the_model_updates_result_and_options(fresh, files):
     page.reload()
     page.wait_for_selector("#identities .row[data-state='done']", timeout=30_000)
     assert page.locator("#model select").first.input_value() == "mime", "reloading loses nothing"
+
+
+def test_animals_are_found_chosen_and_refused_with_people(fresh, files, tmp_path):
+    save_mesh(animal("cat"), tmp_path / "cat.glb")
+    save_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0), tmp_path / "dog.npz")
+    page = fresh.page
+    body = page.get_by_label("Both meshes are")
+    assert body.is_disabled(), "only mime has several bodies"
+    page.select_option("#model select", "mime")
+    choose(page, "identity", tmp_path / "cat.glb")
+    drop(page, "driving", tmp_path / "dog.npz")
+    row = "#identities .row:has-text('cat.glb')"
+    page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a four-legged animal in')", timeout=60_000)
+    wait_and_pause(page)
+    page.set_viewport_size({"width": 1100, "height": 600})
+    page.click("[data-name=joints]")
+    page.wait_for_selector("text=Joints of animals cannot be corrected.", timeout=60_000)
+    assert page.locator("svg.joints").count() == 0
+    page.click("[data-name=joints]")
+    body.select_option("human")
+    page.wait_for_selector(f"{row}[data-state=done]:has-text('moved as a person in')", timeout=60_000)
+    body.select_option("auto")
+    choose(page, "identity", files / "hero.glb")
+    error = page.wait_for_selector("#identities .row:has-text('hero.glb') .error:visible", timeout=60_000).inner_text()
+    assert "hero is taken for a person, and dog for a four-legged animal" in error
+    assert "choose the body" in error
+    assert page.locator(row).get_attribute("data-state") == "done", "the other mesh is still moved"
+    page.set_viewport_size({"width": 760, "height": 480})
 
 
 def test_unreadable_files_give_messages_and_the_page_stays_usable(fresh, files):

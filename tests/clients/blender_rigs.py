@@ -314,6 +314,28 @@ def unknown_identity(driving):
     FACTS["unknown"]["grey"] = drawn()
 
 
+def animals():
+    """Animate an animal by another one, as keys of its own armature, as shape keys, and by what must not be."""
+    bpy.context.scene.render.fps = 30  # the rate of their files
+    armature, mesh = imported(FOLDER / "animal_own.glb")
+    driving, _ = imported(FOLDER / "animal_driving.glb")
+    chosen = choose(mesh, driving)
+    FACTS["animals"] = {"result": chosen.result, "drawn": drawn(), "outcome": list(bpy.ops.mimesh.animate())}
+    np.savez(FOLDER / "animals.npz", result=played(mesh))
+    FACTS["animals"]["keys"] = sorted(curves(armature.animation_data.action))
+    FACTS["joints of animals"] = joints_refusal()
+    choose(mesh, driving, result="SHAPE_KEYS")
+    FACTS["animals"]["notes"] = notes()
+    (made,) = (one for one in bpy.data.objects if one.name.endswith("animated"))
+    np.savez(FOLDER / "animal_keys.npz", result=played(made))
+    bpy.data.objects.remove(made)
+    choose(mesh, driving, result="OWN")
+    FACTS["animal as a person"] = refusal(body="human")
+    choose(mesh, imported(FOLDER / "driving.glb")[1])
+    FACTS["animal by a person"] = refusal()
+    bpy.context.scene.render.fps = FPS
+
+
 def main():
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.extensions.package_install_files(filepath=str(ARCHIVE), repo="user_default", enable_on_install=True)
@@ -324,6 +346,7 @@ def main():
     variants(driving)
     constraints(driving)
     unknown_identity(driving)
+    animals()
     control_rig(driving)
     drivings(imported(FOLDER / "own_mixamo.glb")[1])
     undone(bpy.data.objects[driving.name])

@@ -9,6 +9,7 @@ import json
 import numpy as np
 import pytest
 import rigs
+from animals import animal, bones, random_turns
 from client_programs import run_in_blender
 from foreign_names import renamed
 from motion_files import write_bvh
@@ -26,6 +27,8 @@ CHARACTERS = {
     "own_feet": dict(kind="feet on roots", shape=1, moving=False),
     "own_twists": dict(kind="twists", shape=3),
 }
+ANIMALS = {"own": animal(0, (*bones(), "LeftScapula", "RightScapula")), "driving": animal(1)}
+"""The first has two bones that are helpers of its legs."""
 Z_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -37,6 +40,9 @@ def folder(archive, tmp_path_factory):
         rigs.of_kind(folder / f"{name}.glb", faces=2000, **options)
     rigs.of_kind(folder / "driving.glb", "A-pose", shape=2, faces=2000, name=renamed("biped"))
     write_bvh(folder / "walk.bvh", load_body(), window(load_motion("walk"), 0.0, 0.3))
+    for name, made in ANIMALS.items():
+        poses = [(random_turns(t, made.order), np.array([0.0, 0.0, 0.05 * t])) for t in range(6)]
+        made.write(folder / f"animal_{name}.glb", {name: poses})
     run_in_blender("blender_rigs.py", archive, folder, tmp_path_factory.mktemp("blender"))
     return folder
 
@@ -143,6 +149,22 @@ def test_driving_armatures_need_no_mesh(folder, case):
     assert np.abs(found - expected).max() < 0.05 * np.ptp(expected[0], axis=0).max()
 
 
+def test_an_animal_moves_on_its_own_armature_by_the_bones_of_another(folder, facts):
+    assert facts["animals"]["result"] == "OWN"
+    assert facts["animals"]["outcome"] == ["FINISHED"]
+    drawn = set(facts["animals"]["drawn"])
+    assert {"26 bones, 24 of an animal", "24 bones, not known as a person's", "Both are"} <= drawn
+    assert deviation(folder, "animals", moved(folder, "animal_own", "animal_driving.glb")) < CLOSE
+    assert len({key.split('"')[1] for key in facts["animals"]["keys"]}) == 26, "helpers, too"
+    # The network that finds the identity's joints sees slightly other numbers.
+    expected = moved(folder, "animal_own", "animal_driving.glb", rig="mimesh")
+    assert deviation(folder, "animal_keys", expected) < 1e-2
+    on_surface = dataclasses.replace(mimesh.load_clip(folder / "animal_driving.glb"), skeleton=None)
+    surface = mimesh.animate(folder / "animal_own.glb", on_surface, rig="mimesh", body="quadruped").clip.vertices
+    assert deviation(folder, "animal_keys", surface) > 3e-2
+    assert not any("found on its surface" in note for note in facts["animals"]["notes"])
+
+
 def test_bones_of_the_driving_are_used_for_other_results(folder):
     # The network that finds the identity's joints sees slightly other numbers.
     assert deviation(folder, "keys", moved(folder, "own_mixamo", rig="mimesh")) < 2e-3
@@ -158,7 +180,7 @@ def test_the_panel_says_what_is_known(facts):
     assert "(Keep feet on the ground)" in other
     assert facts["unknown"]["result"] == "SHAPE_KEYS"
     assert "31 bones, not known as a person's" in facts["unknown"]["drawn"]
-    assert {"No armature of a person: choose another result", "(mimesh.animate)"} <= set(facts["unknown"]["grey"])
+    assert {"No known armature: choose another result", "(mimesh.animate)"} <= set(facts["unknown"]["grey"])
 
 
 @pytest.mark.parametrize(
@@ -171,6 +193,12 @@ def test_the_panel_says_what_is_known(facts):
         ("no mesh", "bones alone need the model mime"),
         ("other model", "expected the model mime, found npt; choose it as the model"),
         ("joints of a skeleton", "expected a visible mesh, found none"),
+        ("joints of animals", "found four-legged animals, whose joints cannot be corrected"),
+        ("animal as a person", "expected a thigh and an upper arm on both sides by name"),
+        (
+            "animal by a person",
+            "for a person: expected two of a kind; give another driving, or choose the body",
+        ),
     ],
 )
 def test_refusals_say_what_to_do(facts, case, text):

@@ -266,18 +266,24 @@ def test_doctor_reports_a_failed_check(capsys, monkeypatch):
     assert "FAIL  self check          ZeroDivisionError" in capsys.readouterr().out
 
 
-def test_demo_writes_its_files(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(("body", "motion"), [("human", "jump"), ("quadruped", "horse-gallop")])
+def test_demo_writes_its_files(body, motion, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("mimesh.tools.demo.FRAMES", 2)
     monkeypatch.setattr("mimesh.tools.preview.TILE", (90, 110))
-    assert run(["demo", "-o", str(tmp_path / "demo"), "--json"]) == 0
+    assert run(["demo", "-o", str(tmp_path / "demo"), "--json", "--body", body]) == 0
     facts = json.loads(capsys.readouterr().out)
-    assert facts["frames"] == 2
+    assert (facts["frames"], facts["motion"], facts["report"]["body"]) == (2, motion, body)
     names = {"identity.obj", "driving.obj", "driving.glb", "result.glb", "preview.png", "player.html"}
-    assert {path.name for path in (tmp_path / "demo").iterdir()} == names
+    assert {path.name for path in (tmp_path / "demo").iterdir() if path.suffix != ".mtl"} == names
     assert (
         load_mesh(tmp_path / "demo" / "result.glb").faces.shape
         == load_mesh(tmp_path / "demo" / "identity.obj").faces.shape
     )
+
+
+def test_demo_of_another_body_is_refused(tmp_path, capsys):
+    assert run(["demo", "-o", str(tmp_path), "--body", "fish"]) == 2
+    assert "expected human or quadruped, found 'fish'" in capsys.readouterr().err
 
 
 def test_evaluate_prints_a_table_or_json(tmp_path, capsys):

@@ -14,8 +14,10 @@ import pytest
 from networks import write_network
 from people import person, walk
 
+from mimesh.bodies.animals import animal
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.motions.gaits import gait_clip
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
@@ -143,6 +145,23 @@ def test_batch_of_shipped_characters(tmp_path):
     meshes, motions = example("batch").write_shipped_inputs(tmp_path)
     assert len(list(meshes.iterdir())) == 3
     assert len(list(motions.iterdir())) == 2
+
+
+def test_animals(ran):
+    folder, text = ran("animals", "--frames", "3")
+    assert len(load_clip(folder / "result.glb", fps=30.0)) == 3
+    assert "taken for: quadruped" in text
+    assert text.count("confidence") == 2
+    assert "feet on the ground slide" in text
+
+
+def test_animals_of_own_files(ran, tmp_path):
+    save_mesh(animal("cat"), tmp_path / "cat.ply")
+    save_clip(gait_clip("dog", "walk", seconds=0.2, fps=10.0), tmp_path / "dog.glb")
+    folder, text = ran("animals", "cat.ply", "dog.glb")
+    assert len(load_clip(folder / "result.glb", fps=10.0)) == 2
+    assert (folder / "beside.webp").stat().st_size > 1000
+    assert "identity: up +y, front +z" in text
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

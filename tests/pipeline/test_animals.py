@@ -12,6 +12,7 @@ from animals import BODY, FEET, Animal, animal, bones, coefficients, random_turn
 from rigs import of_kind
 
 import mimesh
+from mimesh.bodies.animals import animal as shipped_animal
 from mimesh.bodies.characters import proportioned
 from mimesh.cli import run
 from mimesh.core.errors import InputError
@@ -20,6 +21,7 @@ from mimesh.evaluate.pairs import Pair
 from mimesh.evaluate.protocols import PROTOCOLS
 from mimesh.evaluate.quadruped import QUADRUPED
 from mimesh.io import load_clip
+from mimesh.motions.gaits import gait_clip
 
 OTHER = proportioned(
     BODY,
@@ -266,3 +268,14 @@ def test_joints_of_animals_cannot_be_corrected():
     pair = surfaces(0)
     with pytest.raises(InputError, match="expected a person"):
         mimesh.transfer(pair.identity, pair.driving, joints={"Head": (0.0, 1.0, 0.0)}, body="quadruped")
+
+
+def test_the_facing_of_an_animal_without_a_rig_is_noted_only_where_up_is_not_known():
+    driving = gait_clip("dog", "walk", seconds=0.2, fps=10.0)
+    known = mimesh.animate(dataclasses.replace(shipped_animal("cat"), up="+y"), driving, driving_up="+y")
+    assert known.report["body"] == "quadruped"
+    assert not any("facing" in note or "looks like" in note for note in known.notes)
+    assert (known.report["identity"]["up"], known.report["identity"]["front"]) == ("+y", "+z")
+    bare = dataclasses.replace(shipped_animal("cat"), up=None)
+    found = mimesh.animate(bare, driving, body="quadruped", driving_up="+y")
+    assert any("the facing of cat is uncertain" in note for note in found.notes)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rigs
+from animals import FEET, Animal, animal, bones, nothing_said, random_turns
 from foreign_names import SCHEMES, renamed
 from motion_files import write_bvh
 from networks import write_network
@@ -182,3 +183,58 @@ def test_rigs_that_cannot_be_used_are_explained(model, driving, tmp_path):
     network = str(write_network(tmp_path / "npt.onnx"))
     with pytest.raises(InputError, match=r"expected a model with joints \(mime\)"):
         animate(mesh, load_clip(driving), network, rig=rig)
+
+
+def animal_bones(made: Animal, axes: np.ndarray = Z_UP) -> tuple[Mesh, Bones, Binding]:
+    """Give an animal as a program has it, in other axes."""
+    rig = made.character(nothing_said, axes[:3, :3])
+    return (
+        rig.mesh,
+        Bones("animal", rig.joint_names, rig.parents, rig.T_world_joint),
+        Binding(rig.joint_of, rig.weights),
+    )
+
+
+def gallop(made: Animal, frames: int = 4) -> list[tuple[dict[str, np.ndarray], np.ndarray]]:
+    return [(random_turns(t, made.order), np.array([0.0, 0.0, 0.05 * t])) for t in range(frames)]
+
+
+@pytest.mark.parametrize("detached", [(), FEET], ids=["whole", "feet on roots"])
+def test_bones_of_animals_move_as_those_of_their_files(detached, tmp_path):
+    identity, driving = animal(0, bones(), detached), animal(1)
+    motion = gallop(driving)
+    own, other = identity.write(tmp_path / "own.glb"), driving.write(tmp_path / "driving.glb", {"gallop": motion})
+    expected = animate(str(own), str(other))
+    rig = rig_of_bones(*animal_bones(identity), "+z")
+    assert rig.body_name == "quadruped"
+    result = animate(rig.character.mesh, load_clip(other), rig=rig)
+    assert (result.report["rig"], result.report["body"]) == ("own", "quadruped")
+    assert deviation(result.clip.vertices @ Z_UP[:3, :3], expected.clip.vertices) < EXACT
+    # The driving's bones as arrays, too.
+    mesh, joints, binding = animal_bones(driving)
+    rest = joints.T_world_joint
+    moves = np.stack([driving.transforms(*frame) for frame in motion])
+    world = Z_UP @ moves @ np.linalg.inv(Z_UP) @ rest
+    posed = np.stack([driving.posed(*frame) for frame in motion]) @ Z_UP[:3, :3].T
+    clip = Clip(mesh, posed, 30.0, skeleton=BoneJoints(mesh, joints, binding, world, "+z"))
+    both = animate(rig.character.mesh, clip, rig=rig)
+    assert both.notes == ()
+    assert deviation(both.clip.vertices, result.clip.vertices) < EXACT
+
+
+def test_the_body_of_bones_can_be_said():
+    arrays = animal_bones(animal(0))
+    assert rig_of_bones(*arrays, "+z", body="quadruped").body_name == "quadruped"
+    assert rig_of_bones(*arrays, "+z", "-y").body_name == "quadruped"
+    with pytest.raises(InputError, match="by name"):
+        rig_of_bones(*arrays, "+z", body="human")
+
+
+def test_bones_of_neither_are_refused_as_those_of_a_person(tmp_path):
+    path = rigs.of_kind(tmp_path / "own.glb", "T-pose", moving=False)[0]
+    mesh, named, binding, _ = bones_of(path)
+    unnamed = dataclasses.replace(named, joint_names=tuple(f"b{j}" for j in range(len(named.parents))))
+    with pytest.raises(InputError, match="on both sides by name"):
+        rig_of_bones(mesh, unnamed, binding, "+z")
+    with pytest.raises(InputError, match=r"four feet|two feet"):
+        rig_of_bones(mesh, named, binding, "+z", body="quadruped")

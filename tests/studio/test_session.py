@@ -9,6 +9,8 @@ import pytest
 from people import person, walk
 
 from mimesh import InputError, animate, save_clip, save_mesh, transfer
+from mimesh.bodies.animals import animal
+from mimesh.motions.gaits import gait_clip
 from mimesh.studio import make_session
 from mimesh.studio.jobs import Cancelled, Worker
 from mimesh.studio.state import describe
@@ -53,9 +55,11 @@ def only_item(session):
     return next(iter(session.identities.values()))
 
 
-def finished_outcome(session):
+def finished_outcome(session, seconds=60.0):
     """Wait for the result of the only mesh and return its outcome."""
-    wait_until(lambda: (outcome := only_item(session).outcome) is not None and (outcome.current or outcome.error))
+    wait_until(
+        lambda: (outcome := only_item(session).outcome) is not None and (outcome.current or outcome.error), seconds
+    )
     return only_item(session).outcome
 
 
@@ -76,6 +80,54 @@ def test_options_are_those_of_animate(mime_session, files):
     np.testing.assert_allclose(finished_outcome(mime_session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
 
 
+@pytest.fixture(scope="module")
+def animal_session(tmp_path_factory):
+    """A session with a cat and a walking dog, both without rigs."""
+    folder = tmp_path_factory.mktemp("animals")
+    save_mesh(animal("cat"), folder / "cat.ply")
+    save_mesh(person(0), folder / "hero.obj")
+    save_clip(gait_clip("dog", "walk", seconds=0.3, fps=10.0), folder / "dog.npz")
+    session = make_session([folder / "cat.ply", folder / "dog.npz"], 2**20)
+    yield session, folder
+    session.close()
+
+
+def test_the_body_is_found_or_given(animal_session):
+    session, folder = animal_session
+    for body in ("auto", "quadruped"):
+        session.set_options({"body": body})
+        result = finished_outcome(session).result
+        state = describe(session)
+        assert state["identities"][0]["outcome"]["body"] == "quadruped"
+        for item, axes in (
+            (state["identities"][0], result.report["identity"]),
+            (state["driving"], result.report["driving"]),
+        ):
+            assert (item["facing"]["up"], item["facing"]["front"]) == (axes["up"], axes["front"]) == ("+y", "+z")
+        expected = animate(folder / "cat.ply", folder / "dog.npz", body=body)
+        np.testing.assert_allclose(result.clip.vertices, expected.clip.vertices, atol=1e-6)
+    number = only_item(session).number
+    assert session.joints(number).result(60) == {}, "joints of animals cannot be corrected"
+    session.set_options({"body": "human"})
+    assert finished_outcome(session).result.report["body"] == "human"
+    session.set_options({"model": "copy", "body": "quadruped"})
+    assert finished_outcome(session).current, "models without bodies ignore the option"
+    assert describe(session)["identities"][0]["outcome"]["body"] == ""
+    session.set_options({"model": "mime", "body": "auto"})
+
+
+def test_a_person_with_an_animal_gives_an_error_in_the_words_of_the_page(animal_session):
+    session, folder = animal_session
+    session.set_options({"body": "auto"})
+    (number,) = session.add_identities([folder / "hero.obj"])
+    item = session.item(number)
+    wait_until(lambda: item.outcome is not None and (item.outcome.current or item.outcome.error), 60)
+    assert "hero is taken for a person, and dog for a four-legged animal" in item.outcome.error
+    assert "or choose the body if" in item.outcome.error
+    assert "--" not in item.outcome.error
+    session.remove(number)
+
+
 def test_models_are_those_of_animate(session, files):
     expected = animate(files / "hero.obj", files / "walk.npz", "copy")
     np.testing.assert_allclose(finished_outcome(session).result.clip.vertices, expected.clip.vertices, atol=1e-6)
@@ -88,7 +140,14 @@ def test_poses_are_those_of_transfer(session, files):
 
 
 def test_invalid_options_are_refused(session):
-    for options in ({"model": "/etc/passwd"}, {"root": "up"}, {"smooth": -1}, {"smooth": float("nan")}, {"ground": 1}):
+    for options in (
+        {"model": "/etc/passwd"},
+        {"body": "fish"},
+        {"root": "up"},
+        {"smooth": -1},
+        {"smooth": float("nan")},
+        {"ground": 1},
+    ):
         with pytest.raises(InputError, match="expected"):
             session.set_options(options)
     with pytest.raises(InputError, match="two axes"):

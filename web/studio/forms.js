@@ -12,6 +12,8 @@ const DESCRIPTIONS = {
   copy: "the driving mesh's own vertices, for comparison",
 };
 const ROOTS = { scale: "scaled by leg length", keep: "as far as the driving", drop: "none, in place" };
+const BODIES = { auto: "automatic", human: "a person", quadruped: "a four-legged animal" };
+const BODIES_ONLY = "Available for mime.";
 const JOINTS_ONLY = "Available for models with joints (mime).";
 
 export class ModelForm {
@@ -20,6 +22,7 @@ export class ModelForm {
     const send = (name, read = (value) => value) => (value) => changed({ [name]: read(value) });
     this.model = field(grid, "Model", choice([], send("model")));
     this.description = grid.appendChild(make("small", ""));
+    this.body = field(grid, "Both meshes are", choice(Object.entries(BODIES), send("body")));
     this.root = field(grid, "Root motion", choice(Object.entries(ROOTS), send("root")));
     this.ground = field(grid, "Feet on the ground", checkbox(send("ground")));
     this.smooth = this.addSmooth(grid, send("smooth", Number));
@@ -48,7 +51,9 @@ export class ModelForm {
     showValue(this.model, options.model);
     this.description.textContent = DESCRIPTIONS[options.model] ?? "";
     this.description.hidden = !this.description.textContent;
-    const joints = models.find(({ name }) => name === options.model)?.joints;
+    const { joints, bodies } = models.find(({ name }) => name === options.model) ?? {};
+    setEnabled(this.body, bodies, BODIES_ONLY);
+    showValue(this.body, options.body);
     for (const control of [this.root, this.ground, this.smooth]) setEnabled(control, joints, JOINTS_ONLY);
     showValue(this.root, options.root);
     showValue(this.ground, options.ground);

@@ -85,10 +85,12 @@ export class Joints {
     this.hint.textContent = "Finding the joints …";
     await this.attempt(number, async () => {
       const found = await call("GET", `/api/meshes/${number}/joints`);
-      if (!found?.meshes || this.key !== wanted) return;
-      this.found = found;
+      if (!found || this.key !== wanted) return;
+      this.found = found.meshes ? found : null; // without meshes: they are animals
       this.rebuild();
-      this.hint.textContent = "Drag a joint, or choose one and use the arrow keys.";
+      this.hint.textContent = found.meshes
+        ? "Drag a joint, or choose one and use the arrow keys."
+        : "Joints of animals cannot be corrected.";
     });
   }
 

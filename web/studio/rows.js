@@ -2,6 +2,7 @@
 import { make } from "./player.js";
 import { choice, field, fill, formatBytes, showText, showValue } from "./fields.js";
 
+const BODIES = { human: " as a person", quadruped: " as a four-legged animal" };
 const quantity = (number, unit) => `${number.toLocaleString("en")} ${unit}`;
 
 /** Add the head of a row: a name and a button to remove it. */
@@ -58,7 +59,7 @@ function factsOf({ state, vertices, triangles, frames, fps, outcome, uploading }
   const parts = [triangles ? quantity(vertices, "vertices") : quantity(vertices, "points, no faces")];
   if (frames > 1) parts.push(`${quantity(frames, "frames")}, ${+fps.toFixed(2)} per second`);
   if (frames === 1) parts.push("a pose");
-  if (outcome?.state === "done") parts.push(`moved in ${outcome.seconds.toFixed(outcome.seconds < 10 ? 2 : 0)} s`);
+  if (outcome?.state === "done") parts.push(`moved${BODIES[outcome.body] ?? ""} in ${outcome.seconds.toFixed(outcome.seconds < 10 ? 2 : 0)} s`);
   if (outcome?.state === "stopped") parts.push("stopped");
   return parts.join(" · ");
 }

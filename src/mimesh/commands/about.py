@@ -12,6 +12,7 @@ from .terminal import Json, Open, Quiet, Stop, open_page, print_json, print_next
 
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder to write.")] = Path("mimesh-demo"),
+    body: Annotated[str, typer.Option(help="human, or quadruped: a cow takes over a horse's gallop.")] = "human",
     open_it: Open = False,
     json: Json = False,
     quiet: Quiet = False,
@@ -23,7 +24,7 @@ def demo(
     from ..tools.demo import run_demo
 
     with progress("frames", quiet or json) as advance:
-        facts = run_demo(output, advance)
+        facts = run_demo(output, advance, body)
     if open_it:
         open_page(facts["player"])
     if json:

@@ -6,13 +6,16 @@ standing: positive ones turn what hangs down backwards, and what points forwards
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Float32
 
 from ..bodies import RiggedBody
+from ..bodies.animals import ANIMALS, animal, animal_body, standing
 from ..bodies.sampling import rotvec_to_rotmat
+from ..core.mesh import Clip
 from .motion import Motion, rotmat_to_rotvec
 from .procedural import planted
 
@@ -21,6 +24,8 @@ LEGS = ("LeftHind", "LeftFront", "RightHind", "RightFront")
 
 
 SEEDS = {"train": 0, "val": 1, "test": 2}
+FINER = 8
+"""Steps to a frame in which the path of a clip is computed: feet of a gallop are on the ground for less than 0.1 s."""
 TAKES = 40
 """Motions of each gait and posture in a split."""
 
@@ -80,6 +85,21 @@ def gait_motion(
     """Generate a gait of random pace, stride, lift, bearing of head and tail; the feet on the ground give the path."""
     rotmat = gait_rotations(body, name, seed, index, seconds, fps)
     return Motion(f"{name}-{seed}-{index}", body.joint_names, rotmat, planted(body, rotmat), float(fps))
+
+
+def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps: float = 30.0) -> Clip:
+    """Make a clip of a shipped animal in a gait of the split `test`: metres, y up, walking towards +z.
+
+    The feet of this animal give the path. No gait has a time without a foot on the ground.
+
+    Raises:
+        InputError: no animal has this name.
+    """
+    body, size = animal_body(name), ANIMALS[name].size
+    rotmat = gait_rotations(body, gait, SEEDS["test"], index, seconds, fps * FINER) @ standing(body, name)
+    root = planted(body, rotmat)[::FINER]
+    vertices = size * body.posed(np.zeros(0), rotmat[::FINER], root)
+    return Clip(dataclasses.replace(animal(name), name=f"{name}-{gait}"), vertices, float(fps))
 
 
 def gait_rotations(

@@ -6,6 +6,8 @@ one with the more decided skinning weights is taken.
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from ..core.errors import InputError
@@ -82,4 +84,13 @@ def shown_body(
     lowest, _, turned = predicted_orientation(method.of_body("quadruped"), mesh, norm, axes)
     if known is None and lowest + MARGIN < person:  # a person may be recognised in another orientation, too
         person = predicted_orientation(method.of_body("human"), mesh, norm, axes)[0]
-    return ("quadruped", turned) if lowest + MARGIN < person else ("human", norm)
+    return ("quadruped", _as_animal(turned, axes[0])) if lowest + MARGIN < person else ("human", norm)
+
+
+def _as_animal(norm: Normalization, up: str | None) -> Normalization:
+    """Return the normalisation of an animal: what the detector of people says about its shape does not count.
+
+    Where up is known, the network finds the front of the animals of `scripts/measure_body_choice.py` without an error.
+    """
+    known = up is not None or norm.up_from == "file"
+    return dataclasses.replace(norm, shape_up=None, margin=1.0 if known else 0.0)

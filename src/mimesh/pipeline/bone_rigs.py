@@ -5,6 +5,7 @@ Blender's extension calls these functions. Axes and unit are those of the progra
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -20,9 +21,11 @@ from ..core.geometry import nearest_rotation
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import ORIENTATIONS, ROTATIONS
 from ..core.person_motion import KnownJoints, PersonMotion
-from ..io.gltf.character import standing_facing
+from ..io.gltf.animal import animal_facing
+from ..io.gltf.character import NO_PERSON, carried_part, standing_facing
 from ..io.gltf.own_rig import check_sound
 from ..io.gltf.vrma import with_posed_hands
+from ..motions.animal_rig import animal_rig
 from ..motions.bone_motion import bone_joints
 from ..motions.bvh import Bvh
 from ..motions.humanoid_rig import HumanoidRig, humanoid_rig
@@ -60,16 +63,20 @@ class Binding:
     """Rows sum to 1."""
 
 
-def rig_of_bones(mesh: Mesh, bones: Bones, binding: Binding, up: str = "+y", front: str | None = None) -> HumanoidRig:
-    """Make the rig of a person, which `animate` takes as `rig`.
+def rig_of_bones(
+    mesh: Mesh, bones: Bones, binding: Binding, up: str = "+y", front: str | None = None, body: str = "auto"
+) -> HumanoidRig:
+    """Make the rig of a person or of a four-legged animal (an `AnimalRig`), which `animate` takes as `rig`.
 
     Args:
         mesh: at rest.
         up: axis of the program away from the ground.
-        front: axis to the person's front; None: found from the joints and the feet.
+        front: axis to the front; None: found from the joints and the feet, of an animal from the head.
+        body: `human` or `quadruped`; "auto": as an animal is read what is no person.
 
     Raises:
-        InputError: the joints are not those of a person who stands, have no weights, or are scaled unequally.
+        InputError: the joints are not those of a person or an animal who stands, have no weights, or are scaled
+            unequally.
     """
     joints = np.tile(np.eye(4), (len(bones.parents), 1, 1))
     joints[:, :3, :3] = nearest_rotation(bones.T_world_joint[:, :3, :3])
@@ -78,12 +85,29 @@ def rig_of_bones(mesh: Mesh, bones: Bones, binding: Binding, up: str = "+y", fro
     rig = SkinnedCharacter(mesh, bones.joint_names, bones.parents, joints, binding.joint_of, binding.weights, points)
     check_sound(rig, bones.T_world_joint, bones.name)
     upright = ROTATIONS[ORIENTATIONS.index((up, front or FORWARD.get(up, "+z")))]
-    facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", bones.name)
+    if body == "quadruped":
+        return _animal(rig, upright, front, bones.name)
+    try:
+        return _person(rig, upright, front, bones.name)
+    except NO_PERSON:
+        if body == "auto":
+            with contextlib.suppress(InputError):  # of neither, the first reason says more
+                return _animal(rig, upright, front, bones.name)
+        raise
+
+
+def _person(rig: SkinnedCharacter, upright: Float[np.ndarray, "3 3"], front: str | None, name: str) -> HumanoidRig:
+    facing = "+z" if front else standing_facing(rig.turned(upright), {}, "+z", name)
 
     def poses() -> np.ndarray:
-        return np.zeros((0, len(bones.parents), 4, 4))
+        return np.zeros((0, len(rig.parents), 4, 4))
 
-    return humanoid_rig(rig, facing_rotation(facing) @ upright, {}, poses, bones.name)[0]
+    return humanoid_rig(rig, facing_rotation(facing) @ upright, {}, poses, name)[0]
+
+
+def _animal(rig: SkinnedCharacter, upright: Float[np.ndarray, "3 3"], front: str | None, name: str) -> HumanoidRig:
+    facing = "+z" if front else animal_facing(carried_part(rig.turned(upright)), name)
+    return animal_rig(rig, facing_rotation(facing) @ upright, name)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +121,8 @@ class BoneJoints:
     T_world_joint: Float[np.ndarray, "T J 4 4"]
     up: str = "+y"
     front: str | None = None
+    body: str = "human"
+    """Body whose joints are read."""
 
     @property
     def has_joints(self) -> bool:
@@ -108,13 +134,13 @@ class BoneJoints:
         return replace(self, T_world_joint=self.T_world_joint[frames])
 
     def person(self) -> PersonMotion:
-        """Read the joints of a person.
+        """Read the joints of a person or an animal, as `body` says.
 
         Raises:
             InputError: as `rig_of_bones`, or NaN or infinity in a frame.
         """
         _check_finite(self.T_world_joint, self.bones.name)
-        rig = rig_of_bones(self.mesh, self.bones, self.binding, self.up, self.front)
+        rig = rig_of_bones(self.mesh, self.bones, self.binding, self.up, self.front, self.body)
         place = {name: j for j, name in enumerate(self.bones.joint_names)}
         chosen = [place[rig.character.joint_names[rig.joints[name]]] for name in rig.person]
         return rig.motion(self.T_world_joint[:, chosen], self.bones.T_world_joint[chosen])

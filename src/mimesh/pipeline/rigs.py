@@ -24,7 +24,7 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..io.gltf import still_joints
 from ..io.gltf.bake import AnimatedValues
-from ..io.gltf.character import NotUpright
+from ..io.gltf.character import NO_PERSON
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.morph_weights import morph_tracks, named_weights
 from ..io.gltf.own_rig import GltfJoints, OwnRig, has_rig, read_own_rig
@@ -32,14 +32,13 @@ from ..io.gltf.scene import node_parents
 from ..io.gltf.shared_skeleton import SharedMotion, copy_morphs, copy_motion
 from ..methods.base import KnownDriving, KnownIdentity, Method, RigMethod
 from ..motions.humanoid_rig import HumanoidRig
+from .bone_rigs import BoneJoints
 
 Axes = tuple[str | None, str | None, str | None, str | None]
 """Up and front of the identity, up and front of the driving; None is detected."""
 T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
-NO_PERSON = (UnnamedJoints, NotUpright)
-"""Reasons why a rig is not that of a person, so that it may be that of an animal."""
 UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
@@ -173,7 +172,7 @@ def _if_usable(read: Callable[[str], T], body: str, without: str) -> tuple[T | N
 
 def _motion(joints: JointSource, body: str) -> PersonMotion:
     """Read the joints of a clip as those of a body; only rigged meshes may be animals."""
-    if isinstance(joints, GltfJoints) and joints.mesh is not None:
+    if isinstance(joints, GltfJoints | BoneJoints) and joints.mesh is not None:
         return dataclasses.replace(joints, body=body).person()
     if body == "quadruped":
         raise InputError("expected the rig of an animal, found joints of a person")

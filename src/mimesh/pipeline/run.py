@@ -28,6 +28,7 @@ from ..io.gltf.edit import GltfSource
 from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import (
+    BodyMethod,
     Drive,
     Method,
     MotionMethod,
@@ -353,6 +354,7 @@ def play(
             if progress is not None:
                 progress((before + t + 1) // passes, len(clip))
     report = _report(identity, clip, moved, (identity_norm, driving_norm))
+    report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
     driving_joints = None

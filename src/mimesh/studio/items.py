@@ -86,7 +86,8 @@ def finished_result(item: Item) -> ClipResult:
 def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
     """Return everything that preparing a mesh and the driving clip for a model depends on."""
     corrections = tuple(_corrections_key(entry) for entry in (item, driving))
-    return (driving.number, item.read, driving.read, options.model, *item.axes, *driving.axes, *corrections)
+    chosen = options.model, options.body
+    return (driving.number, item.read, driving.read, *chosen, *item.axes, *driving.axes, *corrections)
 
 
 def _corrections_key(item: Item) -> tuple:

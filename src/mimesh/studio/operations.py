@@ -21,7 +21,7 @@ from ..methods.find import find_method
 from ..pipeline import driving_axes
 from ..pipeline.report import facing
 from ..pipeline.result import ClipResult, Timer
-from ..pipeline.run import MotionOptions, Prepared, play, pose_frame, prepare
+from ..pipeline.run import Prepared, play, pose_frame, prepare
 from ..tools.demo import driving_clip
 from .items import Item
 from .joints import applicable_corrections
@@ -45,6 +45,8 @@ OPTION_WORDS = {
     "give --driving-front": "choose its front",
     "give --front": "choose its front",
     "choose it with -m": "choose another model",
+    "--body human or quadruped": "choose the body",
+    "--body chooses": "choose the body",
     "give one with --fps": "give a frame rate",
     "give another with --fps": "give another frame rate",
     "name another with -o": "choose another format",
@@ -86,14 +88,15 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
     return tuple(getattr(mesh.source, "animations", ()))
 
 
-def prepare_inputs(identity: Item, driving: Item, model: str) -> Prepared:
-    """Prepare identity and driving clip, which have been read, for a model, without refinement."""
+def prepare_inputs(identity: Item, driving: Item, options: Options) -> Prepared:
+    """Prepare identity and driving clip, which have been read, for a model and a body, without refinement."""
     assert isinstance(identity.content, Mesh)
     assert isinstance(driving.content, Clip)
     axes = (*identity.axes, *driving_axes(driving.content, *driving.axes))
-    method = find_method(model)
+    method = find_method(options.model)
     corrections = applicable_corrections(method, identity, driving)
-    return prepare(identity.content, driving.content, lambda frame: method, axes, False, MotionOptions(), corrections)
+    motion = options.preparation(method)
+    return prepare(identity.content, driving.content, lambda frame: method, axes, False, motion, corrections)
 
 
 def compute_result(prepared: Prepared, options: Options, progress: Progress) -> ClipResult:

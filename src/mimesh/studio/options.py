@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..core.errors import InputError
-from ..methods.base import Method, SkinnedMethod
+from ..methods.base import BodyMethod, Method, SkinnedMethod
+from ..pipeline.body_choice import BODIES
 from ..pipeline.run import ROOTS, MotionOptions
 
 
@@ -21,6 +22,7 @@ class Options:
     ground: bool = True
     smooth: float = 0.0
     refine: bool | None = None
+    body: str = "auto"
 
     def changed(self, changes: dict[str, Any], models: tuple[str, ...]) -> Options:
         """Return the options with some values changed.
@@ -36,6 +38,7 @@ class Options:
         _check_choice(values, "root", ROOTS)
         _check_choice(values, "ground", (True, False))
         _check_choice(values, "refine", (None, True, False))
+        _check_choice(values, "body", BODIES)
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
@@ -47,6 +50,11 @@ class Options:
         return (
             MotionOptions(self.root, self.ground, self.smooth) if isinstance(method, SkinnedMethod) else MotionOptions()
         )
+
+    def preparation(self, method: Method) -> MotionOptions:
+        """Return the options that count when a method is prepared: the body, if it has several."""
+        several = isinstance(method, BodyMethod) and len(method.bodies) > 1
+        return MotionOptions(body=self.body) if several else MotionOptions()
 
 
 def parse_rate(value: Any) -> float | None:

@@ -351,7 +351,7 @@ class Session:
             raise Cancelled
         inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.prepared
         if cached is None or cached[0] != inputs:
-            cached = (inputs, False, operations.prepare_inputs(item, driving, options.model))
+            cached = (inputs, False, operations.prepare_inputs(item, driving, options))
         # Refinement is a second step, so that switching it does not repeat the first.
         if cached[1] != options.refine:
             cached = (inputs, options.refine, cached[2].with_refinement(options.refine))

@@ -7,7 +7,7 @@ from typing import Any
 
 from ..bodies.characters import CHARACTERS
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import AXES
+from ..core.normalization import AXES, UNSURE
 from ..methods.find import MODELS, REDUCED_MODELS
 from ..motions.clips import SEGMENTS
 from ..pipeline.run import ROOTS
@@ -32,7 +32,10 @@ def describe(session: Session) -> dict[str, Any]:
         "identities": [_describe_item(session, item) for item in list(session.identities.values())],
         "driving": None if driving is None else _describe_item(session, driving),
         "options": vars(session.options),
-        "models": [{"name": name, "joints": has_joints(name, session.skinned_models)} for name in session.models],
+        "models": [
+            {"name": name, "joints": has_joints(name, session.skinned_models), "bodies": name == "mime"}
+            for name in session.models
+        ],
         "roots": ROOTS,
         "axes": AXES,
         "motions": tuple(SEGMENTS),
@@ -65,10 +68,11 @@ def scene(session: Session) -> dict[str, Any]:
     """
     key, driving = scene_key(session), session.driving
     identities = [item for item in list(session.identities.values()) if item.content is not None]
-    panels = [(item, _identity_panel(item)) for item in identities]
+    panels = [(item, _identity_panel(session, item)) for item in identities]
     if driving is not None and driving.content is not None:
         first = panels if len(panels) == 1 else []
-        panels = [*first, (driving, _driving_panel(driving)), *((item, _result_panel(item)) for item in identities)]
+        results = [(item, _result_panel(session, item)) for item in identities]
+        panels = [*first, (driving, _driving_panel(session, driving)), *results]
     packed = pack_scene([panel for _, panel in panels], budget=SCENE_BUDGET) if panels else None
     return {"key": key, "numbers": [item.number for item, _ in panels], "scene": packed}
 
@@ -78,21 +82,36 @@ def _shown_items(session: Session) -> list[Item]:
     return [item for item in items if item is not None and item.content is not None]
 
 
-def _identity_panel(item: Item) -> Panel:
+def used_facing(session: Session, item: Item) -> dict[str, Any]:
+    """Return the axes with which an item was moved or drove, as `Item.facing` has them; those detected before that.
+
+    The detection knows people only: a model that finds animals takes other axes for these.
+    """
+    role = "driving" if item is session.driving else "identity"
+    for moved in list(session.identities.values()) if role == "driving" else [item]:
+        if moved.outcome is not None and moved.outcome.current and moved.outcome.result is not None:
+            axes = moved.outcome.result.report[role]
+            return {**item.facing, **axes, "unsure": axes["detected"] and axes["margin"] < UNSURE}
+    return item.facing
+
+
+def _identity_panel(session: Session, item: Item) -> Panel:
     assert isinstance(item.content, Mesh)
-    return Panel("identity", Clip.still(item.content), item.name, item.facing["up"], item.facing["front"])
+    facing = used_facing(session, item)
+    return Panel("identity", Clip.still(item.content), item.name, facing["up"], facing["front"])
 
 
-def _driving_panel(item: Item) -> Panel:
+def _driving_panel(session: Session, item: Item) -> Panel:
     assert isinstance(item.content, Clip)
-    return Panel("driving", item.content, item.name, item.facing["up"], item.facing["front"])
+    facing = used_facing(session, item)
+    return Panel("driving", item.content, item.name, facing["up"], facing["front"])
 
 
-def _result_panel(item: Item) -> Panel:
+def _result_panel(session: Session, item: Item) -> Panel:
     """Return the panel of the current or else of the previous result; without any, the mesh itself."""
     result = item.outcome.result if item.outcome else None
     if result is None:
-        return dataclasses.replace(_identity_panel(item), role="result")
+        return dataclasses.replace(_identity_panel(session, item), role="result")
     axes = result.report["identity"]
     return Panel("result", result.clip, item.name, axes["up"], axes["front"])
 
@@ -117,7 +136,7 @@ def _describe_item(session: Session, item: Item) -> dict[str, Any]:
         "animation": item.animation,
         "up": item.up,
         "front": item.front,
-        "facing": item.facing,
+        "facing": used_facing(session, item),
         "joints": _describe_corrections(session, item),
         "outcome": _describe_outcome(session, item),
     }
@@ -150,6 +169,7 @@ def _describe_outcome(session: Session, item: Item) -> dict[str, Any] | None:
         "notes": [] if result is None else [operations.for_page(note, folder) for note in result.notes],
         "seconds": 0.0 if result is None else sum(result.seconds.values()),
         "model": "" if result is None else result.model,
+        "body": "" if result is None else result.report.get("body", ""),
         "joints": result is not None and result.skeleton is not None,
     }
 

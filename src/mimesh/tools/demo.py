@@ -1,4 +1,4 @@
-"""The demo of `mimesh demo`: a generated person gets the captured motion of another one."""
+"""The demo of `mimesh demo`: a generated person gets the captured motion of another one, or a cow a horse's gallop."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Any
 import numpy as np
 
 from ..bodies import RiggedBody, load_body
+from ..bodies.animals import animal
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from ..motions import DEMO, load_motion, motion_clip
+from ..motions.gaits import gait_clip
 from ..pipeline import animate
 from ..render.sheet import DRIVING_TINT, page, stack, strip
 from .preview import save_picture, still
@@ -25,12 +28,20 @@ RATE = 15.0
 IDENTITY_SHAPE = (-1.2, 1.6, 0.8, -0.9)
 DRIVING_SHAPE = (1.0, -1.0, -0.6, 0.7)
 """Shape coefficients of two clearly different people."""
+GALLOP = 4
+"""Number of the gallop: of those looked at, the one with the smallest drift to the side."""
 
 
-def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
-    """Write the inputs, the result, its picture and its page into a folder, and return what `--json` prints."""
-    body = load_body()
-    identity, driving = person(body, IDENTITY_SHAPE), driving_clip(body)
+def run_demo(folder: Path, progress: Progress | None = None, body: str = "human") -> dict[str, Any]:
+    """Write the inputs, the result, its picture and its page into a folder, and return what `--json` prints.
+
+    Args:
+        body: `human` or `quadruped`.
+
+    Raises:
+        InputError: another body.
+    """
+    identity, driving = inputs(body)
     result = animate(identity, driving, progress=progress)
     files = {name: folder / name for name in ("identity.obj", "driving.obj", "driving.glb", "result.glb")}
     save_mesh(identity, files["identity.obj"])
@@ -41,7 +52,7 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
     page = result.player(folder / "player.html", output=files["result.glb"], title="mimesh demo")
     return {
         "output": str(files["result.glb"]),
-        "motion": MOTION,
+        "motion": driving.mesh.name,
         "model": result.model,
         "vertices": len(identity.vertices),
         "frames": len(result.clip),
@@ -51,6 +62,17 @@ def run_demo(folder: Path, progress: Progress | None = None) -> dict[str, Any]:
         "files": [str(path) for path in (*files.values(), picture, page)],
         "player": str(page),
     }
+
+
+def inputs(body: str) -> tuple[Mesh, Clip]:
+    """Return two people, or a cow and a horse: the identity at rest, and the driving clip."""
+    if body == "human":
+        human = load_body()
+        return person(human, IDENTITY_SHAPE), driving_clip(human)
+    if body == "quadruped":
+        fps = 2 * RATE  # a gallop has two cycles a second and more
+        return animal("cow"), gait_clip("horse", "gallop", GALLOP, seconds=FRAMES / fps, fps=fps)
+    raise InputError(f"--body: expected human or quadruped, found {body!r}; choose one of them")
 
 
 def person(body: RiggedBody, shape: tuple[float, ...]) -> Mesh:

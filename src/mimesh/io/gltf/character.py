@@ -153,6 +153,10 @@ class NotUpright(InputError):
     """A character that does not stand upright in the pose that is taken as its rest pose."""
 
 
+NO_PERSON = (UnnamedJoints, NotUpright)
+"""Reasons why a rig is not that of a person, so that it may be that of an animal."""
+
+
 @dataclass(frozen=True, eq=False)
 class StandingCharacter:
     """A character of a glTF file in a rest pose in which it stands."""
