@@ -11,24 +11,19 @@ from mimesh.evaluate.named_animals import species_clip, standing
 from mimesh.motions.gaits import GAITS, quadruped_poses, quadruped_takes
 
 
-def size(species, joint_above, joint_below):
-    """Length of a bone over the animal's length, with which species differ."""
-    vertices, joints = BODY.shaped(np.array(SHAPES[species]))
-    bone = joints[BODY.joint(joint_above)] - joints[BODY.joint(joint_below)]
-    return np.linalg.norm(bone) / np.ptp(vertices[:, 2])
+def heights(species):
+    """Highest points of the back, of the hips and of the head of a species that stands, over that of the hips."""
+    vertices = BODY.posed(np.array(SHAPES[species]), rotvec_to_rotmat(standing(species)))
+    parts = {"back": ("Spine2", "Spine3", "Spine4"), "hips": ("Hips",), "head": ("Head",)}
+    own = {part: BODY.weights[:, [BODY.joint(name) for name in names]].sum(axis=1) for part, names in parts.items()}
+    top = {part: vertices[weight > 0.5, 1].max() for part, weight in own.items()}
+    return {part: top[part] / top["hips"] for part in parts}
 
 
 def test_species_have_their_proportions():
-    legs = {species: size(species, "LeftForearm", "LeftHand") for species in SHAPES}
-    assert legs["lion"] < legs["horse"]
-    assert legs["lion"] < legs["camel"]
-    backs = {}
-    for species in SHAPES:
-        vertices = BODY.posed(np.array(SHAPES[species]), rotvec_to_rotmat(standing(species)))
-        trunk = BODY.weights[:, [BODY.joint(f"Spine{k}") for k in (2, 3, 4)]].sum(axis=1) > 0.5
-        whole = np.ptp(vertices[:, 1])
-        backs[species] = (vertices[trunk, 1].max() - np.percentile(vertices[trunk, 1], 50)) / whole
-    assert backs["camel"] > 1.2 * max(backs["horse"], backs["lion"])
+    horse, lion, camel = (heights(species) for species in ("horse", "lion", "camel"))
+    assert camel["back"] > 1.1 > 1.06 > max(horse["back"], lion["back"])
+    assert lion["head"] < 1.3 < 1.35 < min(horse["head"], camel["head"])
 
 
 def test_heads_are_lowered_by_shares():

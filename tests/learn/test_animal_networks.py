@@ -78,7 +78,7 @@ def test_the_command_moves_animals_whose_axes_are_not_known(trained, tmp_path, c
     words = ["transfer", str(tmp_path / "identity.obj"), str(tmp_path / "driving.obj"), "-m", str(path)]
     words += ["-o", str(tmp_path / "out.obj"), "--json"]
     assert run([*words, "--body", "quadruped"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    report = json.loads(capsys.readouterr().out)["report"]
     assert (report["identity"]["up"], report["identity"]["front"]) == ("+z", "+x")
     assert report["driving"]["up"] == "+y"
     result = load_mesh(tmp_path / "out.obj")
