@@ -27,7 +27,7 @@ METHODS = (
 """Methods that are measured on every protocol."""
 FINGER_METHODS = ("identity", "mime", "mime-rigid-fingers")
 """Methods that are measured on fingers: the others know no fingers."""
-ANIMAL_METHODS = ("identity", "mime-quadruped", "copy", "deformation-transfer-13")
+ANIMAL_METHODS = ("identity", "copy", "mime-quadruped", "deformation-transfer-13")
 """Methods that are measured on four-legged animals: the others know only people."""
 SLOW = ("skeleton",)
 """Left out on clips: they need seconds per frame."""
