@@ -8,6 +8,7 @@ The package has a skinned dog: 16,952 vertices after welding, one closed surface
 
     pip download --no-deps dm_control==1.0.50
     python scripts/build_quadruped.py dm_control-1.0.50-py3-none-any.whl [-o src/mimesh/bodies/quadruped.npz]
+    python scripts/build_quadruped.py dm_control-1.0.50-py3-none-any.whl --shapes horse lion camel
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from quadruped_species import SPECIES, STANDING, Bump, Species
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-from mimesh.bodies.body_model import RiggedBody, save_body
+from mimesh.bodies.body_model import RiggedBody, load_body, save_body
 from mimesh.bodies.quadruped import mean_posture
 from mimesh.core.geometry import closest_on_mesh
 from mimesh.core.skinning import place_joints, skin_points
@@ -102,6 +103,9 @@ def main() -> None:
     if args.draw:
         draw_species(dog, args.draw)
         return
+    if args.shapes:
+        print_shapes(dog, load_body("quadruped"), args.shapes)
+        return
     rng = np.random.default_rng(args.seed)
     species = [parameters(dog, one) for one in SPECIES.values()]
     animals, joints = zip(
@@ -121,6 +125,7 @@ def parse_args() -> argparse.Namespace:
     parser.add_argument("--components", type=int, default=32)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--draw", type=Path, metavar="DIR", help="write the species as OBJ files there, and no body")
+    parser.add_argument("--shapes", nargs="+", choices=SPECIES, help="print shape coefficients of species, and no body")
     return parser.parse_args()
 
 
@@ -328,6 +333,18 @@ def draw_species(dog: RiggedBody, folder: Path) -> None:
     for name, species in SPECIES.items():
         vertices, _ = build_animal(dog, parameters(dog, species))
         trimesh.Trimesh(vertices, dog.faces, process=False).export(folder / f"{name}.obj")
+
+
+def print_shapes(dog: RiggedBody, body: RiggedBody, names: list[str], count: int = 12) -> None:
+    """Print the coefficients of a body's first components that are nearest to species, and how far they are (mm)."""
+    for name in names:
+        vertices, joints = build_animal(dog, parameters(dog, SPECIES[name]))
+        size = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).mean() / SIZE
+        (vertices,), _ = on_ground(vertices[None] / size, joints[None] / size)
+        components = body.components[:count].reshape(count, -1)
+        shape = np.linalg.lstsq(components.T, (vertices - body.vertices).ravel())[0].round(1)
+        off = 1000 * np.linalg.norm(body.shaped(shape)[0] - vertices, axis=1)
+        print(f"{name}: {shape.tolist()}, {off.mean():.1f} mm away, {off.max():.0f} mm at most")
 
 
 def components_of(dog: RiggedBody, animals: Float[np.ndarray, "N V 3"], joints: np.ndarray, count: int) -> RiggedBody:

@@ -18,6 +18,7 @@ import write_results
 from mimesh.commands.terminal import progress
 from mimesh.evaluate.run import FOLDERS, WITHOUT_FOLDER, evaluate_command
 from mimesh.evaluate.tables import TABLES
+from mimesh.methods.find import weights_path
 
 METHODS = (
     *("identity", "copy", "mime", "mime-network", "npt", "npt-maxpool"),
@@ -56,9 +57,10 @@ def methods(protocol: str) -> list[str]:
     """Return the methods to measure on a protocol: METHODS, and the rows of the papers' tables that use it."""
     if protocol == "fingers":
         return list(FINGER_METHODS)
-    if protocol in ("quadruped", "animals"):
-        return list(ANIMAL_METHODS)
     rows = [row.method for table in TABLES.values() if table.protocol == protocol for row in table.rows]
+    if protocol in ("quadruped", "animals"):
+        trained = [row for row in rows if weights_path(row).is_file()]  # these are not in the repository
+        return list(dict.fromkeys([*ANIMAL_METHODS, *trained]))
     left_out = SLOW if protocol == "clips-aniformer" else ()
     return [method for method in dict.fromkeys([*METHODS, *rows]) if method not in left_out]
 

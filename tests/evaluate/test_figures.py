@@ -6,8 +6,15 @@ from networks import write_network, write_sequence_network
 from PIL import Image
 
 from mimesh.bodies import load_body
+from mimesh.cli import run
 from mimesh.core.errors import InputError
-from mimesh.evaluate.figures import FIGURES, figure_command, vertex_index_colors, vertex_order_rows
+from mimesh.evaluate.figures import (
+    FIGURES,
+    animal_clip_rows,
+    figure_command,
+    vertex_index_colors,
+    vertex_order_rows,
+)
 from mimesh.io import save_mesh
 
 
@@ -23,7 +30,7 @@ def people(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12"])
+@pytest.mark.parametrize("name", ["npt-6", "npt-8", "npt-10", "npt-11", "npt-12", "npt-14"])
 def test_figure_is_drawn_with_one_row(name, network, people, tmp_path):
     out = tmp_path / "figure.png"
     assert figure_command(name, out, (network,), 1, people) == 1
@@ -37,6 +44,32 @@ def test_figure_of_a_clip_has_rows_of_frames(name, people, tmp_path):
     network = str(write_sequence_network(tmp_path / "tiny.onnx"))
     assert figure_command(name, tmp_path / "figure.png", (network,), 1, people) == 2
     assert np.asarray(Image.open(tmp_path / "figure.png")).shape[1] >= 6 * 300
+
+
+def test_figure_of_a_clip_of_animals_has_the_truth_below(tmp_path):
+    network = str(write_sequence_network(tmp_path / "tiny.onnx", metadata={"body": "quadruped"}))
+    driving, result, truth = animal_clip_rows((network,), 1, None)
+    assert driving[1].label == "horse, gallop, frame 2"
+    assert [len(row) for row in (driving, result, truth)] == [6, 6, 6]
+    # One shuffle for all: a vertex of the truth has the weights of that of the identity, and edges keep their length.
+    for row in (result, truth):
+        assert row[0].mesh is driving[0].mesh
+        assert np.array_equal(row[1].mesh.faces, driving[0].mesh.faces)
+    edges = driving[0].mesh.faces[:, :2]
+    old, new = (np.linalg.norm(np.diff(t.mesh.vertices[edges], axis=1)[:, 0], axis=1) for t in (truth[0], truth[3]))
+    assert np.median(np.abs(new / old - 1)) < 0.05
+    assert figure_command("aniformer-animals", tmp_path / "figure.png", (network,)) == 3
+
+
+def test_figures_whose_networks_are_missing_say_how_to_make_them(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, model in (("npt-14", "npt-maxpool-quadruped"), ("aniformer-animals", "aniformer-quadruped")):
+        assert run(["figure", name, "-o", str(tmp_path / "figure.png")]) == 2
+        message = capsys.readouterr().err
+        assert f"{model}: expected its weights in ablations" in message
+        assert "mimesh table animals --train" in message
+        assert f"-m runs/tables/seed0/{model}" in message
+    assert not (tmp_path / "figure.png").exists()
 
 
 def test_colours_follow_the_vertices_of_a_shuffled_pair(network):

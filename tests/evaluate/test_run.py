@@ -31,7 +31,7 @@ from mimesh.evaluate.run import evaluate_command, fingerprint
 from mimesh.evaluate.summary import summary
 from mimesh.evaluate.tables import TABLES, paper_table, table_command
 from mimesh.io import load_mesh
-from mimesh.methods.find import MODELS, REDUCED_MODELS, TABLE_MODELS
+from mimesh.methods.find import MODELS, NETWORK_OF_BODY, REDUCED_MODELS, TABLE_MODELS
 from mimesh.methods.onnx_models import hands_path
 from mimesh.pipeline import transfer
 
@@ -200,13 +200,34 @@ def test_table_of_a_paper_has_its_values_next_to_ours(tmp_path):
         table_command("npt-3")
 
 
+def test_table_of_animals_has_three_kinds_and_no_figures_of_papers():
+    report = evaluate_command("quadruped", ["copy", "deformation-transfer-13"], split="val", pairs=1)
+    lines = paper_table("animals", report).splitlines()
+    head = [cell.strip() for cell in next(line for line in lines if line.startswith("| row")).strip("| ").split("|")]
+    assert head[2:5] == ["ours, gaits", "ours, everyday poses", "ours, joint limits"]
+    assert not [cell for cell in head if "paper" in cell]
+    rows = {line.split(" | ")[1]: line.strip("| ").split(" | ") for line in lines if line.startswith("| ")}
+    assert all(len(cells) == len(head) for cells in rows.values())
+    assert rows["`npt-quadruped`"].count("not measured") == 10
+    measured = {(row["method"], row["split"]): row["pmd_e4"] for row in report["results"]}
+    for method in ("copy", "deformation-transfer-13"):
+        for k, kind in enumerate(("gaits", "usual", "limits")):
+            shown = float(rows[f"`{method}`"][2 + k].split(" ")[0])
+            assert shown == pytest.approx(measured[method, kind], rel=0.01), (method, kind)
+    assert measured["deformation-transfer-13", "gaits"] < measured["copy", "gaits"]
+
+
 def test_every_row_of_a_table_can_be_trained_and_is_reported_if_missing(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     from mimesh.learn.table_rows import ROWS
 
     assert set(ROWS) == set(TABLE_MODELS)
     methods = {row.method for table in TABLES.values() for row in table.rows}
-    assert set(TABLE_MODELS) <= methods <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS}
+    assert (
+        set(TABLE_MODELS)
+        <= methods
+        <= {*TABLE_MODELS, *REDUCED_MODELS, *EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()}
+    )
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError, match=r"ablations.npt-equal\.onnx.*table --train"):
         evaluate_command("human-npt", ["copy", "npt-equal"], pairs=1)

@@ -24,6 +24,7 @@ from mimesh.learn.character_surfaces import CharacterSurface, TrainingCharacters
 from mimesh.learn.export import export_command  # noqa: E402
 from mimesh.learn.pose_sources import pose_sources  # noqa: E402
 from mimesh.learn.tasks.mime import SurfaceSource  # noqa: E402
+from mimesh.learn.tasks.npt_batches import CharacterPairSource  # noqa: E402
 from mimesh.learn.train import train_command  # noqa: E402
 
 CPU = torch.device("cpu")
@@ -161,6 +162,21 @@ def test_truths_of_a_batch_are_the_identity_in_the_pose_of_the_driving(character
         assert torch.allclose(one, two, atol=1e-4)
     assert torch.equal(source.batch(6, 0).truth.points, batch.truth.points)
     assert not torch.equal(source.batch(6, 1).truth.points, batch.truth.points)
+
+
+def test_npt_takes_rigged_animals_beside_the_shipped_quadruped(folder):
+    config = DataConfig("wide", 64, "identity", characters=0.5, body="quadruped")
+    source = CharacterPairSource(config, BODY, CPU, 0, TrainingCharacters.read(folder, BODY))
+    batch = source.batch(12, 0)
+    for mesh in (batch.identity, batch.driving, batch.truth):
+        assert mesh.shape == (12, 64, 3)
+        assert torch.isfinite(mesh).all()
+    ends = [
+        [mesh.gather(1, batch.edges[..., k, None].expand(-1, -1, 3)) for k in (0, 1)]
+        for mesh in (batch.identity, batch.truth)
+    ]
+    before, after = ((b - a).norm(dim=-1) for a, b in ends)
+    assert ((after / before - 1).abs().median(dim=1).values < 0.1).all()
 
 
 def test_a_training_on_animals_is_exported_as_one(folder, tmp_path):

@@ -6,6 +6,7 @@ rotation is given in the frame of its parent, as in SMPL. The batched torch twin
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -43,6 +44,14 @@ class RiggedBody:
         if name not in self.joint_names:
             raise KeyError(f"{self.name} has no joint {name!r}; it has {', '.join(self.joint_names)}")
         return self.joint_names.index(name)
+
+    def carriers(self, names: Collection[str]) -> Int[np.ndarray, " J"]:
+        """Find the joint whose rotation each joint has in a figure that has only the named ones, and the root."""
+        carrier = np.arange(len(self.parents))
+        for j, (name, parent) in enumerate(zip(self.joint_names, self.parents, strict=True)):
+            if name not in names and parent >= 0:
+                carrier[j] = carrier[parent]
+        return carrier
 
     def shaped(
         self, shape: Float[np.ndarray, "*B K"]

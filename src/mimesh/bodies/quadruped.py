@@ -134,6 +134,23 @@ of joints without their side, the third of the left one. The shipped quadruped a
 in no book: chosen by eye."""
 
 
+SHAPES: dict[str, tuple[float, ...]] = {
+    "horse": (-0.7, 0.6, -0.4, 1.7, 0.0, -0.3, 0.1, 1.0, -0.4, 0.3, 0.7, 0.7),
+    "lion": (1.5, 0.4, 0.5, -0.5, 0.1, 1.3, -0.1, 0.3, 0.1, -0.7, -0.2, 1.3),
+    "camel": (-1.5, 0.9, 0.7, -0.3, -0.1, 0.7, 0.9, 0.0, 1.0, -2.3, 0.6, 0.6),
+}
+"""First shape coefficients of species that the papers show, as `build_quadruped.py --shapes` prints them: the surface
+is within 4 mm of that species' on average, 33 mm at most. They stand as POSTURES says."""
+
+
+def lowered_head(body: RiggedBody, shares: Float[np.ndarray, " 3"] | float = 1.0) -> Float[np.ndarray, "J 3"]:
+    """Make rotation vectors (radians) that lower the head by a share of LOWERED_HEAD, or one share for each joint."""
+    rotvec = np.zeros_like(body.joints)
+    places = [body.joint(name) for name in LOWERED_HEAD]
+    rotvec[places, 0] = shares * np.radians(list(LOWERED_HEAD.values()))
+    return rotvec
+
+
 def mean_posture() -> dict[str, tuple[float, float]]:
     """Compute the mean of POSTURES, which is in the rest pose of the shipped quadruped."""
     joints = dict.fromkeys(joint for posture in POSTURES.values() for joint in posture)

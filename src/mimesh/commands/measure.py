@@ -94,7 +94,7 @@ def evaluate(
 
 
 def table(
-    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2.")],
+    name: Annotated[str, typer.Argument(metavar="TABLE", help="npt-1, npt-2, npt-7, aniformer-1 or -2, animals.")],
     output: Figures = None,
     pairs: Pairs = 0,
     data: Data = None,
@@ -147,7 +147,8 @@ def figure(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="FIGURE", help="npt-6 to npt-20, aniformer-3, -4, -5 or -noise, as the papers number them."
+            metavar="FIGURE",
+            help="npt-6 to npt-20, aniformer-3, -4, -5, -animals, -noise, as the papers number them.",
         ),
     ],
     output: Annotated[Path, typer.Option("--output", "-o", help="The picture to write.")],

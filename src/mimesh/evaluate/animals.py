@@ -111,11 +111,7 @@ def find_animal_landmarks(animal: PoolCharacter) -> Int[np.ndarray, " M"]:
     scale = np.ptp(body.vertices[:, 2]) / (high - low)[2]
     joints = place_animal_joints(animal, body) * scale
     target = rig.nearest_columns({j: body.joint(name) for name, j in animal.joints.items()}, body.joint("Hips"))
-    # Joints that the animal lacks are carried by the nearest one above them.
-    carrier = np.arange(len(body.parents))
-    for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
-        carrier[j] = j if name in animal.joints else carrier[parent]
-    weights = rig.summed_weights(target, len(body.parents))[:, carrier]
+    weights = rig.summed_weights(target, len(body.parents))[:, body.carriers(animal.joints)]
     nothing = np.zeros((0, len(weights), 3)), np.zeros((0, len(joints), 3))
     wrapped = RiggedBody(
         "quadruped",

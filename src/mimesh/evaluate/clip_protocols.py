@@ -170,26 +170,31 @@ class ClipsAniformer(Protocol):
         rest = Pose(rotvec_to_rotmat(sample_pose(human(), self.seed(split), target)), str(target))
         # Driving people are numbered after the identities: files are named by person.
         driving = Person(human(), shape, str(self.targets + number))
-        first = make_pair(identity, driving, rest, Pose(motion.rotmat[0], motion.name))
-        clip, truth = (motion_clip(human(), person, motion) for person in (shape, identity.shape))
-        fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
-        # The clip also has the motion's root path, which a pair of poses has not.
-        fields |= {"driving": dataclasses.replace(first.driving, vertices=clip.vertices[0])}
-        fields |= {"truth": truth.vertices[0], "aligned": clip.vertices[0]}
-        # Seconds of one take (take@start) are not independent.
-        fields |= {"groups": (str(target), motion.name.partition("@")[0])}
-        return ClipPair(
-            **fields,
-            clip=dataclasses.replace(clip, mesh=fields["driving"]),
-            truth_frames=truth.vertices,
-            aligned_frames=clip.vertices,
-            template=template().corners[:, :2],
-        )
+        return make_clip_pair(identity, driving, rest, motion)
 
     def pair(self, split: str, kind: str, i: int) -> ClipPair:
         """Generate trial i as methods get it: vertices shuffled, with one order for all frames."""
         rng = self.rng(split, kind, i)
         return shuffle_clip_vertices(self.unshuffled_pair(split, kind, i, rng), rng)
+
+
+def make_clip_pair(identity: Person, driving: Person, rest: Pose, motion: Motion) -> ClipPair:
+    """Make a trial from two people, the identity's pose and the driving's motion, in the body's vertex order."""
+    first = make_pair(identity, driving, rest, Pose(motion.rotmat[0], motion.name))
+    clip, truth = (motion_clip(person.body, person.shape, motion) for person in (driving, identity))
+    fields = {field.name: getattr(first, field.name) for field in dataclasses.fields(Pair)}
+    # The clip also has the motion's root path, which a pair of poses has not.
+    fields |= {"driving": dataclasses.replace(first.driving, vertices=clip.vertices[0])}
+    fields |= {"truth": truth.vertices[0], "aligned": clip.vertices[0]}
+    # Seconds of one take (take@start) are not independent.
+    fields |= {"groups": (identity.label, motion.name.partition("@")[0])}
+    return ClipPair(
+        **fields,
+        clip=dataclasses.replace(clip, mesh=fields["driving"]),
+        truth_frames=truth.vertices,
+        aligned_frames=clip.vertices,
+        template=template().corners[:, :2] if identity.body is human() else None,
+    )
 
 
 def shuffle_clip_vertices(trial: ClipPair, rng: np.random.Generator) -> ClipPair:

@@ -16,13 +16,16 @@ from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh
 from ..io import load_mesh
+from ..methods.find import is_table_model, weights_path
 from ..pipeline import animate, transfer
 from .clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair, clips_aniformer
 from .cross_body import SUFFIXES
 from .measure import on_supported_vertices, result_frames, result_vertices
+from .named_animals import species_clip
 from .pairs import Pair, shuffle_vertices
 from .protocols import HUMAN_NPT, HUMAN_WIDE, NOISE, with_noise
 from .run import check_method
+from .tables import TABLES
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -37,6 +40,8 @@ ANIFORMER_ABLATIONS = (
 )
 TILE = (300, 360)
 """Width and height (pixels) of the picture of one mesh."""
+ANIMAL_GAITS = ("gallop", "walk", "bound")
+"""Gaits of figures of animals, one after another."""
 SHOWN_FRAMES = np.linspace(2, FRAMES - 3, 5).round().astype(int)
 """Frames of a clip that are drawn: five, evenly spaced."""
 
@@ -81,8 +86,7 @@ def figure_command(
     if name not in FIGURES:
         raise InputError(f"{name}: expected a figure ({', '.join(FIGURES)}), found another; check the name")
     figure = FIGURES[name]
-    for model in models or figure.models:
-        check_method(model)
+    check_models(models or figure.models)
     count, pages = rows or figure.row_count, []
     for tiles in figure.rows(models or figure.models, count, data):
         pages.append(draw_row(tiles))
@@ -90,6 +94,19 @@ def figure_command(
             progress(len(pages), max(count, len(pages)))
     save_picture(stack(pages), out)
     return len(pages)
+
+
+def check_models(models: tuple[str, ...]) -> None:
+    """Raise InputError for a model that does not exist, or whose weights do not; the message says how to make them."""
+    for model in models:
+        if is_table_model(model) and not weights_path(model).is_file():
+            name = Path(model).name
+            table = next(key for key, table in TABLES.items() if name in [row.method for row in table.rows])
+            raise InputError(
+                f"{model}: expected its weights in {weights_path(model)}, found no file; make them with mimesh table "
+                f"{table} --train (--long for those that take hours), then give -m runs/tables/seed0/{name}"
+            )
+        check_method(model)
 
 
 def comparison_rows(models: tuple[str, ...], count: int, data: Path | None, *, kind: str) -> Iterator[list[Tile]]:
@@ -176,6 +193,20 @@ def foreign_clip_rows(models: tuple[str, ...], count: int, data: Path | None) ->
             yield [Tile(path.stem, identity), *tiles]
 
 
+def animal_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make one row for each of some gaits: a horse in the pose of a camel (NPT Fig. 14)."""
+    for i in range(count):
+        pair = species_clip("horse", "camel", ANIMAL_GAITS[i % len(ANIMAL_GAITS)], i).frame(0)
+        identity, driving, *others = _pair_row(pair, models)
+        yield [identity._replace(label="horse"), driving._replace(label=pair.driving.name), *others]
+
+
+def animal_clip_rows(models: tuple[str, ...], count: int, data: Path | None) -> Iterator[list[Tile]]:
+    """Make the rows of clips: a lion with gaits of a horse (AniFormer Fig. 5, row 3)."""
+    for i in range(count):
+        yield from _clip_rows(species_clip("lion", "horse", ANIMAL_GAITS[i % len(ANIMAL_GAITS)], i), models)
+
+
 SPARSE_DT = ("deformation-transfer-5", "deformation-transfer-13")
 FIGURES = {
     "npt-6": Figure(
@@ -196,6 +227,7 @@ FIGURES = {
     "npt-11": Figure("poses from other makers (--data)", foreign_driving_rows, ("npt",), 3),
     "npt-12": Figure("noise, beside deformation transfer", noise_rows, ("deformation-transfer-13", "npt"), 4),
     "npt-13": Figure("other baselines", partial(comparison_rows, kind="unseen"), ("skeleton", "npt-maxpool", "npt"), 4),
+    "npt-14": Figure("a horse in poses of a camel", animal_rows, ("npt-maxpool-quadruped", "npt-quadruped"), 3),
     "npt-15": Figure("more vertex orders", vertex_order_rows, ("npt",), 5),
     "npt-16": Figure("more noise", noise_rows, ("npt",), 6),
     "npt-17": Figure("more identities from other makers (--data)", foreign_identity_rows, ("npt",), 12),
@@ -213,10 +245,12 @@ FIGURES = {
     "aniformer-5": Figure(
         "identities from other makers in motion (--data)", foreign_clip_rows, ("aniformer-equal",), 3
     ),
+    "aniformer-animals": Figure("a lion with a horse's gaits", animal_clip_rows, ("aniformer-quadruped",), 1),
     "aniformer-noise": Figure("noise on the driving clip", clip_noise_rows, ("aniformer-equal",), 3),
 }
-"""Name -> figure. NPT's figures 14 (animals) and 18 (a registered data set) are missing, because there are no data for
-them here; 17 takes any folder of people. The last row of AniFormer's figure 5 (noise) is a separate figure."""
+"""Name -> figure. NPT's figure 18 (a registered data set) is missing, because there are no data for it here; 17 takes
+any folder of people. Rows 3 (animals) and 4 (noise) of AniFormer's figure 5 are separate figures. Animals are of the
+shipped quadruped, in place of the papers' data sets."""
 
 
 def draw_row(tiles: list[Tile]) -> Image.Image:

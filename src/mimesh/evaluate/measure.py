@@ -81,10 +81,10 @@ def extra_inputs(method: str) -> str:
     if method in EXTRA_INPUTS:
         return EXTRA_INPUTS[method]
     network = find_method(method)
-    body = "own meshes" if trained_on(method) == "meshes" else "our body"
+    shipped = "our quadruped" if getattr(network, "body", "human") == "quadruped" else "our body"
+    body = "own meshes" if trained_on(method) == "meshes" else shipped
     if needs_true_size(network):
         return f"trained on {body}, true size"
-    body = "our quadruped" if getattr(network, "body", "human") == "quadruped" else body
     return f"trained on {body}, which it fits" if getattr(network, "fits_body", False) else f"trained on {body}"
 
 
@@ -106,6 +106,8 @@ def training_facts(method: str) -> dict[str, Any]:
         return {"trained": "unknown"}
     card = json.loads(path.with_suffix(".json").read_text())
     data = TRAINED_ON[card["config"]["data"]["kind"]]
+    if card["config"]["data"].get("body") == "quadruped":
+        data = data.replace("people", "animals")
     if "meshes" in card:
         data += f", {card['meshes']['people']} people x {card['meshes']['poses']} poses"
     if "characters" in card:

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from ..bodies import RiggedBody, load_body
-from ..bodies.quadruped import LIMITS, LOWERED_HEAD, USUAL, postures
+from ..bodies.quadruped import LIMITS, USUAL, lowered_head, postures
 from ..bodies.sampling import rotvec_to_rotmat, sample_pose, sample_shape
 from ..motions.gaits import quadruped_poses
 from .pairs import Pair, Person, Pose, make_pair
@@ -40,9 +40,7 @@ class Quadruped(Protocol):
         identity, driving = (
             Person(body, sample_shape(body, seed, 2 * i + k, self.spread), str(2 * i + k)) for k in range(2)
         )
-        rest = np.zeros_like(body.joints)
-        for name, degrees in LOWERED_HEAD.items():
-            rest[body.joint(name), 0] = rng.random() * np.radians(degrees)
+        rest = lowered_head(body, rng.random(3))
         if rng.random() < 0.5:
             rest = sample_pose(body, seed, 10_000 + i, USUAL)
         if kind == "gaits":

@@ -64,7 +64,7 @@ class DataConfig:
     front: str = ""
     """`meshes`: axis of the files that people face; empty: detected, the same for all meshes."""
     body: Literal["human", "quadruped"] = "human"
-    """`mime`, `wide`: shipped body of the people, or the animals, that are drawn."""
+    """`mime` and `npt` (`wide`), `aniformer` (`clips`): shipped body of the people, or the animals, that are drawn."""
 
 
 TABLE_KINDS = ("table6", "clips80")
@@ -175,11 +175,15 @@ class BodySampler(VertexSampler):
         rest = self.resting * torch.rand(size, 1, 1, generator=rng, device=self.device)
         rest = rest + REST_NOISE * torch.randn(size, *rest.shape[1:], generator=rng, device=self.device)
         if len(self.postures):
-            share = torch.rand(size, 1, 1, generator=rng, device=self.device)
-            posture = share * self.postures[self._random_index(len(self.postures), (size,), rng)]
+            posture = self._random_postures(size, rng)
             rest, table, frame = rest + posture, table + posture, frame + posture
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
+
+    def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
+        """Draw shares of the ways in which animals stand."""
+        share = torch.rand(size, 1, 1, generator=rng, device=self.device)
+        return share * self.postures[self._random_index(len(self.postures), (size,), rng)]
 
     def _replace_by_contacts(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
         """Replace a share of the people by ones in self-contact: shapes, poses, and who was replaced."""

@@ -79,7 +79,7 @@ class CharacterSurface:
         vertex_weights = body_weights(character, body)
         size = body_spread(body) / np.sqrt(np.square(points - points.mean(axis=0)).sum(-1).mean())
         found, aligned, known = _rest_of(character, body)
-        carrier = carriers(set(character.joints) | {"Hips"}, body)
+        carrier = body.carriers(character.joints)
         alignment = np.tile(np.eye(3), (len(body.parents), 1, 1))
         joints = np.empty((len(body.parents), 3))
         for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
@@ -227,15 +227,6 @@ def body_weights(character: PoolCharacter, body: RiggedBody) -> Float[np.ndarray
     target = rig.nearest_columns(columns, body.joint("Hips"))
     weights = rig.summed_weights(target, len(body.parents))
     return weights / weights.sum(axis=1, keepdims=True)
-
-
-def carriers(names: set[str], body: RiggedBody) -> Int[np.ndarray, " J"]:
-    """Find the joint whose rotation each of the body's joints has in a figure that has only the named ones."""
-    carrier = np.arange(len(body.parents))
-    for j, (name, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
-        if name not in names and parent >= 0:
-            carrier[j] = carrier[parent]
-    return carrier
 
 
 def clip_poses(characters: Iterable[PoolCharacter], body: RiggedBody) -> Float[np.ndarray, "P J 3"]:

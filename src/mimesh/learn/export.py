@@ -44,11 +44,21 @@ MIME_DATA = (
     "missing parts"
 )
 """Description of `wide` where `mime` is trained on it."""
+ANIMAL_PAIRS = (
+    "endless animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, joint "
+    "limits; headings"
+)
+"""Description of `wide` where `npt` is trained on four-legged animals."""
+ANIMAL_CLIPS = (
+    "endless animals of the shipped quadruped; windows of gaits and of ways to sit, lie and eat at up to 3 times their "
+    "speed, ways between poses within the joint limits; headings"
+)
+"""Description of `clips` where `aniformer` is."""
 ANIMAL_DATA = (
     "random animals of the shipped quadruped; at rest, gaits, sitting, lying and eating, everyday poses, joint limits; "
     "headings, some turned over; noise, one-sided surfaces, missing parts"
 )
-"""The same where it is trained on four-legged animals."""
+"""Description of `wide` where `mime` is."""
 CHARACTERS = "; characters of others (`characters`) and people of primitives, in these poses and those of their clips"
 """What is added to it where characters are part of the data."""
 NPT_CHARACTERS = "; characters of others (`characters`) in these poses and those of their clips"
@@ -70,7 +80,8 @@ def export_command(path: Path, out: Path, bits: int = 16) -> dict[str, Any]:
     check_output(out, bits, STORED_BITS)
     model, trained = checkpoint.load_model(path)
     config = trained.config
-    save_network(model, config.network, {"target_scale": config.data.target_scale}, config.model, out, bits)
+    facts = {"target_scale": config.data.target_scale, "body": config.data.body}
+    save_network(model, config.network, facts, config.model, out, bits)
     card = make_card(out, path, trained)
     save_card(card, out)
     return card
@@ -162,11 +173,15 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
 
 def described_data(config: TrainConfig) -> str:
     """Say in words what a training had as data."""
-    if config.network != "mime" or config.data.kind != "wide":
-        return DATA[config.data.kind] + (NPT_CHARACTERS if config.network == "npt" and config.data.characters else "")
-    if config.data.body == "quadruped":
-        return ANIMAL_DATA + (CHARACTERS.replace("people", "animals") if config.data.characters else "")
-    return MIME_DATA + (CHARACTERS if config.data.characters else "")
+    animals, characters = config.data.body == "quadruped", bool(config.data.characters)
+    if config.network == "mime" and config.data.kind == "wide":
+        data, more = (ANIMAL_DATA if animals else MIME_DATA), CHARACTERS
+    else:
+        of_people = DATA[config.data.kind]
+        data = {"npt": ANIMAL_PAIRS, "aniformer": ANIMAL_CLIPS}[config.network] if animals else of_people
+        more = NPT_CHARACTERS if config.network == "npt" else ""
+    more = more.replace("people", "animals") if animals else more
+    return data + (more if characters else "")
 
 
 def test_set(card: dict[str, Any]) -> str:

@@ -10,8 +10,10 @@ from jaxtyping import Float
 from ..bodies import RiggedBody, quadruped
 from ..bodies.contacts import contact_bank
 from ..bodies.sampling import JOINT_LIMITS, TABLE_6, Range, limits_rotvec, lowered_arms
-from ..motions import pose_bank
-from ..motions.gaits import quadruped_poses
+from ..motions import mirror, pose_bank
+from ..motions.clips import split_windows
+from ..motions.gaits import quadruped_poses, quadruped_takes
+from ..motions.motion import rotmat_to_rotvec
 
 
 class PoseSources(NamedTuple):
@@ -44,10 +46,19 @@ def pose_sources(body: RiggedBody) -> PoseSources:
     usual, limits = (limits_rotvec(body, table) for table in ranges_of(body))
     if body.name == "quadruped":
         nobody = np.zeros((0, len(body.components))), np.zeros((0, *body.joints.shape))
-        resting = np.zeros_like(body.joints)
-        for name, degrees in quadruped.LOWERED_HEAD.items():
-            resting[body.joint(name), 0] = np.radians(degrees)
-        return PoseSources(usual, limits, quadruped_poses(body, "train"), resting, quadruped.postures(body), *nobody)
+        frames, resting = quadruped_poses(body, "train"), quadruped.lowered_head(body)
+        return PoseSources(usual, limits, frames, resting, quadruped.postures(body), *nobody)
     return PoseSources(
         usual, limits, pose_bank("train"), lowered_arms(body), np.zeros((0, *body.joints.shape)), *contact_bank()
     )
+
+
+def training_takes(body: RiggedBody) -> list[Float[np.ndarray, "T J 3"]]:
+    """Load the motions that windows of a shipped body are cut from, 30 frames a second, as rotation vectors (radians).
+
+    Of people they are the captures and their mirror images, of animals gaits and ways into postures and back.
+    """
+    if body.name == "quadruped":
+        return quadruped_takes(body, "train", fps=30.0)
+    takes = [motion for take in split_windows("train") for motion in (take, mirror(take))]
+    return [rotmat_to_rotvec(motion.rotmat) for motion in takes]

@@ -18,7 +18,7 @@ from ..bodies.character_limbs import SIDES
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.geometry import unit_vectors
 from ..motions.rest_calibration import rotation_between
-from .character_surfaces import POINTS, CharacterSurface, carriers
+from .character_surfaces import POINTS, CharacterSurface
 
 Shape = Literal["box", "ellipsoid", "cylinder", "cone", "disc"]
 SHAPES: tuple[Shape, ...] = ("box", "ellipsoid", "cylinder", "cone", "disc")
@@ -108,7 +108,7 @@ def assemble(
         alignment: rotation of each from the shipped body's rest pose to the figure's.
         has: names of the joints that the figure has.
     """
-    carrier = carriers(set(has), body)
+    carrier = body.carriers(has)
     area = np.array([part.area for part in parts])
     which = rng.choice(len(parts), POINTS, p=area / area.sum())
     points, normals = np.empty((2, POINTS, 3))

@@ -42,6 +42,9 @@ FULL_ON_CLIPS = (
     *("doublings=[0.75,0.92]", "ema=0.99"),
 )
 """NPT at full width on the frames of as many windows as `aniformer-full` sees, drawn and learned in the same way."""
+ON_ANIMALS = ("data.body=quadruped", "ema=0.99")
+"""Random animals of the shipped quadruped instead of people: the narrow networks of the shipped weights, for a short
+training. The truth is in the identity's unit, so nothing of the truth is given in use."""
 ROWS = {
     "npt-equal": TrainedRow("npt"),
     "npt-no-edge": TrainedRow("npt", ("edge=off",)),
@@ -62,6 +65,11 @@ ROWS = {
     "aniformer-full": TrainedRow("aniformer", config="full", equal_time=False, long=True),
     "npt-full": TrainedRow("npt", config="full", equal_time=False, long=True),
     "mime-table": TrainedRow("mime", equal_time=False),
+    "npt-quadruped": TrainedRow("npt", (*ON_ANIMALS, "warmup=4000"), config="small"),
+    "npt-maxpool-quadruped": TrainedRow(
+        "npt", ("model.pose_code=global_max", *ON_ANIMALS, "warmup=4000"), config="small"
+    ),
+    "aniformer-quadruped": TrainedRow("aniformer", (*ON_ANIMALS, "warmup=1000"), config="small"),
 }
 """Name of a row's network -> how it is trained."""
 

@@ -59,6 +59,8 @@ class AniFormerMethod:
     seed: int = 0
     vertices: int = 0
     """Vertices that both meshes must have, in the order of the network's training; 0: any two meshes."""
+    body: str = "human"
+    """As in `NPTMethod`."""
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames.

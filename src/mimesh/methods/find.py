@@ -23,6 +23,7 @@ TABLE_MODELS = (
     *("mime-table", "npt-full", "npt-equal", "npt-no-edge", "npt-no-spadain", "npt-concat1", "npt-maxpool-equal"),
     *("aniformer-equal", "aniformer-motion", "aniformer-appearance", "aniformer-plain", "aniformer-regression"),
     *("aniformer-full", "npt-full-frames", "npt-frames", "npt-maxpool-frames", "limp"),
+    *("npt-quadruped", "npt-maxpool-quadruped", "aniformer-quadruped"),
 )
 """Networks of the papers' tables, for comparison only: in a checkout's folder `ablations`, not installed, or in another
 folder (`runs/tables/npt-equal`), where `mimesh table --train` put them."""

@@ -46,6 +46,8 @@ class NPTMethod:
     ensemble: int = 1
     """Random pairings over which results are averaged."""
     seed: int = 0
+    body: str = "human"
+    """Name of the shipped body that it was trained on."""
 
     def prepare(self, identity: Mesh, driving: Clip) -> Drive:
         """Rank both meshes and choose the driving points and their pairings, once for all frames."""

@@ -67,9 +67,10 @@ def load_network(
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
     session = _open_session(path, threads)
     card = _metadata(session, path)
+    body = card.get("body", "human")
     if card["model"] == "aniformer":
         facts = (card["frames"], card["head"], card["target_scale"])
-        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0))
+        return AniFormerMethod(name, session, *facts, ensemble, seed, card.get("vertices", 0), body)
     if card["model"] == "limp":
         return LIMPMethod(name, session, card["vertices"], card["target_scale"])
     if card["model"] == "hands":
@@ -77,9 +78,8 @@ def load_network(
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, threads, seed) if fingers else None
-        body = card.get("body", "human")
         return MimeMethod(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
-    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed)
+    return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body)
 
 
 def hands_path() -> Path:

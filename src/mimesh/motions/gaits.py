@@ -192,8 +192,15 @@ def posture_rotations(
 
 
 def quadruped_poses(body: RiggedBody, split: Literal["train", "val", "test"]) -> Float32[np.ndarray, "N J 3"]:
-    """Make the poses of a split as rotation vectors: frames of all gaits and postures, with seeds of the split."""
+    """Make the poses of a split as rotation vectors: frames of `quadruped_takes`, ten a second."""
+    return np.concatenate(quadruped_takes(body, split, fps=10.0))
+
+
+def quadruped_takes(
+    body: RiggedBody, split: Literal["train", "val", "test"], fps: float
+) -> list[Float32[np.ndarray, "T J 3"]]:
+    """Make all gaits and postures of a split, 2 seconds each, with its seeds, as rotation vectors (radians)."""
     seed = SEEDS[split]
-    frames = [gait_rotations(body, name, seed, i, 2.0, 10.0) for name in GAITS for i in range(TAKES)]
-    frames += [posture_rotations(body, name, seed, i, 2.0, 10.0) for name in POSTURES for i in range(TAKES)]
-    return rotmat_to_rotvec(np.concatenate(frames)).astype(np.float32)
+    takes = [gait_rotations(body, name, seed, i, 2.0, fps) for name in GAITS for i in range(TAKES)]
+    takes += [posture_rotations(body, name, seed, i, 2.0, fps) for name in POSTURES for i in range(TAKES)]
+    return [rotmat_to_rotvec(take).astype(np.float32) for take in takes]

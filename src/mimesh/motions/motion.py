@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies import RiggedBody
+from ..bodies.anatomy import anatomy_of_joints
 from ..bodies.joint_names import other_side
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.animated_rig import frames_around
@@ -105,8 +106,8 @@ def turned_to_front(rotmat: Float[np.ndarray, "N J 3 3"]) -> Float[np.ndarray, "
 
 
 def leg_length(joints: Float[np.ndarray, "J 3"], joint_names: tuple[str, ...]) -> float:
-    """Measure the length of the left leg, hip to knee to ankle, at rest, in the unit of `joints`."""
-    hip, knee, ankle = (joints[joint_names.index(n)] for n in LEG)
+    """Measure the length of the left leg, hip to knee to ankle, at rest (of animals of the foreleg)."""
+    hip, knee, ankle = (joints[joint_names.index(n)] for n in anatomy_of_joints(joint_names).legs[0])
     return float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
 
 

@@ -15,7 +15,7 @@ from ..core.mesh import Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method
 from ..methods.confidence import MAX_ENTROPY
-from ..methods.find import NETWORK_OF_BODY
+from ..methods.find import NETWORK_OF_BODY, find_method
 from .orientation import normalised, predicted_orientation
 from .rigs import Axes, Rigs
 
@@ -54,9 +54,11 @@ def with_body(
         InputError: a person and an animal, or a body that the method has not.
     """
     if not isinstance(method, BodyMethod) or len(method.bodies) == 1:
-        own = method.body if isinstance(method, BodyMethod) else "human"
+        own = getattr(method, "body", "human")
         if asked not in ("auto", own):
             raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
+        if own == "quadruped" and not isinstance(method, BodyMethod):
+            norms = _turned_as_animal(meshes[0], norms[0], axes[:2]), _turned_as_animal(meshes[1], norms[1], axes[2:])
         return method, norms
     found, of_rig = [], next((body for body in rigs.bodies if body is not None), None)
     known = of_rig if asked == "auto" else asked
@@ -94,3 +96,15 @@ def _as_animal(norm: Normalization, up: str | None) -> Normalization:
     """
     known = up is not None or norm.up_from == "file"
     return dataclasses.replace(norm, shape_up=None, margin=1.0 if known else 0.0)
+
+
+def _turned_as_animal(mesh: Mesh, norm: Normalization, axes: tuple[str | None, str | None]) -> Normalization:
+    """Return the normalisation of an animal whose axes are not known, for methods that predict no joints.
+
+    The detector was trained on people; the network that finds animals' joints tells which way an animal faces.
+    """
+    if not norm.detected:
+        return norm
+    finder = find_method(NETWORK_OF_BODY["quadruped"])
+    assert isinstance(finder, BodyMethod)
+    return predicted_orientation(finder, mesh, norm, axes)[2]

@@ -24,21 +24,22 @@ from ...bodies import RiggedBody
 from ...core.errors import InputError
 from ...evaluate import protocols
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER, FRAMES, ClipPair
-from ...motions.clips import split_windows
-from ...motions.motion import mirror, rotmat_to_rotvec
+from ...evaluate.pairs import Pair
+from ...evaluate.quadruped import QUADRUPED
 from .. import losses
 from ..bodies import rotvec_to_rotmat
 from ..body_sampler import TABLE_KINDS, BodySampler, DataConfig, random_headings
 from ..losses import edge_vectors, match_frames, mean_squared_distance
 from ..mesh_pairs import HeldOutMeshes, MeshSampler, WindowBatch
 from ..models.aniformer import AniFormer, AniFormerConfig
-from ..validation import clip_error
+from ..pose_sources import training_takes
+from ..validation import clip_error, pair_error
 from .base import OnnxInterface, Task, TrainConfig
 
 MAX_SPEED = 3
-"""`clips`: captured windows are played at up to this many times their speed."""
+"""`clips`: windows of captures, or of animals' gaits, are played at up to this many times their speed."""
 CAPTURED = 0.5
-"""`clips`: share of windows from captures; the others go straight from one pose within the joint limits to another."""
+"""`clips`: share of windows of these; the others go straight from one pose within the joint limits to another."""
 MIN_STEP = 1e-6
 """Least mean square step of a driving frame that Eq. 4 divides by (unit sphere: 1e-3 of the radius a frame)."""
 
@@ -98,12 +99,12 @@ class WindowSource(BodySampler):
         super()._load(body)
         if self.config.kind in TABLE_KINDS:
             return
-        takes = [m for take in split_windows("train") for m in (take, mirror(take))]
+        takes = training_takes(body)
         # All frames of all takes in one tensor, and the indices where the fastest window still fits into its take.
-        self.captured = self._tensor(np.concatenate([rotmat_to_rotvec(m.rotmat) for m in takes]))
-        ends = np.cumsum([len(m) for m in takes])
+        self.captured = self._tensor(np.concatenate(takes))
+        ends = np.cumsum([len(take) for take in takes])
         longest = MAX_SPEED * (self.frames - 1)
-        starts = [np.arange(end - len(m), end - longest) for end, m in zip(ends, takes, strict=True)]
+        starts = [np.arange(end - len(take), end - longest) for end, take in zip(ends, takes, strict=True)]
         self.starts = torch.from_numpy(np.concatenate(starts)).to(self.device)
 
     def batch(self, size: int, step: int) -> WindowBatch:
@@ -130,12 +131,15 @@ class WindowSource(BodySampler):
         return self.table_shapes[who], pose, window
 
     def _sample_windows(self, size: int, rng: torch.Generator):
-        """Draw new people, windows of captures at some speed or straight ways between two poses, and headings."""
+        """Draw new people, windows of takes at some speed or straight ways between two poses, and headings."""
         shapes, poses, _ = self._sample_people(size, rng)
         frame = torch.arange(self.frames, device=self.device)
         first = self.starts[self._random_index(len(self.starts), (size, 1), rng)]
         speed = 1 + self._random_index(MAX_SPEED, (size, 1), rng)
-        captured = rotvec_to_rotmat(self.captured[first + speed * frame])
+        captured = self.captured[first + speed * frame]
+        if len(self.postures):
+            captured = captured + self._random_postures(size, rng)[:, None]
+        captured = rotvec_to_rotmat(captured)
         straight = self._straight_windows(size, self.frames, rng)
         heading = random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = torch.rand(size, generator=rng, device=self.device) < CAPTURED
@@ -284,10 +288,10 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
 
     @property
     def protocol(self) -> protocols.Protocol:
-        """Clips: those held out where the data are clips of a folder."""
+        """Clips: those held out where the data are clips of a folder; of animals pairs, whose driving stands still."""
         if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
             return held_out
-        return CLIPS_ANIFORMER
+        return QUADRUPED if self.config.data.body == "quadruped" else CLIPS_ANIFORMER
 
     def make_model(self) -> AniFormer:
         """Build the network with fresh weights."""
@@ -307,14 +311,19 @@ class AniFormerTask(Task[AniFormerTrainConfig, AniFormer]):
         weights = dataclasses.asdict(self.config.losses)
         return aniformer_loss(result, *given, **weights, edges_of_mesh=batch.edges_of_mesh)
 
-    def trial_error(self, model: AniFormer, trial: ClipPair) -> float:
-        """Compute the mean PMD over the frames of a clip's middle window."""
+    def trial_error(self, model: AniFormer, trial: Pair | ClipPair) -> float:
+        """Compute the mean PMD over the frames of a clip's middle window, or the PMD of a pair."""
+        frames = self.config.model.frames
 
         def infer(identity: Float[Tensor, "V 3"], driving: Float[Tensor, "T U 3"]) -> Float[Tensor, "R V 3"]:
+            window = driving.expand(frames, -1, -1)  # repeats the one frame of a pair
             with self.autocast():
-                return model(identity[None], driving[None])[0]
+                return model(identity[None], window[None])[0]
 
-        return clip_error(infer, trial, self.config.data.target_scale, self.device, self.config.model.frames)
+        where = (self.config.data.target_scale, self.device)
+        if isinstance(trial, ClipPair):
+            return clip_error(infer, trial, *where, frames)
+        return pair_error(infer, trial, *where)
 
     def batch_error(self, model: AniFormer, batch: WindowBatch) -> float:
         """Compute the mean PMD of a batch, in the unit of its truth."""

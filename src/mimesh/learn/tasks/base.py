@@ -19,6 +19,8 @@ from ..body_sampler import DataConfig
 from ..character_surfaces import TrainingCharacters
 from ..registered_meshes import RegisteredMeshes
 
+ANIMAL_KINDS = {"mime": "wide", "npt": "wide", "aniformer": "clips"}
+"""Networks that can be trained on the shipped quadruped, and the kind of data that has animals."""
 UserData = TrainingCharacters | RegisteredMeshes
 """What the user brings to a training."""
 
@@ -83,6 +85,13 @@ class TrainConfig:
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
         if self.data.characters and self.network not in ("mime", "hands", "npt"):
             raise InputError(f"{where}: expected data.characters 0 with {self.network}, found {self.data.characters}")
+        kind = ANIMAL_KINDS.get(self.network)
+        if self.data.body == "quadruped" and self.data.kind != kind:
+            known = ", ".join(f"{network} on {of_it}" for network, of_it in ANIMAL_KINDS.items())
+            raise InputError(
+                f"{where}: expected data.body human with {self.network} on data.kind {self.data.kind}, found "
+                f"quadruped; animals are data of {known}"
+            )
         if self.data.between and self.data.kind != "clips80":
             raise InputError(f"{where}: expected data.between 0 with {self.data.kind}, found {self.data.between}")
         if self.data.kind == "meshes" and self.network not in ("npt", "aniformer"):

@@ -13,6 +13,7 @@ from ...core.errors import InputError
 from ...evaluate import protocols
 from ...evaluate.clip_protocols import CLIPS_ANIFORMER, ClipPair
 from ...evaluate.pairs import Pair
+from ...evaluate.quadruped import QUADRUPED
 from ..losses import edge_ratio, edge_vectors, mean_squared_distance, reconstruction
 from ..mesh_pairs import HeldOutMeshes
 from ..models.npt import NPT, NPTConfig
@@ -88,6 +89,8 @@ class NPTTask(Task[NPTTrainConfig, NPT]):
         """Pairs, or clips where the data are clips; those held out where the data are meshes of a folder."""
         if self.meshes and (held_out := HeldOutMeshes.of(self.meshes)):
             return held_out
+        if self.config.data.body == "quadruped":
+            return QUADRUPED
         return CLIPS_ANIFORMER if self.config.data.kind in ("clips", "clips80") else protocols.HUMAN_NPT
 
     def make_model(self) -> NPT:

@@ -1,0 +1,68 @@
+"""Animals of species: their shapes, how they stand, and the truth of their clips."""
+
+import numpy as np
+import pytest
+from animals import BODY
+
+from mimesh.bodies.quadruped import LOWERED_HEAD, SHAPES, lowered_head
+from mimesh.bodies.sampling import rotvec_to_rotmat
+from mimesh.evaluate.measure import measure, result_frames
+from mimesh.evaluate.named_animals import species_clip, standing
+from mimesh.motions.gaits import GAITS, quadruped_poses, quadruped_takes
+
+
+def heights(species):
+    """Highest points of the back, of the hips and of the head of a species that stands, over that of the hips."""
+    vertices = BODY.posed(np.array(SHAPES[species]), rotvec_to_rotmat(standing(species)))
+    parts = {"back": ("Spine2", "Spine3", "Spine4"), "hips": ("Hips",), "head": ("Head",)}
+    own = {part: BODY.weights[:, [BODY.joint(name) for name in names]].sum(axis=1) for part, names in parts.items()}
+    top = {part: vertices[weight > 0.5, 1].max() for part, weight in own.items()}
+    return {part: top[part] / top["hips"] for part in parts}
+
+
+def test_species_have_their_proportions():
+    horse, lion, camel = (heights(species) for species in ("horse", "lion", "camel"))
+    assert camel["back"] > 1.1 > 1.06 > max(horse["back"], lion["back"])
+    assert lion["head"] < 1.3 < 1.35 < min(horse["head"], camel["head"])
+
+
+def test_heads_are_lowered_by_shares():
+    half = lowered_head(BODY, 0.5)
+    moved = [BODY.joint_names[j] for j in np.flatnonzero(half.any(axis=1))]
+    assert set(moved) == set(LOWERED_HEAD)
+    np.testing.assert_allclose(2 * half, lowered_head(BODY))
+    one = lowered_head(BODY, np.array([1.0, 0.0, 0.0]))
+    assert np.degrees(one[BODY.joint("Neck1"), 0]) == pytest.approx(LOWERED_HEAD["Neck1"])
+    assert np.count_nonzero(one) == 1
+
+
+@pytest.mark.parametrize("gait", GAITS)
+def test_the_truth_is_the_identity_with_the_gait_of_the_driving(gait):
+    trial = species_clip("lion", "horse", gait)
+    assert trial.truth_frames.shape == (30, *BODY.vertices.shape)
+    pair = trial.frame(7)
+    figures = {method: measure(pair, method)["pmd_e4"] for method in ("identity", "copy", "truth")}
+    assert figures["truth"] < 1e-9
+    assert figures["identity"] > 10
+    assert figures["copy"] > 10
+    # The feet on the ground carry the animal: it moves forwards, and none of it is below the ground.
+    centre = trial.truth_frames.mean(axis=1)
+    assert centre[-1, 2] - centre[0, 2] > 0.1
+    assert trial.clip.vertices[..., 1].min() > -0.05
+
+
+def test_deformation_transfer_moves_the_lion_like_the_horse():
+    trial = species_clip("lion", "horse", "walk")
+    frames = result_frames(trial, "deformation-transfer-13")
+    centred, truth = (clip - clip.mean(axis=1, keepdims=True) for clip in (frames, trial.truth_frames))
+    error = np.linalg.norm(centred - truth, axis=-1).mean()
+    assert error < 0.03 * trial.height
+
+
+def test_poses_are_frames_of_the_takes():
+    takes = quadruped_takes(BODY, "val", 10.0)
+    assert all(len(take) == 20 for take in takes)
+    np.testing.assert_array_equal(np.concatenate(takes), quadruped_poses(BODY, "val"))
+    # The same motion at another rate.
+    fine = quadruped_takes(BODY, "val", 30.0)
+    np.testing.assert_allclose(fine[0][::3], takes[0], atol=1e-6)
