@@ -32,19 +32,21 @@ from ..methods.base import (
     Method,
     MotionMethod,
     QuickPredictor,
+    RigMethod,
     SkinnedDrive,
     SkinnedMethod,
     SurfaceMotion,
 )
 from ..motions.humanoid_rig import HumanoidRig
-from .body_choice import check_body, with_body
+from .body_choice import check_body, matched_creatures, with_body
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
+from .creatures import MatchedCreatures
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
-from .rigs import NO_RIGS, Axes, Rigs, face_tracks
+from .rigs import NO_RIGS, OTHER, Axes, Rigs, face_tracks
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -269,16 +271,43 @@ def move(
     """
     with timer.step("prepare"):
         rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
-        if rigs.only_copied and options.changes_motion:
+        matched = _matched_creatures(identity, clip, rigs, choice, axes, options, corrections)
+        if (rigs.only_copied or matched is not None) and options.smooth > 0:
             raise InputError(
-                f"--root, --smooth: expected the rig of a person, found another one in {identity.name}, whose "
-                "animation is copied as it is; leave these options out"
+                f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
             )
-        copied = rigs.copied is not None
+        copied = rigs.copied is not None or matched is not None
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+    if matched is not None:
+        return move_creature(identity, clip, matched, options.root, timer, progress, dtype)
     if prepared is None:
         return copy_animation(identity, clip, rigs, axes, timer, progress, dtype)
     return play(prepared, timer, options, progress, dtype)
+
+
+def _matched_creatures(
+    identity: Mesh,
+    clip: Clip,
+    rigs: Rigs,
+    choice: Choice,
+    axes: Axes,
+    options: MotionOptions,
+    corrections: Corrections,
+) -> MatchedCreatures | None:
+    """Match the rigs of both files with each other where these are of other creatures, and are not the same."""
+    corrected = corrections.identity is not None or corrections.driving is not None
+    if options.rig != "own" or rigs.copied is not None or corrected:
+        return None
+
+    def method() -> Method:
+        return choice(_fitted(identity, _first_frame(clip), rigs.axes(axes))[1])
+
+    def read(method: RigMethod) -> Rigs:
+        find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
+        return read_rigs(identity, clip, options, corrections, copy=False, find=find)
+
+    asked = OTHER if rigs.only_copied else options.body
+    return matched_creatures(method, asked, rigs, read, identity, clip, axes)
 
 
 def copy_animation(
@@ -301,14 +330,46 @@ def copy_animation(
     own = OwnAnimation(
         identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
     )
+    return _moved_nodes(identity, clip, own, rigs.axes(axes), {"copied": True}, timer, progress, dtype)
+
+
+def move_creature(
+    identity: Mesh,
+    clip: Clip,
+    matched: MatchedCreatures,
+    root: str,
+    timer: Timer,
+    progress: Progress | None,
+    dtype: type[np.floating],
+) -> MovedIdentity:
+    """Move an identity whose joints are matched with those of the driving, whatever creature it is."""
+    with timer.step("prepare"):
+        tracks = matched.tracks(root)
+    own = OwnAnimation(matched.identity.source, clip.mesh.name, tracks, clip.fps, len(clip), {})
+    facts = {"copied": False, "match": matched.facts()}
+    moved = _moved_nodes(identity, clip, own, matched.axes, facts, timer, progress, dtype)
+    return dataclasses.replace(moved, notes=matched.notes + moved.notes)
+
+
+def _moved_nodes(
+    identity: Mesh,
+    clip: Clip,
+    own: OwnAnimation,
+    axes: Axes,
+    facts: dict,
+    timer: Timer,
+    progress: Progress | None,
+    dtype: type[np.floating],
+) -> MovedIdentity:
+    """Make all frames of an animation of the nodes of the identity's file, and their report."""
     moved = allocate_frames(len(clip), len(identity.vertices), dtype)
     with timer.step("drive"):
         for t, vertices in enumerate(own.vertices()):
             moved[t] = vertices
             if progress is not None:
                 progress(t + 1, len(clip))
-    report = _report(identity, clip, moved, _fitted(identity, _first_frame(clip), rigs.axes(axes)))
-    report |= {"rig": "own", "copied": True, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
+    report = _report(identity, clip, moved, _fitted(identity, _first_frame(clip), axes))
+    report |= {"rig": "own", **facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
     return MovedIdentity(moved, None, own, report, missing_images_notes(missing_images(identity)))
 
 
