@@ -48,10 +48,10 @@ def main() -> None:
     pairs = [matched(identity, driving) for identity in creatures for driving in creatures if identity is not driving]
     taken = [pair for pair in pairs if not pair["refused"]]
     print(f"{len(taken)} of {len(pairs)} pairs are matched")
-    print(f"own clips from a renamed copy: largest error {max(own.values()):.3f} % of the size")
+    print(f"own clips from a renamed copy: largest error {max(own.values()):.1g} % of the size")
     report = {"provenance": provenance({"split": args.split, "sure": SURE}), "pairs": pairs, "own_clips": own}
     with whole_file(args.output) as temporary:
-        temporary.write_text(json.dumps(report, indent=1) + "\n")
+        temporary.write_text(json.dumps(report) + "\n")
 
 
 def matched(identity: PoolCharacter, driving: PoolCharacter) -> dict:
