@@ -38,15 +38,17 @@ from ..methods.base import (
     SurfaceMotion,
 )
 from ..motions.humanoid_rig import HumanoidRig
-from .body_choice import check_body, matched_creatures, with_body
+from .body_choice import check_body, looks_like, matched_creatures, with_body
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .creatures import MatchedCreatures
+from .marked_mesh import MarkedFrame, marked_frame
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
 from .rigs import NO_RIGS, OTHER, Axes, Rigs, face_tracks
+from .same_mesh import ReferenceFrame, nearest_frame, same_mesh
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -276,6 +278,9 @@ def move(
             raise InputError(
                 f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
             )
+        other = _other_shape(identity, clip, rigs, choice, axes, options, corrections) if matched is None else None
+        if other is not None:
+            return move_shape(identity, clip, other, axes, refine, timer, options, progress, dtype)
         copied = rigs.copied is not None or matched is not None
         prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
     if matched is not None:
@@ -308,6 +313,61 @@ def _matched_creatures(
 
     asked = OTHER if rigs.only_copied else options.body
     return matched_creatures(method, asked, rigs, read, identity, clip, axes)
+
+
+def _other_shape(
+    identity: Mesh,
+    clip: Clip,
+    rigs: Rigs,
+    choice: Choice,
+    axes: Axes,
+    options: MotionOptions,
+    corrections: Corrections,
+) -> ReferenceFrame | MarkedFrame | None:
+    """Find the frame of a driving that has about the identity's pose; None where the method of `choice` moves it."""
+    corrected = corrections.identity is not None or corrections.driving is not None
+    if rigs.copied is not None or corrected or options.body not in ("auto", OTHER):
+        return None
+    first = _first_frame(clip)
+    method = choice(_fitted(identity, first, rigs.axes(axes))[1])
+    if not finds_joints(method):
+        return None
+    if options.body == OTHER:
+        return nearest_frame(identity, clip) if same_mesh(identity, clip) else marked_frame(identity, clip, axes)
+    if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip):
+        return None
+    if looks_like(method, identity, axes[:2]) or looks_like(method, first, axes[2:]):
+        return None
+    return nearest_frame(identity, clip)
+
+
+def move_shape(
+    identity: Mesh,
+    clip: Clip,
+    reference: ReferenceFrame | MarkedFrame,
+    axes: Axes,
+    refine: bool | None,
+    timer: Timer,
+    options: MotionOptions,
+    progress: Progress | None,
+    dtype: type[np.floating],
+) -> MovedIdentity:
+    """Move an identity by deformation transfer from a frame of the driving that has about its pose."""
+    with timer.step("prepare"):
+        norm = Normalization.fit(identity, *axes[:2])
+        known = (norm.up, norm.front, *reference.axes(norm))
+
+        def choice(driving: Normalization) -> Method:
+            return reference.method(clip.mesh, norm, driving)
+
+        options = dataclasses.replace(options, rig="mimesh", body="auto")
+        prepared = prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS)
+    moved = play(prepared, timer, options, progress, dtype)
+    moved.report["identity"] |= facing(norm)
+    if isinstance(reference, ReferenceFrame):
+        moved.report["driving"]["up_from"] = "identity"
+    moved.report["reference"] = reference.facts()
+    return dataclasses.replace(moved, notes=(reference.note((identity.name, clip.mesh.name)), *moved.notes))
 
 
 def copy_animation(
