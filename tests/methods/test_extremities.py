@@ -68,7 +68,7 @@ def test_what_is_not_alike_has_no_confidence():
 
 
 def test_an_animal_moves_by_another_mesh_from_the_ends_of_its_limbs():
-    """As a creature without rigs. Measured: the result is 0.4 times as far from the truth as the still identity."""
+    """As a creature without rigs. Measured: 0.0025 from the truth, the still identity 0.13."""
     one, two = animal(), slender()
     moving = [name for name in bones() if name not in FEET and name != "Hips"]
     turns = [{}, *(random_turns(t, moving) for t in range(1, FRAMES))]
@@ -83,7 +83,7 @@ def test_an_animal_moves_by_another_mesh_from_the_ends_of_its_limbs():
         offset = (vertices - vertices.mean(axis=1, keepdims=True)) - (truth - truth.mean(axis=1, keepdims=True))
         return float(np.linalg.norm(offset[1:], axis=-1).mean())
 
-    assert error(result.clip.vertices) < 0.7 * error(np.stack([identity.vertices] * FRAMES))
+    assert error(result.clip.vertices) < 0.1 * error(np.stack([identity.vertices] * FRAMES))
     assert any("ends of limbs were found" in note for note in result.notes)
 
 
