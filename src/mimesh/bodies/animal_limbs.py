@@ -183,7 +183,7 @@ class _AnimalRig:
         feet, parents = np.concatenate(list(self.feet.values())), self.rig.parents
         # Sloppy weights of the trunk on feet do not count.
         known = {*descendants(tops, parents), *(joint for top in tops for joint in ancestors(parents, top))}
-        apart = 1 - self.influence[np.ix_(feet, sorted(known))].sum() / len(feet)
+        apart = 1 - self.influence[feet][:, sorted(known)].sum() / len(feet)
         if apart > OTHER_FEET:
             raise InputError(
                 f"{self.path}: expected four legs, found {apart:.0%} of the feet on other joints; has it more of them?"
