@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from mimesh.bodies.character_pool import CLASSES, PoolCharacter, read_pool
+from mimesh.bodies.character_pool import PoolCharacter, read_pool
 from mimesh.core.mesh import Mesh
 from mimesh.core.normalization import Normalization
 from mimesh.evaluate.run import provenance
 from mimesh.io.atomic import whole_file
 from mimesh.methods.base import BodyMethod
-from mimesh.methods.find import find_method
+from mimesh.methods.find import NETWORK_OF_BODY, find_method
 from mimesh.pipeline.body_choice import shown_body
 
 FRAMES = 3
@@ -37,7 +37,7 @@ def main() -> None:
     method = find_method("mime")
     assert isinstance(method, BodyMethod)
     rows = []
-    for body in CLASSES:
+    for body in NETWORK_OF_BODY:
         meshes = [
             mesh
             for character in read_pool(args.pool, args.split, body=body).characters

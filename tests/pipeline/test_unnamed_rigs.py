@@ -11,6 +11,7 @@ from foreign_names import renamed
 from networks import write_mime_network
 from scipy.spatial.transform import Rotation
 
+from mimesh.core.errors import InputError
 from mimesh.pipeline import animate
 from mimesh.tools.inspect import inspect_file
 
@@ -56,12 +57,13 @@ def test_the_joints_of_a_driving_are_used_without_names(driving, tmp_path):
     assert np.abs(second.clip.vertices - first.clip.vertices).max() < 1e-4
 
 
-def test_what_is_no_person_is_left_to_the_surface(driving, tmp_path):
+def test_what_is_no_person_is_refused_or_left_to_the_surface(driving, tmp_path):
     person = rigs.figure()
     flat = dataclasses.replace(person, vertices=person.vertices * [1, 0.05, 1], joints=person.joints * [1, 0.05, 1])
-    result = animate(str(rigs.character(tmp_path / "a.glb", name=nameless, person=flat)), driving)
-    assert result.own is None
-    assert any("found neither" in note and "joints are found on its surface" in note for note in result.notes)
+    path = str(rigs.character(tmp_path / "a.glb", name=nameless, person=flat))
+    with pytest.raises(InputError, match="with --rig mimesh and --body human"):
+        animate(path, driving)
+    assert animate(path, driving, rig="mimesh", body="human").own is None
 
 
 def test_a_network_with_other_joints_finds_none(driving, tmp_path):

@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ..core.errors import InputError
+from ..core.rig import descendants
 from .character_limbs import SIDES, moves_vertices
 from .joint_names import ancestors
 from .skinned_character import SkinnedCharacter
@@ -38,6 +39,9 @@ BESIDE = 0.3
 LOOSE_FOOT = 0.1
 """A chain that begins lower than this share of the height is that of a foot alone: a handle of the animator that the
 leg follows."""
+OTHER_FEET = 0.4
+"""Largest share of the feet that other joints carry than those of four legs and their trunk: sheep of a pool have
+0.33, spiders 0.5."""
 SAME_PLACE = 0.06
 """Distance seen from the side, in lengths of the leg, below which one of two joints of a leg is only a helper."""
 
@@ -171,7 +175,19 @@ class _AnimalRig:
             if self.rig.joints[chain[0], 1] < self.low + LOOSE_FOOT * self.height:
                 chain = [*self._leg_above(chain[0], others.union(owners.values(), chain)), *chain]
             legs[key] = _Leg(self._without_helpers(chain), chain[0])
+        self._check_four([leg.top for leg in legs.values()] + list(owners.values()))
         return legs
+
+    def _check_four(self, tops: list[int]) -> None:
+        """Check that the joints below the tops of four legs carry the feet."""
+        feet, parents = np.concatenate(list(self.feet.values())), self.rig.parents
+        # Sloppy weights of the trunk on feet do not count.
+        known = {*descendants(tops, parents), *(joint for top in tops for joint in ancestors(parents, top))}
+        apart = 1 - self.influence[feet][:, sorted(known)].sum() / len(feet)
+        if apart > OTHER_FEET:
+            raise InputError(
+                f"{self.path}: expected four legs, found {apart:.0%} of the feet on other joints; has it more of them?"
+            )
 
     def _chain(self, foot: int, others: set[int]) -> list[int]:
         """List the joints of a leg from its foot's joint up, in order from the top."""

@@ -49,7 +49,7 @@ RIGID = 1e-3
 """Largest deviation of a rest frame from a rotation, per entry."""
 FACING = {"+z": 0.0, "-z": np.pi, "+x": -np.pi / 2, "-x": np.pi / 2, "": 0.0}
 """Rotation about y (radians) that turns a character of each facing to +z; a facing that is not known counts as +z."""
-CLASSES = {"human": "humanoid", "quadruped": "quadruped"}
+CLASSES = {"human": "humanoid", "quadruped": "quadruped", "other": "other"}
 """Shipped body -> `class` of the characters that have its joints."""
 FOOT_SAMPLES = 24
 """Number of poses of the clips, evenly spread, from which the shin of a foot is found."""
@@ -203,9 +203,9 @@ def read_character(path: str | Path, body: str = "human") -> PoolCharacter:
     rig = _rig(arrays, meta, turn, path)
     file_parents = rig.parents
     clips = _clips(path.parent / _plain_name(meta.clips_from, path), arrays) if meta.clips_from else {}
-    if body == "quadruped":
-        order = np.arange(len(rig.parents))
-        return PoolCharacter(meta, rig, name_animal_joints(rig, path), {}, clips, file_parents, order, turn)
+    if body != "human":
+        named = name_animal_joints(rig, path) if body == "quadruped" else {}
+        return PoolCharacter(meta, rig, named, {}, clips, file_parents, np.arange(len(rig.parents)), turn)
     joints = name_limb_joints(rig, path)
     poses = sampled_poses(clips, rig, turn)
     rig, joints, order = attach_feet(rig, joints, poses, path)

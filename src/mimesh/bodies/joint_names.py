@@ -59,6 +59,11 @@ _HAND_WORDS = {*FINGER_WORDS, *NO_PHALANX, *SIDES, "mixamorig", "hand", "finger"
 _HAND_WORD = re.compile("|".join(sorted(_HAND_WORDS, key=len, reverse=True)) + r"|\d+")
 _STUBS = {stub: {side + stub for side in ("Left", "Right", "L", "R")} for stub in FINGER_STUBS}
 _RIG_PREFIX = re.compile(r"^(mixamorig\d*|jbip|bip\d*|def)")
+NO_MEANING = {
+    *("bone", "bn", "joint", "jnt", "node", "def", "sk", "bip", "mixamorig"),
+    *("armature", "skeleton", "rig", "root", "ctrl", "control", "end"),
+}
+"""Words in names of joints that say nothing about what they are."""
 SHOWN = 12
 """Largest number of joint names that an error quotes."""
 
@@ -217,6 +222,14 @@ def other_side(name: str) -> str:
     """Swap left and right in the name of a joint of the shipped body: LeftArm, LHipJoint; other names stay."""
     side = _SIDE.match(name)
     return name if side is None else OTHER_SIDE[side[0]] + name[side.end() :]
+
+
+def name_words(name: str) -> tuple[int, tuple[str, ...]]:
+    """Split the name of any creature's joint: its side (1 left, -1 right, 0 none) and the words that say something."""
+    runs = [run.lower() for run in _RUN.findall(name.split(":")[-1])]
+    side = next(({"Left": 1, "Right": -1}[SIDES[run]] for run in runs if run in SIDES), 0)
+    words = [run[:-1] if len(run) > 3 and run.endswith("s") else run for run in runs if not run.isdigit()]
+    return side, tuple(word for word in words if word not in SIDES and word not in NO_MEANING and len(word) > 1)
 
 
 def _hand_words(name: str) -> list[str]:

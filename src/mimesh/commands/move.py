@@ -76,7 +76,7 @@ Rig = Annotated[
 ]
 Body = Annotated[
     str,
-    typer.Option(help="What both are: human, quadruped (four-legged animals), or auto: by rig or shape (mime)."),
+    typer.Option(help="What both are: human, quadruped (four-legged animals), other, or auto: by rig or shape (mime)."),
 ]
 Joints = Annotated[
     Path | None,

@@ -215,7 +215,7 @@ class Confidence:
         if self.fitted and self.expected_error > self.standards.no_such_body and not self._incomplete():
             return (
                 f"{name} does not look like {self.standards.kind}{error}: {reasons}; people and four-legged animals "
-                "are moved (--body chooses), other things need a clip of the same skeleton",
+                "are moved (--body chooses), other things with rigs in both files or --body other",
             )
         feet = ", and feet are not planted" if self.lacks_leg else ""
         return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}",)

@@ -62,8 +62,8 @@ def transfer(
         rig: "own": a glTF identity with a sound rig moves on its own bones (mime only); "mimesh": joints are found on
             its surface, and its skin is dropped. A program that has the identity's bones passes the rig that
             `pipeline.bone_rigs.rig_of_bones` makes of them; their motion is the result's `skeleton`.
-        body: what both meshes are: "human", "quadruped" (four-legged animals), or "auto", found by their rigs or shapes
-            (mime only).
+        body: what both meshes are: "human", "quadruped" (four-legged animals), "other" (creatures and things whose rigs
+            are matched with each other), or "auto", found by their rigs or shapes (mime only).
         joints: positions of some of the identity's joints, where the model finds them wrongly (mime only): joint ->
             (x, y, z) in the axes and unit of its file, or the path of a .joints.json (docs/formats.md). The names are
             the keys of `Result.joints`.

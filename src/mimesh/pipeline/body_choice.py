@@ -1,25 +1,29 @@
-"""Choose the shipped body whose joints both meshes have: that of a person, or that of a four-legged animal.
+"""Choose the shipped body whose joints both meshes have: that of a person, that of a four-legged animal, or none.
 
 A rig in one of the files says it for both. Of two meshes without rigs both networks predict the joints once, and the
-one with the more decided skinning weights is taken.
+one with the more decided skinning weights is taken. Two rigs that are neither of people nor of animals are matched with
+each other (`creatures.py`), unless both surfaces look like one of the two.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.mesh import Mesh
+from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..methods.base import BodyMethod, Method
+from ..methods.base import BodyMethod, Method, RigMethod
 from ..methods.confidence import MAX_ENTROPY
 from ..methods.find import NETWORK_OF_BODY, find_method
+from .creatures import SURE, SURE_ACROSS, MatchedCreatures, match_creatures, sure_match
+from .matched_rigs import finds_joints, predicted_body
 from .orientation import normalised, predicted_orientation
-from .rigs import Axes, Rigs
+from .rigs import OTHER, Axes, Rigs
 
-BODIES = ("auto", *NETWORK_OF_BODY)
+BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
 """Choices of `--body`."""
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
 """What a mesh with each body is called in messages."""
@@ -32,6 +36,62 @@ def check_body(body: str) -> None:
     """Raise InputError if a choice is none of BODIES."""
     if body not in BODIES:
         raise InputError(f"--body: expected one of {', '.join(BODIES)}, found {body!r}; choose one of them")
+
+
+def matched_creatures(
+    method: Callable[[], Method],
+    asked: str,
+    rigs: Rigs,
+    read: Callable[[RigMethod], Rigs],
+    identity: Mesh,
+    clip: Clip,
+    axes: Axes,
+) -> MatchedCreatures | None:
+    """Match the rigs of both files with each other, if these are of other creatures; None: the method moves the mesh.
+
+    Args:
+        method: makes the method.
+        asked: one of BODIES.
+        rigs: as they are read by the names of their joints.
+        read: reads them again, with joints found by the surfaces that they move.
+
+    Raises:
+        InputError: the rigs are of other creatures, and are not matched with certainty.
+    """
+    if asked not in ("auto", OTHER) or (asked == "auto" and not any(rigs.unnamed)):
+        return None
+    try:
+        matched = match_creatures(identity, clip, axes)
+    except InputError:
+        if asked == OTHER:
+            raise
+        return None  # the note of `rigs` says what is wrong with it
+    if matched is None or asked == OTHER:
+        return matched if matched is None else sure_match(matched, SURE)
+    finder = method()
+    if not finds_joints(finder) or None not in read(finder).bodies:
+        return None
+    mixed = any(body is not None for body in rigs.bodies)
+    if matched.match.confidence < (SURE_ACROSS if mixed else SURE):
+        shown = [
+            {own} if own is not None else looks_like(finder, mesh, of_mesh)
+            for own, mesh, of_mesh in zip(rigs.bodies, (identity, clip.mesh), (axes[:2], axes[2:]), strict=True)
+        ]
+        if shown[0] & shown[1]:  # the joints are found on the surface, and a note says why
+            return None
+    return sure_match(matched, SURE_ACROSS if mixed else SURE)
+
+
+def looks_like(method: RigMethod, mesh: Mesh, axes: tuple[str | None, str | None]) -> set[str]:
+    """List the bodies that a mesh is recognised as."""
+    if not isinstance(method, BodyMethod):
+        return set()
+    networks = {body: method.of_body(body) for body in method.bodies}
+    return {
+        body
+        for body, network in networks.items()
+        if isinstance(network, RigMethod) and predicted_body(network, mesh, axes)[2].recognised
+    }
 
 
 def with_body(

@@ -10,8 +10,11 @@ from ..bodies.character_limbs import FindJoints
 from ..bodies.joint_matching import match_joints
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.errors import InputError
+from ..core.mesh import Mesh
 from ..core.normalization import Normalization
+from ..core.rig import Rig
 from ..methods.base import Method, QuickPredictor, RigMethod
+from ..methods.confidence import Confidence
 from .orientation import normalised, reorient
 
 
@@ -29,12 +32,7 @@ def joint_finder(method: RigMethod, axes: tuple[str | None, str | None]) -> Find
 
     def find(rig: SkinnedCharacter) -> dict[str, int]:
         mesh = dataclasses.replace(rig.mesh, up="+y")
-        norm = Normalization.fit(mesh, *axes)
-        body, confidence = method.predict_rig(normalised(mesh, norm))
-        other = reorient(method, mesh, norm, axes, confidence) if isinstance(method, QuickPredictor) else norm
-        if other is not norm:
-            norm = other
-            body, confidence = method.predict_rig(normalised(mesh, norm))
+        norm, body, confidence = predicted_body(method, mesh, axes)
         if not confidence.recognised:
             raise InputError(
                 f"{mesh.name}: expected joints with the names of a person's, or the shape of a person, found neither; "
@@ -43,3 +41,16 @@ def joint_finder(method: RigMethod, axes: tuple[str | None, str | None]) -> Find
         return match_joints(rig, dataclasses.replace(body, joints=norm.undo(body.joints)), mesh.name)
 
     return find
+
+
+def predicted_body(
+    method: RigMethod, mesh: Mesh, axes: tuple[str | None, str | None]
+) -> tuple[Normalization, Rig, Confidence]:
+    """Predict the joints of a mesh, in another orientation where the first is wrong; returns its normalisation, too."""
+    norm = Normalization.fit(mesh, *axes)
+    body, confidence = method.predict_rig(normalised(mesh, norm))
+    other = reorient(method, mesh, norm, axes, confidence) if isinstance(method, QuickPredictor) else norm
+    if other is not norm:
+        norm = other
+        body, confidence = method.predict_rig(normalised(mesh, norm))
+    return norm, body, confidence

@@ -39,6 +39,8 @@ Axes = tuple[str | None, str | None, str | None, str | None]
 T = TypeVar("T")
 RIGS = ("own", "mimesh")
 """Choices of `--rig`: the identity's own rig, if its file has a sound one, or joints found on its surface."""
+OTHER = "other"
+"""Choice of `--body` for what is neither a person nor a four-legged animal."""
 UNNAMED = "joints whose names say nothing: found by the surface that they move, where it is that of a person"
 LYING = 0.9
 """Sine of the angle (64 degrees) by which the front of the hips points up or down when a person lies."""
@@ -79,7 +81,7 @@ class Rigs:
             choice: one of RIGS, or the identity's rig itself.
             copy: of files with the same skeleton, read only what is copied.
             find: find joints of identity and driving whose names say nothing.
-            body: `human` or `quadruped`; "auto": as an animal is read what is no person.
+            body: `human` or `quadruped`; "auto": as an animal is read what is no person; "other": only copies are read.
 
         Raises:
             InputError: a choice that is none of RIGS.
@@ -92,7 +94,8 @@ class Rigs:
         unnamed = unnamed_driving = only_copied = False
         if choice == "own" and has_rig(identity) and still_joints(identity) is not None:
             without = f"the rig of {identity.name} is not used, joints are found on its surface"
-            own, notes, unnamed = _if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
+            if body != OTHER:
+                own, notes, unnamed = _if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
             shared = _shared_motion(identity, clip)
             copied = _copied(identity, clip, shared, own)
             if copied is not None and copy:
@@ -101,7 +104,7 @@ class Rigs:
         driving, skeleton = None, clip.skeleton
         if isinstance(skeleton, GltfJoints):
             skeleton = dataclasses.replace(skeleton, find=find[1])
-        if skeleton is not None and skeleton.has_joints:
+        if skeleton is not None and skeleton.has_joints and body != OTHER:
             without = f"the joints of {clip.mesh.name} are not used, they are found on its surface"
             joints = skeleton
             driving, more, unnamed_driving = _if_usable(lambda of: _motion(joints, of), body, without)

@@ -22,13 +22,13 @@ from ...motions.humanoid_rig import HumanoidRig, humanoid_rig
 from .animal import read_standing_animal
 from .animation import AnimationChannel, animated_nodes
 from .bake import AnimatedValues, sample_nodes
-from .character import read_clips, read_standing
+from .character import moving_nodes, read_clips, read_standing, rig_at_rest
 from .document import Document
 from .edit import GltfSource
-from .motion import PLAYED_PATHS
+from .motion import PLAYED_PATHS, rest_matrices
 from .read import RestScene
 from .scene import local_matrices, local_matrix, node_parents, node_properties, sort_parents_first, world_matrices
-from .skin import unweighted_vertices
+from .skin import skin_joints, unweighted_vertices
 
 UNSKINNED = 0.02
 """Largest share of vertices without any joint; more of them is a damaged skin."""
@@ -39,21 +39,16 @@ UNCHANGED = 5e-7
 
 
 @dataclass(frozen=True, eq=False)
-class OwnRig:
-    """The rig of a character in a glTF file."""
+class FileRig:
+    """The rig of any creature or thing in a glTF file."""
 
     source: GltfSource
-    humanoid: HumanoidRig
-    """Of a person or of an animal."""
+    character: SkinnedCharacter
+    """At rest, in the axes and unit of the file."""
     nodes: list[int]
     """Node of each joint of the character."""
     scene: RestScene
     """The scene in the rest pose of the character."""
-
-    @property
-    def person(self) -> dict[str, int]:
-        """Node of each joint that is known to be a person's."""
-        return {name: self.nodes[joint] for name, joint in self.humanoid.joints.items()}
 
     def tracks(self, joints: list[int], transforms: Float[np.ndarray, "T K 4 4"]) -> AnimatedValues:
         """Compute the animated values of the file's nodes that give some joints a motion.
@@ -68,7 +63,7 @@ class OwnRig:
         moved = {self.nodes[joint]: transforms[:, k] for k, joint in enumerate(joints)}
         world: dict[int, np.ndarray] = {-1: np.eye(4)[None]}
         tracks: AnimatedValues = {}
-        extent = np.ptp(self.humanoid.character.mesh.vertices, axis=0)
+        extent = np.ptp(self.character.mesh.vertices, axis=0)
         for node in sort_parents_first(document, parent):
             above = world[parent[node]]
             if node not in moved:
@@ -85,6 +80,36 @@ class OwnRig:
         return tracks
 
 
+@dataclass(frozen=True, eq=False)
+class OwnRig(FileRig):
+    """The rig of a person or of a four-legged animal in a glTF file."""
+
+    humanoid: HumanoidRig
+
+    @property
+    def person(self) -> dict[str, int]:
+        """Node of each joint that is known to be a person's."""
+        return {name: self.nodes[joint] for name, joint in self.humanoid.joints.items()}
+
+
+def read_file_rig(mesh: Mesh) -> FileRig:
+    """Read the rig of any creature or thing in its bind pose, from a mesh that comes from a glTF file.
+
+    Raises:
+        InputError: no skin, or a damaged one.
+    """
+    source = _rigged_source(mesh)
+    document = source.document
+    joint_nodes = skin_joints(document, source.rest) or moving_nodes(document)
+    scene = dataclasses.replace(source.rest, T_world_node=rest_matrices(document))
+    at_rest = dataclasses.replace(mesh, vertices=source.vertices)
+    rig, nodes = rig_at_rest(at_rest, document, scene, joint_nodes)
+    _check_skin(rig, nodes, document, scene)
+    own = FileRig(source, rig, nodes, scene)
+    _check_above(own, list(range(len(nodes))))
+    return own
+
+
 def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human") -> OwnRig:
     """Read the rig of a mesh that comes from a glTF file.
 
@@ -96,13 +121,8 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
         UnnamedJoints: limbs are not found by name, and nothing else finds them.
         InputError: no skin, a damaged one, or joints that are not those of a person; the message says why.
     """
-    source = mesh.source
-    if not isinstance(source, GltfSource) or not has_rig(mesh):
-        raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
-    document = source.document
-    path = document.path
-    if document.damage is not None:
-        raise InputError(f"{path}: {document.damage}; export it again")
+    source = _rigged_source(mesh)
+    document, path = source.document, source.document.path
     at_rest = dataclasses.replace(mesh, vertices=source.vertices)
     of_animal = body == "quadruped"
     standing = (
@@ -111,13 +131,7 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
         else read_standing(at_rest, document, source.rest, find)
     )
     rig, nodes = standing.rig, standing.nodes
-    check_sound(rig, standing.scene.T_world_node[nodes], path)
-    _check_bound(document, path)
-    bare = unweighted_vertices(document, standing.scene) / len(rig.weights)
-    if bare > UNSKINNED:
-        raise InputError(
-            f"{path}: expected a skin with weights, found {bare:.0%} of the vertices without; bind the mesh again"
-        )
+    _check_skin(rig, nodes, document, standing.scene)
     turn = facing_rotation(standing.facing)
 
     def poses() -> np.ndarray:
@@ -128,8 +142,12 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
         humanoid, order = animal_rig(rig, turn, path)
     else:
         humanoid, order = humanoid_rig(rig, turn, standing.known, poses, path)
-    own = OwnRig(source, humanoid, [nodes[k] for k in order], standing.scene)
-    _check_above(own)
+    own = OwnRig(source, humanoid.character, [nodes[k] for k in order], standing.scene, humanoid)
+    _check_above(own, humanoid.tree()[0])
+    hips = own.person["Hips"]
+    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document, local_matrices(document))[hips]])
+    if np.prod(np.linalg.det(worlds[:, :3, :3])) < 0:
+        raise InputError(f"{path}: expected a rig as it was bound, found a mirrored one; apply its scale")
     return own
 
 
@@ -216,21 +234,43 @@ def _check_bound(document: Document, path: Path) -> None:
     _check_scales(local_matrices(document)[joints], path)
 
 
-def _check_above(own: OwnRig) -> None:
-    """Check that the frames in which joints move have one scale, and are not mirrored since the mesh was bound."""
+def _rigged_source(mesh: Mesh) -> GltfSource:
+    """Return the file of a mesh.
+
+    Raises:
+        InputError: it has no skin, or is damaged.
+    """
+    source = mesh.source
+    if not isinstance(source, GltfSource) or not has_rig(mesh):
+        raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")
+    if source.document.damage is not None:
+        raise InputError(f"{source.document.path}: {source.document.damage}; export it again")
+    return source
+
+
+def _check_skin(rig: SkinnedCharacter, nodes: list[int], document: Document, scene: RestScene) -> None:
+    """Check that vertices have joints and weights, and that skins say where joints were when the mesh was bound."""
+    check_sound(rig, scene.T_world_node[nodes], document.path)
+    _check_bound(document, document.path)
+    bare = unweighted_vertices(document, scene) / len(rig.weights)
+    if bare > UNSKINNED:
+        raise InputError(
+            f"{document.path}: expected a skin with weights, found {bare:.0%} of the vertices without; "
+            "bind the mesh again"
+        )
+
+
+def _check_above(own: FileRig, joints: list[int]) -> None:
+    """Check that the frames in which some joints move have one scale."""
     document = own.source.document
     parent, static = node_parents(document), local_matrices(document)
-    moved = {own.nodes[joint] for joint in own.humanoid.tree()[0]}
+    moved = {own.nodes[joint] for joint in joints}
     frames, above = {-1: np.eye(4)}, []
     for node in sort_parents_first(document, parent):
         if node in moved:
             above.append(frames[parent[node]])
         frames[node] = np.eye(4) if node in moved else frames[parent[node]] @ static[node]
     _check_scales(np.stack(above), document.path)
-    hips = own.person["Hips"]
-    worlds = np.stack([own.scene.T_world_node[hips], world_matrices(document, static)[hips]])
-    if np.prod(np.linalg.det(worlds[:, :3, :3])) < 0:
-        raise InputError(f"{document.path}: expected a rig as it was bound, found a mirrored one; apply its scale")
 
 
 def _check_scales(transforms: Float[np.ndarray, "J 4 4"], path: object) -> None:

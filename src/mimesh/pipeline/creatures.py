@@ -1,0 +1,125 @@
+"""Moves the rig of any creature or thing by that of another one: a bat by a dragon's flight, a fish by a fish."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ..bodies.rig_matching import Creature, RigMatch, match_rigs, named_front
+from ..core.errors import InputError
+from ..core.mesh import Clip, Mesh
+from ..core.normalization import ORIENTATIONS, ROTATIONS, parse_axis
+from ..io.gltf.bake import AnimatedValues, sample_nodes
+from ..io.gltf.own_rig import FileRig, GltfJoints, has_rig, read_file_rig
+from ..motions.creature_rig import CreatureMotion, moved_creature
+from .rigs import Axes
+
+SURE, SURE_ACROSS = 0.45, 0.6
+"""Confidence below which a match is refused: of two creatures, and of a creature with a person or a four-legged animal.
+Chosen by eye on pairs of a pool's characters (docs/LOG.md, "Creatures")."""
+
+
+@dataclass(frozen=True, eq=False)
+class MatchedCreatures:
+    """The rigs of both files, whose joints are matched."""
+
+    identity: FileRig
+    driving: FileRig
+    joints: GltfJoints
+    """Of the driving."""
+    axes: Axes
+    """Up and front of both files."""
+    turns: tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]
+    """Rotations of both files' axes to y up, +z front."""
+    creatures: tuple[Creature, Creature]
+    match: RigMatch
+    notes: tuple[str, ...]
+
+    def facts(self) -> dict:
+        """Return the figures of the match for the report."""
+        match, (mine, theirs) = self.match, (creature.rig.joint_names for creature in self.creatures)
+        return {
+            "confidence": round(match.confidence, 3),
+            "covered": [round(share, 3) for share in match.covered],
+            "chains": round(match.chain_agreement, 3),
+            "names": None if match.name_agreement is None else round(match.name_agreement, 3),
+            "joints": {
+                name: theirs[int(row.argmax())] for name, row in zip(mine, match.follows, strict=True) if row.any()
+            },
+        }
+
+    def tracks(self, root: str) -> AnimatedValues:
+        """Compute the animated values of the identity's nodes in all frames of the driving.
+
+        Raises:
+            InputError: the driving has NaN or infinity.
+        """
+        document, nodes = self.joints.document, self.driving.nodes
+        blocks = sample_nodes(document, self.joints.channels, self.joints.times)
+        world = np.concatenate([matrices[:, nodes] for _, matrices in blocks])
+        if not np.isfinite(world).all():
+            raise InputError(f"{document.path}: expected finite joints, found NaN or infinity; export it again")
+        rest = self.driving.scene.T_world_node[nodes]
+        mine, theirs = self.turns
+        linear = theirs @ world[..., :3, :3] @ np.linalg.pinv(rest[:, :3, :3]) @ theirs.T
+        motion = CreatureMotion(linear, world[..., :3, 3] @ theirs.T)
+        moved = moved_creature(*self.creatures, self.match, motion, root)
+        back = CreatureMotion(mine.T @ moved.linear @ mine, moved.positions @ mine)
+        joints = np.flatnonzero(self.creatures[0].moving).tolist()
+        return self.identity.tracks(joints, back.transforms(self.identity.character.joints)[:, joints])
+
+
+def match_creatures(identity: Mesh, clip: Clip, axes: Axes) -> MatchedCreatures | None:
+    """Match the rigs of two files; None where one of them has none.
+
+    Raises:
+        InputError: a damaged rig.
+    """
+    joints = clip.skeleton
+    if not isinstance(joints, GltfJoints) or joints.mesh is None or not has_rig(joints.mesh) or not has_rig(identity):
+        return None
+    rigs = read_file_rig(identity), read_file_rig(joints.mesh)
+    up, front, note = _axes(rigs[0], *axes[:2], ("--up", "--front"))
+    driving_up, driving_front, more = _axes(rigs[1], *axes[2:], ("--driving-up", "--driving-front"))
+    known = up, front, driving_up, driving_front
+    turn, driving_turn = (ROTATIONS[ORIENTATIONS.index(pair)] for pair in (known[:2], known[2:]))
+    creatures = Creature(rigs[0].character.turned(turn)), Creature(rigs[1].character.turned(driving_turn))
+    notes = tuple(line for line in (note, more) if line is not None)
+    return MatchedCreatures(*rigs, joints, known, (turn, driving_turn), creatures, match_rigs(*creatures), notes)
+
+
+def sure_match(matched: MatchedCreatures, least: float) -> MatchedCreatures:
+    """Return a match, with a note that says how sure it is.
+
+    Raises:
+        InputError: its confidence is less than `least`.
+    """
+    match, names = matched.match, [rig.source.document.path.name for rig in (matched.identity, matched.driving)]
+    if match.confidence < least:
+        raise InputError(
+            f"{names[0]}, {names[1]}: expected two people, two four-legged animals, or rigs whose joints correspond, "
+            f"found a match with a confidence of {match.confidence:.2f} (needed: {least}): matched joints carry "
+            f"{match.covered[0]:.0%} of the one and {match.covered[1]:.0%} of the other; give a driving with limbs of "
+            "the same kind, or name corresponding joints alike (Wing1.L, Tail2); people and animals whose joints "
+            "cannot be read are moved with --rig mimesh and --body human or quadruped"
+        )
+    count = int(match.follows.any(axis=1).sum())
+    note = (
+        f"{names[0]} is moved as a creature with limbs of its own: {count} joints follow those of {names[1]}, matched "
+        f"by names and places (confidence {match.confidence:.2f})"
+    )
+    return dataclasses.replace(matched, notes=(note, *matched.notes))
+
+
+def _axes(rig: FileRig, up: str | None, front: str | None, options: tuple[str, str]) -> tuple[str, str, str | None]:
+    """Return up and front of a file, with a note if the front is only assumed."""
+    up, front = parse_axis(up, options[0]) or "+y", parse_axis(front, options[1])
+    known = front or (named_front(rig.character) if up == "+y" else None)
+    if known is not None:
+        return up, known, None
+    assumed = next(axes[1] for axes in ORIENTATIONS if axes[0] == up and axes[1] in ("+z", "+y"))
+    name = rig.source.document.path.name
+    return up, assumed, f"{name} is taken to face {assumed}: no joint is called left, head or tail; {options[1]} tells"
