@@ -67,8 +67,8 @@ def shown(character: PoolCharacter, rng: np.random.Generator) -> list[Mesh]:
 
 def recognised(method: BodyMethod, mesh: Mesh, up: str | None) -> tuple[str, str]:
     """Return the body that a mesh is taken for, and the front of that."""
-    body, norm = shown_body(method, None, mesh, Normalization.fit(mesh, up, None), (up, None))
-    return body, norm.front
+    found = shown_body(method, None, mesh, Normalization.fit(mesh, up, None), (up, None), quick=True)
+    return found.body, found.norm.front
 
 
 if __name__ == "__main__":
