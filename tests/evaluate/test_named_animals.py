@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 from animals import BODY
 
-from mimesh.bodies.quadruped import LOWERED_HEAD, SHAPES, lowered_head
+from mimesh.bodies.animals import ANIMALS
+from mimesh.bodies.quadruped import LOWERED_HEAD, lowered_head, posture
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.evaluate.measure import measure, result_frames
-from mimesh.evaluate.named_animals import species_clip, standing
+from mimesh.evaluate.named_animals import species_clip
 from mimesh.motions.gaits import GAITS, quadruped_poses, quadruped_takes
 
 
 def heights(species):
     """Highest points of the back, of the hips and of the head of a species that stands, over that of the hips."""
-    vertices = BODY.posed(np.array(SHAPES[species]), rotvec_to_rotmat(standing(species)))
+    vertices = BODY.posed(np.array(ANIMALS[species].shape), rotvec_to_rotmat(posture(BODY, species)))
     parts = {"back": ("Spine2", "Spine3", "Spine4"), "hips": ("Hips",), "head": ("Head",)}
     own = {part: BODY.weights[:, [BODY.joint(name) for name in names]].sum(axis=1) for part, names in parts.items()}
     top = {part: vertices[weight > 0.5, 1].max() for part, weight in own.items()}

@@ -134,15 +134,6 @@ of joints without their side, the third of the left one. The shipped quadruped a
 in no book: chosen by eye."""
 
 
-SHAPES: dict[str, tuple[float, ...]] = {
-    "horse": (-0.7, 0.6, -0.4, 1.7, 0.0, -0.3, 0.1, 1.0, -0.4, 0.3, 0.7, 0.7),
-    "lion": (1.5, 0.4, 0.5, -0.5, 0.1, 1.3, -0.1, 0.3, 0.1, -0.7, -0.2, 1.3),
-    "camel": (-1.5, 0.9, 0.7, -0.3, -0.1, 0.7, 0.9, 0.0, 1.0, -2.3, 0.6, 0.6),
-}
-"""First shape coefficients of species that the papers show, as `build_quadruped.py --shapes` prints them: the surface
-is within 4 mm of that species' on average, 33 mm at most. They stand as POSTURES says."""
-
-
 def lowered_head(body: RiggedBody, shares: Float[np.ndarray, " 3"] | float = 1.0) -> Float[np.ndarray, "J 3"]:
     """Make rotation vectors (radians) that lower the head by a share of LOWERED_HEAD, or one share for each joint."""
     rotvec = np.zeros_like(body.joints)
@@ -170,3 +161,8 @@ def postures(body: RiggedBody) -> Float[np.ndarray, "R J 3"]:
             (pitch, roll), (mean_pitch, mean_roll) = posture.get(kind, (0.0, 0.0)), mean.get(kind, (0.0, 0.0))
             rotvec[k, j] = np.radians([pitch - mean_pitch, 0.0, side * (roll - mean_roll)])
     return rotvec
+
+
+def posture(body: RiggedBody, species: str) -> Float[np.ndarray, "J 3"]:
+    """Give the rotation vectors (radians) with which a species of POSTURES stands."""
+    return postures(body)[list(POSTURES).index(species)]

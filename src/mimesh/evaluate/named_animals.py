@@ -5,9 +5,9 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float
 
-from ..bodies.quadruped import POSTURES, SHAPES, postures
+from ..bodies.animals import ANIMALS
+from ..bodies.quadruped import posture
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.mesh import Clip
 from ..motions.gaits import SEEDS, gait_rotations
@@ -22,22 +22,19 @@ def species_clip(identity: str, driving: str, gait: str, number: int = 0) -> Cli
     """Make a trial: an animal of a species, which stands, and one of another in a gait; vertices are shuffled.
 
     Args:
-        identity: a species of `bodies.quadruped.SHAPES`.
+        identity: a species of `bodies.animals.ANIMALS`.
         driving: another one.
         gait: a key of `motions.gaits.GAITS`.
         number: chooses among random gaits of that kind, which no network is trained on.
     """
     body = quadruped()
-    pose = rotmat_to_rotvec(gait_rotations(body, gait, SEEDS["test"], number, FRAMES / FPS, FPS)) + standing(driving)
+    pose = rotmat_to_rotvec(gait_rotations(body, gait, SEEDS["test"], number, FRAMES / FPS, FPS)) + posture(
+        body, driving
+    )
     rotmat = rotvec_to_rotmat(pose)
     motion = Motion(gait, body.joint_names, rotmat, planted(body, rotmat), FPS)
-    target, actor = (Person(body, np.array(SHAPES[name]), name) for name in (identity, driving))
-    trial = make_clip_pair(target, actor, Pose(rotvec_to_rotmat(standing(identity)), "standing"), motion)
+    target, actor = (Person(body, np.array(ANIMALS[name].shape), name) for name in (identity, driving))
+    trial = make_clip_pair(target, actor, Pose(rotvec_to_rotmat(posture(body, identity)), "standing"), motion)
     mesh = dataclasses.replace(trial.driving, name=f"{driving}, {gait}")
     trial = dataclasses.replace(trial, driving=mesh, clip=Clip(mesh, trial.clip.vertices, FPS))
     return shuffle_clip_vertices(trial, np.random.default_rng(number))
-
-
-def standing(species: str) -> Float[np.ndarray, "J 3"]:
-    """Give the rotation vectors (radians) with which a species stands."""
-    return postures(quadruped())[list(POSTURES).index(species)]

@@ -1,8 +1,9 @@
 """Choose the shipped body whose joints both meshes have: that of a person, that of a four-legged animal, or none.
 
 A rig in one of the files says it for both. Of two meshes without rigs both networks predict the joints once, and the
-one with the more decided skinning weights is taken; if the meshes differ, that of the mesh for which it is clearer. Two rigs that are neither of people nor of animals are matched with
-each other (`creatures.py`), unless both surfaces look like one of the two.
+one with the more decided skinning weights is taken; if the meshes differ, that of the mesh for which it is clearer. Two
+rigs that are neither of people nor of animals are matched with each other (`creatures.py`), unless both surfaces look
+like one of the two.
 """
 
 from __future__ import annotations
