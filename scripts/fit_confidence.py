@@ -69,6 +69,8 @@ def collect(
             assert isinstance(prepared.drive, SkinnedDrive)
             confidences = [confidence for confidence in prepared.drive.confidence or () if confidence is not None]
             meshes = [dataclasses.asdict(confidence) for confidence in confidences]
+            for mesh in meshes:
+                del mesh["standards"]  # those of people, all of them
             pmd, error = CREATURE_ERROR if name == CREATURES else _errors(play(prepared, Timer()).vertices[0], pair)
             rows.append({"kind": name, "pmd_e4": pmd, "error": error, "meshes": meshes})
     output.write_text(json.dumps(rows))
