@@ -17,9 +17,10 @@ from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
+from .move import move
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
-from .run import Choice, MotionOptions, move
+from .run import Choice, MotionOptions
 
 
 def transfer(

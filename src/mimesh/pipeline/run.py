@@ -24,8 +24,6 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.rig import Rig
 from ..io.beside import missing_images, missing_images_notes
-from ..io.gltf.edit import GltfSource
-from ..io.gltf.keys import COPY_LIMIT
 from ..io.gltf.own_animation import OwnAnimation
 from ..methods.base import (
     BodyMethod,
@@ -33,23 +31,19 @@ from ..methods.base import (
     Method,
     MotionMethod,
     QuickPredictor,
-    RigMethod,
     SkinnedDrive,
     SkinnedMethod,
     SurfaceMotion,
 )
 from ..motions.humanoid_rig import HumanoidRig
-from .body_choice import check_body, looks_like, matched_creatures, with_body
+from .body_choice import check_body, with_body
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
-from .creatures import MatchedCreatures
-from .marked_mesh import MarkedFrame, marked_frame
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
 from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
-from .rigs import NO_RIGS, OTHER, Axes, Rigs, face_tracks
-from .same_mesh import ReferenceFrame, nearest_frame, same_mesh
+from .rigs import NO_RIGS, Axes, Rigs, face_tracks
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -173,9 +167,9 @@ def prepare(
         InputError: an axis, the model, its options or the corrections cannot be used.
     """
     # The normalisation of the first frame is used for the whole clip, so that the driving's displacement is kept.
-    first = _first_frame(clip)
+    first = first_frame(clip)
     rigs = read_rigs(identity, clip, options, corrections, copy=False) if rigs is None else rigs
-    norms = _fitted(identity, first, rigs.axes(axes))
+    norms = fitted_norms(identity, first, rigs.axes(axes))
     method = choice(norms[1])
     options.check(method)
     method, norms = with_body(method, options.body, rigs, (identity, first), norms, rigs.axes(axes))
@@ -183,7 +177,7 @@ def prepare(
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)
         rigs = matched.with_notes((identity.name, clip.mesh.name), rigs)
-        norms = _fitted(identity, first, rigs.axes(axes))
+        norms = fitted_norms(identity, first, rigs.axes(axes))
     axes = rigs.axes(axes)
     drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
     # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
@@ -199,7 +193,7 @@ def prepare(
     return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
 
 
-def _first_frame(clip: Clip) -> Mesh:
+def first_frame(clip: Clip) -> Mesh:
     return dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
 
 
@@ -217,7 +211,7 @@ def read_rigs(
     return rigs if corrections.driving is None else dataclasses.replace(rigs, driving=None)
 
 
-def _fitted(identity: Mesh, first: Mesh, axes: Axes) -> tuple[Normalization, Normalization]:
+def fitted_norms(identity: Mesh, first: Mesh, axes: Axes) -> tuple[Normalization, Normalization]:
     """Fit the normalisations of the identity and of the driving's first frame."""
     return Normalization.fit(identity, *axes[:2]), Normalization.fit(first, *axes[2:])
 
@@ -253,185 +247,6 @@ def pose_frame(prepared: Prepared, t: int) -> Float[np.ndarray, "V 3"]:
     shift, frames = _aligned(refined, prepared.rest.vertices)
     *_, vertices = frames
     return prepared.identity_norm.undo(vertices + shift)
-
-
-def move(
-    identity: Mesh,
-    clip: Clip,
-    choice: Choice,
-    axes: Axes,
-    refine: bool | None,
-    timer: Timer,
-    options: MotionOptions = MotionOptions(),
-    progress: Progress | None = None,
-    dtype: type[np.floating] = np.float64,
-    corrections: Corrections = NO_CORRECTIONS,
-) -> MovedIdentity:
-    """Give the identity the motion of a clip: `prepare`, then `play`.
-
-    Raises:
-        InputError: an axis, the model, its options or the corrections cannot be used.
-    """
-    with timer.step("prepare"):
-        rigs = read_rigs(identity, clip, options, corrections, copy=not options.changes_motion)
-        matched = _matched_creatures(identity, clip, rigs, choice, axes, options, corrections)
-        if (rigs.only_copied or matched is not None) and options.smooth > 0:
-            raise InputError(
-                f"--smooth: expected the rig of a person, found another one in {identity.name}; leave this option out"
-            )
-        other = _other_shape(identity, clip, rigs, choice, axes, options, corrections) if matched is None else None
-        if other is not None:
-            return move_shape(identity, clip, other, axes, refine, timer, options, progress, dtype)
-        copied = rigs.copied is not None or matched is not None
-        prepared = None if copied else prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
-    if matched is not None:
-        return move_creature(identity, clip, matched, options.root, timer, progress, dtype)
-    if prepared is None:
-        return copy_animation(identity, clip, rigs, axes, timer, progress, dtype)
-    return play(prepared, timer, options, progress, dtype)
-
-
-def _matched_creatures(
-    identity: Mesh,
-    clip: Clip,
-    rigs: Rigs,
-    choice: Choice,
-    axes: Axes,
-    options: MotionOptions,
-    corrections: Corrections,
-) -> MatchedCreatures | None:
-    """Match the rigs of both files with each other where these are of other creatures, and are not the same."""
-    corrected = corrections.identity is not None or corrections.driving is not None
-    if options.rig != "own" or rigs.copied is not None or corrected:
-        return None
-
-    def method() -> Method:
-        return choice(_fitted(identity, _first_frame(clip), rigs.axes(axes))[1])
-
-    def read(method: RigMethod) -> Rigs:
-        find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
-        return read_rigs(identity, clip, options, corrections, copy=False, find=find)
-
-    asked = OTHER if rigs.only_copied else options.body
-    return matched_creatures(method, asked, rigs, read, identity, clip, axes)
-
-
-def _other_shape(
-    identity: Mesh,
-    clip: Clip,
-    rigs: Rigs,
-    choice: Choice,
-    axes: Axes,
-    options: MotionOptions,
-    corrections: Corrections,
-) -> ReferenceFrame | MarkedFrame | None:
-    """Find the frame of a driving that has about the identity's pose; None where the method of `choice` moves it."""
-    corrected = corrections.identity is not None or corrections.driving is not None
-    if rigs.copied is not None or corrected or options.body not in ("auto", OTHER):
-        return None
-    first = _first_frame(clip)
-    method = choice(_fitted(identity, first, rigs.axes(axes))[1])
-    if not finds_joints(method):
-        return None
-    if options.body == OTHER:
-        return nearest_frame(identity, clip) if same_mesh(identity, clip) else marked_frame(identity, clip, axes)
-    if rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip):
-        return None
-    if looks_like(method, identity, axes[:2]) or looks_like(method, first, axes[2:]):
-        return None
-    return nearest_frame(identity, clip)
-
-
-def move_shape(
-    identity: Mesh,
-    clip: Clip,
-    reference: ReferenceFrame | MarkedFrame,
-    axes: Axes,
-    refine: bool | None,
-    timer: Timer,
-    options: MotionOptions,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Move an identity by deformation transfer from a frame of the driving that has about its pose."""
-    with timer.step("prepare"):
-        norm = Normalization.fit(identity, *axes[:2])
-        known = (norm.up, norm.front, *reference.axes(norm))
-
-        def choice(driving: Normalization) -> Method:
-            return reference.method(clip.mesh, norm, driving)
-
-        options = dataclasses.replace(options, rig="mimesh", body="auto")
-        prepared = prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS)
-    moved = play(prepared, timer, options, progress, dtype)
-    moved.report["identity"] |= facing(norm)
-    if isinstance(reference, ReferenceFrame):
-        moved.report["driving"]["up_from"] = "identity"
-    moved.report["reference"] = reference.facts()
-    return dataclasses.replace(moved, notes=(reference.note((identity.name, clip.mesh.name)), *moved.notes))
-
-
-def copy_animation(
-    identity: Mesh,
-    clip: Clip,
-    rigs: Rigs,
-    axes: Axes,
-    timer: Timer,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Move an identity whose skeleton is the driving's: its joints get the same values, and nothing is planted.
-
-    Axes are found only for the report, from which pictures are drawn.
-    """
-    assert isinstance(identity.source, GltfSource)
-    assert rigs.copied is not None
-    person = {} if rigs.identity is None else rigs.identity.person
-    tracks, keys = rigs.copied.tracks, rigs.copied.keys
-    own = OwnAnimation(
-        identity.source, clip.mesh.name, tracks, clip.fps, len(clip), person, key_limit=COPY_LIMIT, keys=keys
-    )
-    return _moved_nodes(identity, clip, own, rigs.axes(axes), {"copied": True}, timer, progress, dtype)
-
-
-def move_creature(
-    identity: Mesh,
-    clip: Clip,
-    matched: MatchedCreatures,
-    root: str,
-    timer: Timer,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Move an identity whose joints are matched with those of the driving, whatever creature it is."""
-    with timer.step("prepare"):
-        tracks = matched.tracks(root)
-    own = OwnAnimation(matched.identity.source, clip.mesh.name, tracks, clip.fps, len(clip), {})
-    facts = {"copied": False, "match": matched.facts()}
-    moved = _moved_nodes(identity, clip, own, matched.axes, facts, timer, progress, dtype)
-    return dataclasses.replace(moved, notes=matched.notes + moved.notes)
-
-
-def _moved_nodes(
-    identity: Mesh,
-    clip: Clip,
-    own: OwnAnimation,
-    axes: Axes,
-    facts: dict,
-    timer: Timer,
-    progress: Progress | None,
-    dtype: type[np.floating],
-) -> MovedIdentity:
-    """Make all frames of an animation of the nodes of the identity's file, and their report."""
-    moved = allocate_frames(len(clip), len(identity.vertices), dtype)
-    with timer.step("drive"):
-        for t, vertices in enumerate(own.vertices()):
-            moved[t] = vertices
-            if progress is not None:
-                progress(t + 1, len(clip))
-    report = _report(identity, clip, moved, _fitted(identity, _first_frame(clip), axes))
-    report |= {"rig": "own", **facts, "fingers": [], "foot_skate": None, "foot_skate_driving": None}
-    return MovedIdentity(moved, None, own, report, missing_images_notes(missing_images(identity)))
 
 
 def play(
@@ -474,7 +289,7 @@ def play(
                 release_pages(moved)
             if progress is not None:
                 progress((before + t + 1) // passes, len(clip))
-    report = _report(identity, clip, moved, (identity_norm, driving_norm))
+    report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
     notes = facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
@@ -495,7 +310,7 @@ def play(
     return MovedIdentity(moved, skeleton, own, report, notes, driving_joints)
 
 
-def _report(
+def surface_report(
     identity: Mesh, clip: Clip, moved: Float[np.ndarray, "T V 3"], norms: tuple[Normalization, Normalization]
 ) -> dict:
     """Return the part of the report that all methods have."""

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..methods.base import BodyMethod, Method, SkinnedMethod
-from ..pipeline.body_choice import BODIES
+from ..methods.find import NETWORK_OF_BODY
 from ..pipeline.run import ROOTS, MotionOptions
 
 
@@ -38,7 +38,7 @@ class Options:
         _check_choice(values, "root", ROOTS)
         _check_choice(values, "ground", (True, False))
         _check_choice(values, "refine", (None, True, False))
-        _check_choice(values, "body", BODIES)
+        _check_choice(values, "body", ("auto", *NETWORK_OF_BODY))
         smooth = values["smooth"]
         if isinstance(smooth, bool) or not isinstance(smooth, int | float) or not 0 <= smooth <= 10:
             raise InputError(f"smooth: expected seconds, 0 to 10, found {smooth!r}; try 0.05")
