@@ -53,6 +53,17 @@ def test_feet_with_roots_of_their_own_belong_to_the_nearest_leg(seed):
     assert all(found[side + part] == side + part for side in SIDES for chain in LEGS.values() for part in chain)
 
 
+@pytest.mark.parametrize("seed", [None, 0, 2])  # in shape 1 they are so near to the upper arms that they are left out
+@pytest.mark.parametrize(("count", "spell"), [(4, None), (2, str)])
+def test_shoulder_blades_are_not_upper_arms(seed, count, spell):
+    """They are told by one joint too many in the leg, or by their names."""
+    made = animal(seed, {*bones(count), "LeftScapula", "RightScapula"})
+    found = found_in(made, **({} if spell is None else {"spell": spell}))
+    for side in SIDES:
+        assert found[side + "Scapula"] == side + "Scapula"
+        assert found[side + "UpperArm"] == side + "UpperArm"
+
+
 @pytest.mark.parametrize("trunk", [("Hips", "Head"), ("Hips", "Chest", "Head"), ("Hips", "Chest", "Neck1", "Head")])
 def test_animals_without_a_tail_have_none(trunk):
     found = found_in(animal(0, bones(3, trunk)))

@@ -30,6 +30,8 @@ MOST_OF_IT = 0.6
 NECK, TAIL = ("Neck1", "Neck2", "Neck3"), tuple(f"Tail{k}" for k in range(1, 7))
 TRUNK = {"Spine1": 0.18, "Spine2": 0.33, "Spine3": 0.42, "Spine4": 0.49, "Chest": 0.74}
 """Joints of the trunk and their places between hips and shoulders in the shipped quadruped."""
+SHOULDER_BLADE = ("scapula", "clavicle", "shoulderblade", "shoulder_blade")
+"""Parts of names of shoulder blades. A `shoulder` is an upper arm as often."""
 GROUND = 0.12
 """Share of the height from the ground up in which the surface is that of feet. Chosen by eye, as all figures here."""
 APART = 0.15
@@ -221,6 +223,8 @@ class _AnimalRig:
 
     def _leg_names(self, chain: list[int], parts: tuple[str, ...]) -> dict[str, int]:
         """Name the joints of a leg by their places along it."""
+        blade = chain[:1] if parts == LEGS["front"] and self._has_shoulder_blade(chain) else []
+        chain = chain[len(blade) :]
         points = self.rig.joints[chain]
         points = np.concatenate([points, points[-1:] * [1, 0, 1] + [0, self.low, 0]])
         along = np.cumsum([0.0, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
@@ -236,7 +240,12 @@ class _AnimalRig:
         found = {parts[0]: chain[0], **{parts[c]: chain[r] for r, c in zip(rows, columns, strict=True)}}
         if parts[2] in found and parts[1] not in found:  # a leg that bends once bends at the elbow or the knee
             found[parts[1]] = found.pop(parts[2])
-        return found
+        return found | {"Scapula": joint for joint in blade}
+
+    def _has_shoulder_blade(self, chain: list[int]) -> bool:
+        """Tell whether a foreleg begins with one: by its name, or because there is one joint too many."""
+        name = self.rig.joint_names[chain[0]].lower()
+        return len(chain) > len(LEGS["front"]) or (len(chain) > 1 and any(word in name for word in SHOULDER_BLADE))
 
     def _shared(self, joints: list[int]) -> int:
         """Find the joint that two legs hang on."""
