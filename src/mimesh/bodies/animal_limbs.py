@@ -223,8 +223,9 @@ class _AnimalRig:
 
     def _leg_names(self, chain: list[int], parts: tuple[str, ...]) -> dict[str, int]:
         """Name the joints of a leg by their places along it."""
-        blade = chain[:1] if parts == LEGS["front"] and self._has_shoulder_blade(chain) else []
-        chain = chain[len(blade) :]
+        blade = {}
+        if parts == LEGS["front"] and self._has_shoulder_blade(chain):
+            blade, chain = {"Scapula": chain[0]}, chain[1:]
         points = self.rig.joints[chain]
         points = np.concatenate([points, points[-1:] * [1, 0, 1] + [0, self.low, 0]])
         along = np.cumsum([0.0, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
@@ -240,7 +241,7 @@ class _AnimalRig:
         found = {parts[0]: chain[0], **{parts[c]: chain[r] for r, c in zip(rows, columns, strict=True)}}
         if parts[2] in found and parts[1] not in found:  # a leg that bends once bends at the elbow or the knee
             found[parts[1]] = found.pop(parts[2])
-        return found | {"Scapula": joint for joint in blade}
+        return blade | found
 
     def _has_shoulder_blade(self, chain: list[int]) -> bool:
         """Tell whether a foreleg begins with one: by its name, or because there is one joint too many."""
