@@ -13,6 +13,7 @@ from rigs import of_kind
 
 import mimesh
 from mimesh.bodies.animals import animal as shipped_animal
+from mimesh.bodies.character_pool import facing_rotation
 from mimesh.bodies.characters import proportioned
 from mimesh.cli import run
 from mimesh.core.errors import InputError
@@ -178,6 +179,15 @@ def gltf_of(path: Path) -> dict:
     from mimesh.io.gltf.document import open_document
 
     return open_document(path).gltf
+
+
+@pytest.mark.parametrize("facing", ["+z", "-x"])
+def test_look_says_that_a_rig_is_of_an_animal_and_where_it_faces(facing, tmp_path, capsys):
+    path = other().write(tmp_path / "cow.glb", turn=facing_rotation(facing).T)
+    assert run(["look", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"up +y, front {facing}, a four-legged animal by its rig" in out
+    assert "taken for a person" not in out
 
 
 def test_files_with_one_skeleton_are_copied(tmp_path):

@@ -93,7 +93,7 @@ def animal_facing(rig: SkinnedCharacter, path: object) -> str:
         tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
         names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
         said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
-        center = turned.joints[sum(tops.values(), []), 2].mean()
+        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
         head = [joints["Head"]] if "Head" in joints else []
         scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
     if not scores:
