@@ -274,6 +274,19 @@ def test_a_person_and_an_animal_without_rigs_are_refused():
         mimesh.transfer(person, surfaces(0).driving, up="+y", driving_up="+y")
 
 
+def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, capsys):
+    cow, walk = other().write(tmp_path / "cow.glb"), tmp_path / "walk.bvh"
+    joints = "".join(
+        f"JOINT {name} {{ OFFSET {x} 0 {z} CHANNELS 3 Zrotation Xrotation Yrotation End Site {{ OFFSET 0 -1 0 }} }}\n"
+        for name, x, z in (("FrontLeg.L", 1, 1), ("FrontLeg.R", -1, 1), ("BackLeg.L", 1, -1), ("BackLeg.R", -1, -1))
+    )
+    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    head = f"HIERARCHY\nROOT Body {{ OFFSET 0 0 0 {channels}\n{joints}}}\nMOTION\nFrames: 1\nFrame Time: 0.03\n"
+    walk.write_text(head + " ".join(["0"] * 18) + "\n")
+    assert run(["animate", str(cow), str(walk)]) == 2
+    assert "give an animal or another creature as .glb, with its mesh" in capsys.readouterr().err
+
+
 def test_joints_of_animals_cannot_be_corrected():
     pair = surfaces(0)
     with pytest.raises(InputError, match="expected a person"):
