@@ -141,3 +141,24 @@ def test_all_joints_of_the_trunk_are_named_once():
     found = found_in(animal(0, bones(3, (*TRUNK, "Spine1", "Spine3", "Spine4", "Neck2", "Neck3"))))
     assert len(set(found.values())) == len(found)
     assert {"Neck1", "Neck2", "Neck3", "Head"} <= set(found)
+
+
+@pytest.mark.parametrize("facing", [facing for facing in FACING if facing])
+def test_a_named_tail_is_behind_however_large_it_is(facing):
+    """Pets of blocks have a long tail of a joint of its own, and their head is that of the trunk."""
+    made = animal(0, bones(1, ("Hips", "Tail1")))
+    turned = made.character(spell=lambda name: "tail" if name == "Tail1" else "Bone", turn=facing_rotation(facing).T)
+    assert animal_facing(turned, "a.glb") == facing
+    assert "Head" not in name_animal_joints(turned.turned(facing_rotation(facing)), "a.glb")
+    assert "Head" not in name_animal_joints(turned.turned(facing_rotation(facing) @ facing_rotation("-z")), "a.glb")
+
+
+@pytest.mark.parametrize("facing", [facing for facing in FACING if facing])
+def test_names_of_legs_say_where_an_animal_without_a_head_faces(facing):
+    """Without names, the first of two opposite fronts is taken."""
+    front = tuple(part for part in LEGS["front"])
+    made = animal(0, bones(1, ("Hips",)))
+    spelled = made.character(
+        spell=lambda name: "leg-front" if name.endswith(front) else "leg-back", turn=facing_rotation(facing).T
+    )
+    assert animal_facing(spelled, "a.glb") == facing

@@ -92,6 +92,34 @@ def test_feet_with_roots_of_their_own_become_children_of_their_legs(seed):
     np.testing.assert_allclose(turned, made.mesh.vertices, atol=1e-9)
 
 
+@pytest.mark.parametrize("seed", SHAPES)
+def test_feet_that_their_legs_carry_more_of_are_children_of_these_too(seed):
+    """Else hooves stay where they are while the leg goes."""
+    made = animal(seed, bones(4), FEET)
+    character = made.character()
+    last = {
+        made.order.index(side + chain[-1]): made.order.index(side + chain[-2])
+        for side in SIDES
+        for chain in LEGS.values()
+    }
+    mine = np.isin(character.joint_of, list(last))
+    above = np.vectorize(lambda joint: last.get(joint, joint))(character.joint_of)
+    # A third of the weights of each foot stays on its own joint.
+    weights = np.concatenate(
+        [np.where(mine, character.weights / 3, character.weights), np.where(mine, 2 * character.weights / 3, 0)], axis=1
+    )
+    sloppy = dataclasses.replace(
+        character,
+        joint_of=np.concatenate([character.joint_of, above], axis=1),
+        weights=weights,
+        points=np.repeat(character.mesh.vertices[:, None], weights.shape[1], axis=1),
+    )
+    rig, order = animal_rig(sloppy, np.eye(3), "a.glb")
+    parents = {order[j]: order[parent] for j, parent in enumerate(rig.character.parents) if parent >= 0}
+    assert not {order[joint] for joint in rig.joints.values()} & set(last)
+    assert {foot: parents[foot] for foot in last} == last
+
+
 @pytest.mark.parametrize("facing", [facing for facing in FACING if facing])
 def test_frames_and_lengths_do_not_depend_on_where_an_animal_faces(facing):
     straight, turned = rig_of(animal(0))[0], rig_of(animal(0), facing)[0]

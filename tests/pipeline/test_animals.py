@@ -13,6 +13,7 @@ from rigs import of_kind
 
 import mimesh
 from mimesh.bodies.animals import animal as shipped_animal
+from mimesh.bodies.character_pool import facing_rotation
 from mimesh.bodies.characters import proportioned
 from mimesh.cli import run
 from mimesh.core.errors import InputError
@@ -180,6 +181,15 @@ def gltf_of(path: Path) -> dict:
     return open_document(path).gltf
 
 
+@pytest.mark.parametrize("facing", ["+z", "-x"])
+def test_look_says_that_a_rig_is_of_an_animal_and_where_it_faces(facing, tmp_path, capsys):
+    path = other().write(tmp_path / "cow.glb", turn=facing_rotation(facing).T)
+    assert run(["look", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"up +y, front {facing}, a four-legged animal by its rig" in out
+    assert "taken for a person" not in out
+
+
 def test_files_with_one_skeleton_are_copied(tmp_path):
     """As those of people are."""
     made = animal(0)
@@ -262,6 +272,19 @@ def test_a_person_and_an_animal_without_rigs_are_refused():
     person = PROTOCOLS["human-npt"].pair("val", "seen", 0).identity
     with pytest.raises(InputError, match=r"taken for a person.*four-legged animal"):
         mimesh.transfer(person, surfaces(0).driving, up="+y", driving_up="+y")
+
+
+def test_an_animal_in_a_bvh_is_refused_with_the_format_that_works(tmp_path, capsys):
+    cow, walk = other().write(tmp_path / "cow.glb"), tmp_path / "walk.bvh"
+    joints = "".join(
+        f"JOINT {name} {{ OFFSET {x} 0 {z} CHANNELS 3 Zrotation Xrotation Yrotation End Site {{ OFFSET 0 -1 0 }} }}\n"
+        for name, x, z in (("FrontLeg.L", 1, 1), ("FrontLeg.R", -1, 1), ("BackLeg.L", 1, -1), ("BackLeg.R", -1, -1))
+    )
+    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    head = f"HIERARCHY\nROOT Body {{ OFFSET 0 0 0 {channels}\n{joints}}}\nMOTION\nFrames: 1\nFrame Time: 0.03\n"
+    walk.write_text(head + " ".join(["0"] * 18) + "\n")
+    assert run(["animate", str(cow), str(walk)]) == 2
+    assert "give an animal or another creature as .glb, with its mesh" in capsys.readouterr().err
 
 
 def test_joints_of_animals_cannot_be_corrected():

@@ -60,6 +60,11 @@ def name_animal_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
     return _AnimalRig(rig, path).named()
 
 
+def named_tail(rig: SkinnedCharacter) -> list[int]:
+    """List the joints whose names say that they are of a tail."""
+    return [j for j, name in enumerate(rig.joint_names) if "tail" in name.lower()]
+
+
 @dataclass(frozen=True, eq=False)
 class _Leg:
     """A leg of an animal."""
@@ -266,7 +271,8 @@ class _AnimalRig:
         count = len(self.rig.parents)
         of_trunk = {j for joint in legs for j in ancestors(self.rig.parents, joint)}
         share = self.influence.mean(axis=0)
-        free = [j for j in range(count) if 0 < share[j] < MOST_OF_IT and j not in of_trunk]
+        tail = named_tail(self.rig)
+        free = [j for j in range(count) if 0 < share[j] < MOST_OF_IT and j not in of_trunk and j not in tail]
         named = [j for j in free if "head" in self.rig.joint_names[j].lower()]
         width = np.ptp(self.rig.mesh.vertices[:, 0])
         place = {j: self._carried(j) for j in free}
@@ -275,10 +281,9 @@ class _AnimalRig:
 
     def _tail(self, others: set[int], hind: float) -> list[int]:
         """Find the joints of the tail from its root: by name, or a chain of two or more behind the hind legs."""
-        parents, names = self.rig.parents, self.rig.joint_names
+        parents = self.rig.parents
         weighted = [j for j in range(len(parents)) if self.influence[:, j].any() and j not in others]
-        named = [j for j in weighted if "tail" in names[j].lower()]
-        if named:
+        if named := [j for j in named_tail(self.rig) if j in weighted]:
             return named
         behind = [
             j

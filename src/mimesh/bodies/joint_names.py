@@ -193,7 +193,8 @@ def require_joints(found: dict[str, int], needed: Iterable[str], joint_names: tu
         raise InputError(
             f"{path}: expected hips and, left and right, thigh, shin, foot, upper arm, forearm and hand by name, found "
             f"none for {', '.join(missing)} among {', '.join(joint_names[:SHOWN])}{more}; "
-            "rename the joints, for example Hips, LeftUpLeg, LeftLeg, LeftFoot, LeftArm, LeftForeArm, LeftHand"
+            "rename the joints, for example Hips, LeftUpLeg, LeftLeg, LeftFoot, LeftArm, LeftForeArm, LeftHand; "
+            "give an animal or another creature as .glb, with its mesh"
         )
 
 

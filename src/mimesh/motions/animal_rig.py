@@ -15,8 +15,8 @@ from jaxtyping import Float
 
 from ..bodies import RiggedBody, load_body
 from ..bodies.anatomy import QUADRUPED
-from ..bodies.animal_limbs import LEGS, NECK, TAIL, name_animal_joints
-from ..bodies.character_limbs import SIDES, with_parents
+from ..bodies.animal_limbs import LEGS, LOOSE_FOOT, NECK, TAIL, name_animal_joints
+from ..bodies.character_limbs import SIDES, moves_vertices, with_parents
 from ..bodies.joint_names import ancestors
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.rig import leg_length
@@ -77,22 +77,34 @@ def animal_rig(
     """
     facing = character.turned(turn)
     joints = name_animal_joints(facing, path)
-    facing, joints, order = with_parents(facing, joints, _attached(facing.parents, joints))
+    facing, joints, order = with_parents(facing, joints, _attached(facing, joints))
     positions = {name: facing.joints[joint] for name, joint in joints.items()}
     turned = rest_directions(positions, float(facing.mesh.vertices[:, 1].min()), load_body("quadruped"))
     frames = {name: turn.T @ turned.get(name, np.eye(3)) for name in joints}
     return AnimalRig(facing.turned(turn.T), joints, frames, {}, turn), order.tolist()
 
 
-def _attached(parents: tuple[int, ...], joints: Mapping[str, int]) -> list[int]:
+def _attached(rig: SkinnedCharacter, joints: Mapping[str, int]) -> list[int]:
     """Return the parents of all joints, those of feet on roots of their own being the ends of their legs."""
+    parents = rig.parents
     attached, trunk = list(parents), ancestors(parents, joints["Hips"])
+    tops, ends = [], []
     for chain in CHAINS:
         own = [joints[name] for name in chain if name in joints]
+        tops.append(own[0])
+        ends.append(own[-1])
         for above, below in itertools.pairwise(own):
             apart = [j for j in ancestors(parents, below) if j not in trunk]
             if above not in apart:
                 attached[apart[-1]] = above
+    known = {above for joint in joints.values() for above in ancestors(parents, joint)}
+    low, high = rig.mesh.vertices[:, 1].min(), rig.mesh.vertices[:, 1].max()
+    for foot in np.flatnonzero(moves_vertices(rig) & (rig.joints[:, 1] < low + LOOSE_FOOT * (high - low))):
+        if foot not in known and parents[foot] in (-1, *trunk):  # the leg carries more of the foot than its own joint
+            distance = np.linalg.norm(rig.joints[ends] - rig.joints[foot], axis=1)
+            nearest = int(distance.argmin())
+            if distance[nearest] < rig.joints[tops[nearest], 1] - low:
+                attached[foot] = ends[nearest]
     return attached
 
 

@@ -6,7 +6,7 @@ import contextlib
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -198,7 +198,16 @@ def _copied(identity: Mesh, clip: Clip, shared: SharedMotion | None, own: OwnRig
     return copy_morphs(identity.source, clip.skeleton)
 
 
-def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
+class RigFacts(NamedTuple):
+    """What is known of the own rig of a mesh."""
+
+    used: bool
+    text: str
+    stands: str | None = None
+    """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
+
+
+def rig_facts(mesh: Mesh) -> RigFacts | None:
     """Tell whether the own rig of a mesh is used, and what is known of it; None of a mesh without a rig."""
     if not has_rig(mesh) or not isinstance(mesh.source, GltfSource):
         return None
@@ -208,13 +217,18 @@ def rig_facts(mesh: Mesh) -> tuple[bool, str] | None:
     except NO_PERSON as error:
         with contextlib.suppress(InputError):
             animal = read_own_rig(at_rest, body="quadruped").humanoid
-            return True, f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
-        return (True, UNNAMED) if isinstance(error, UnnamedJoints) else (False, str(error))
+            stands = (
+                f"up {axis_name(animal.turn[1])}, front {axis_name(animal.turn[2])}, a four-legged animal by its rig"
+            )
+            known = f"{len(animal.character.parents)} joints, {len(animal.joints)} of a four-legged animal known"
+            return RigFacts(True, known, stands)
+        return RigFacts(True, UNNAMED) if isinstance(error, UnnamedJoints) else RigFacts(False, str(error))
     except InputError as error:
-        return False, str(error)
+        return RigFacts(False, str(error))
     fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
     known = len(humanoid.joints) - fingers
-    return True, f"{len(humanoid.character.parents)} joints, {known} of a person and {fingers} of fingers known by name"
+    joints = len(humanoid.character.parents)
+    return RigFacts(True, f"{joints} joints, {known} of a person and {fingers} of fingers known by name")
 
 
 def still_clip(mesh: Mesh) -> Clip:

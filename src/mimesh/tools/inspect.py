@@ -14,7 +14,7 @@ from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..io.beside import missing_images, missing_images_notes
-from ..pipeline.rigs import rig_facts
+from ..pipeline.rigs import RigFacts, rig_facts
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -161,16 +161,16 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         fps=float(clip.fps) if clip is not None and moving else None,
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
-        details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(*rig)),) if rig else ()),
-        stands=_stands(mesh) if len(mesh.faces) else None,
-        notes=getattr(mesh.source, "notes", ()) if rig is None or not rig[0] else (),
+        details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(rig)),) if rig else ()),
+        stands=(rig and rig.stands) or (_stands(mesh) if len(mesh.faces) else None),
+        notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
 
 
-def _rig_text(used: bool, text: str) -> str:
+def _rig_text(rig: RigFacts) -> str:
     """Describe the file's own rig."""
-    return text if used else f"not used: {text}"
+    return rig.text if rig.used else f"not used: {rig.text}"
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:

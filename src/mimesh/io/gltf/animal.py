@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
-from ...bodies.animal_limbs import LEGS, name_animal_joints
+from ...bodies.animal_limbs import LEGS, name_animal_joints, named_tail
 from ...bodies.character_limbs import SIDES
 from ...bodies.character_pool import FACING, CharacterMeta, PoolCharacter, facing_rotation
 from ...bodies.skinned_character import SkinnedCharacter
@@ -20,6 +21,9 @@ from .motion import bind_poses, is_motion
 from .origin import read_origin
 from .read import RestScene, read_rest
 from .skin import skin_joints
+
+LEG_WORDS = {"front": re.compile("front|fore"), "hind": re.compile("back|hind|rear")}
+"""Words in the names of the joints of forelegs and of hind legs."""
 
 
 def read_rigged_animal(
@@ -73,6 +77,8 @@ def _standing(mesh: Mesh, document: Document, scene: RestScene, joint_nodes: set
 def animal_facing(rig: SkinnedCharacter, path: object) -> str:
     """Find where an animal faces: where the largest part that sticks out from its legs, the head, is in front.
 
+    Names of legs are believed first (leg-front-left), and a tail that has this name is behind.
+
     Raises:
         InputError: there are no four legs on one skeleton, whatever it faces.
     """
@@ -84,14 +90,19 @@ def animal_facing(rig: SkinnedCharacter, path: object) -> str:
         except InputError as error:
             reasons.append(error)
             continue
-        tops = [joints[side + parts[0]] for side in SIDES for parts in LEGS.values()]
-        ahead = 0.0
-        if "Head" in joints:
-            share = turned.summed_weights((np.arange(len(turned.parents) + 1) == joints["Head"]).astype(int), 2)[
-                :, 1
-            ].mean()
-            ahead = share * (turned.joints[joints["Head"], 2] - turned.joints[tops, 2].mean())
-        scores[facing] = ahead
+        tops = {pair: [joints[side + parts[0]] for side in SIDES] for pair, parts in LEGS.items()}
+        names = [(pair, turned.joint_names[joint].lower()) for pair in LEGS for joint in tops[pair]]
+        said = sum(bool(LEG_WORDS[pair].search(name)) for pair, name in names)
+        center = turned.joints[[*tops["front"], *tops["hind"]], 2].mean()
+        head = [joints["Head"]] if "Head" in joints else []
+        scores[facing] = said, _ahead(turned, head, center) - _ahead(turned, named_tail(turned), center)
     if not scores:
         raise reasons[0]
     return max(scores, key=lambda facing: scores[facing])  # the first, +z, where they are equal
+
+
+def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
+    """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
+    count = len(rig.parents)
+    share = rig.summed_weights(np.arange(count + 1), count + 1)[:, joints].mean(axis=0)
+    return float(share @ (rig.joints[joints, 2] - center))
