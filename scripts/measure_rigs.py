@@ -127,8 +127,9 @@ def _own_row(path: Path) -> dict[str, Any]:
     row: dict[str, Any] = {"file": path.name, "clips": len(names), "error": None, "failed": []}
     if is_motion(document):
         return row | {"joints": gltf_joints(document), "person": False, "reason": "animations without a mesh"}
-    used, text = rig_facts(load_mesh(path)) or (False, "")
-    named = used and text != UNNAMED
+    rig = rig_facts(load_mesh(path))
+    text = "" if rig is None else rig.text
+    named = rig is not None and rig.used and text != UNNAMED
     joints = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
     row |= {"joints": len(joints or animated_nodes(document, PLAYED_PATHS)), "person": named}
     row["reason"] = "" if named else text.removeprefix(f"{path}: ")
