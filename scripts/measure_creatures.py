@@ -2,7 +2,7 @@
 
     python scripts/measure_creatures.py POOL [-o benchmarks/creatures.json] [--files FOLDER]
 
-All ordered pairs of rigs of the class `other` are matched: how sure the match is, and whether it is refused. Then the
+All ordered pairs of rigs of the class `other` are matched: how sure the match is; below `SURE` a pair is refused. Then the
 clips of each creature are given to it from a copy whose joints have no names and another order; the error is the
 largest distance of a vertex from where its own clip takes it, in percent of the diagonal of the bounding box.
 """
@@ -45,25 +45,21 @@ def main() -> None:
         folder = args.files or Path(temporary)
         folder.mkdir(exist_ok=True)
         own = {creature.meta.file: own_error(creature, folder) for creature in creatures if creature.clips}
-    pairs = [matched(identity, driving) for identity in creatures for driving in creatures if identity is not driving]
-    taken = [pair for pair in pairs if not pair["refused"]]
-    print(f"{len(taken)} of {len(pairs)} pairs are matched")
+    sure = {identity.meta.file: confidences(identity, creatures) for identity in creatures}
+    pairs = [value for row in sure.values() for value in row if value is not None]
+    print(f"{sum(value >= SURE for value in pairs)} of {len(pairs)} pairs are matched")
     print(f"own clips from a renamed copy: largest error {max(own.values()):.1g} % of the size")
-    report = {"provenance": provenance({"split": args.split, "sure": SURE}), "pairs": pairs, "own_clips": own}
+    report = {"provenance": provenance({"split": args.split, "sure": SURE}), "confidence": sure, "own_clips": own}
     with whole_file(args.output) as temporary:
         temporary.write_text(json.dumps(report) + "\n")
 
 
-def matched(identity: PoolCharacter, driving: PoolCharacter) -> dict:
-    """Match two creatures and return the figures of the match."""
-    match = match_rigs(Creature(identity.rig), Creature(driving.rig))
-    return {
-        "identity": identity.meta.file,
-        "driving": driving.meta.file,
-        "refused": match.confidence < SURE,
-        "confidence": round(match.confidence, 3),
-        "covered": [round(share, 3) for share in match.covered],
-    }
+def confidences(identity: PoolCharacter, creatures: tuple[PoolCharacter, ...]) -> list[float | None]:
+    """Match a creature with each of them: how sure the match is, from 0 to 1; None for itself."""
+    mine = Creature(identity.rig)
+    return [
+        None if other is identity else round(match_rigs(mine, Creature(other.rig)).confidence, 3) for other in creatures
+    ]
 
 
 def own_error(creature: PoolCharacter, folder: Path) -> float:
