@@ -2,8 +2,8 @@
 
     python scripts/measure_creatures.py POOL [-o benchmarks/creatures.json] [--files FOLDER]
 
-All ordered pairs of rigs of the class `other` are matched: how sure the match is; below `SURE` a pair is refused. Then the
-clips of each creature are given to it from a copy whose joints have no names and another order; the error is the
+All ordered pairs of rigs of the class `other` are matched: how sure the match is; below `SURE` a pair is refused. Then
+the clips of each creature are given to it from a copy whose joints have no names and another order; the error is the
 largest distance of a vertex from where its own clip takes it, in percent of the diagonal of the bounding box.
 """
 
