@@ -28,7 +28,8 @@ from .rigs import OTHER, Axes, Rigs
 BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
 """Choices of `--body`."""
 KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
-"""What a mesh with each body is called in messages."""
+PLURAL = {"human": "people", "quadruped": "four-legged animals"}
+"""What meshes with each body are called in messages."""
 MARGIN = 0.1
 """By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
 splits train and val of the pool (docs/LOG.md): most files show people."""
@@ -122,7 +123,10 @@ def with_body(
     if not isinstance(method, BodyMethod) or len(method.bodies) == 1:
         own = getattr(method, "body", "human")
         if asked not in ("auto", own):
-            raise InputError(f"--body: expected {own} with the model {method.name}, found {asked}; leave it out")
+            raise InputError(
+                f"--body: expected {own} with the model {method.name}, found {asked}: it knows only {PLURAL[own]}; "
+                "choose the model mime"
+            )
         if own == "quadruped" and not isinstance(method, BodyMethod):
             norms = _turned_as_animal(meshes[0], norms[0], axes[:2]), _turned_as_animal(meshes[1], norms[1], axes[2:])
         return method, norms
