@@ -91,8 +91,7 @@ def write_creature(creature: PoolCharacter, path: Path, order: np.ndarray, spell
     place = {joint: k + 1 for k, joint in enumerate(sorted_order)} | {-1: 0}
     parents = (-1, *(place[rig.parents[j]] for j in sorted_order))
     names = ("Armature", *(spell(rig.joint_names[j]) for j in sorted_order))
-    count = len(rig.parents)
-    weights = rig.summed_weights(np.arange(count + 1), count + 1)[:, :-1][:, sorted_order]
+    weights = rig.joint_weights()[:, sorted_order]
     weights = np.pad(weights / weights.sum(axis=1, keepdims=True), ((0, 0), (1, 0)))
     rest = np.concatenate([np.eye(4)[None], rig.T_world_joint[sorted_order]])
     animations = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from .animal_limbs import TRUNK
 from .character_limbs import SIDES
 
 
@@ -76,7 +77,7 @@ QUADRUPED = Anatomy(
         **{f"{side.lower()} foreleg": f"{side}UpperArm" for side in SIDES},
         **{f"{side.lower()} hind leg": f"{side}Thigh" for side in SIDES},
     },
-    optional_trunk=("Spine1", "Spine2", "Spine3", "Spine4", "Chest"),
+    optional_trunk=tuple(TRUNK),
     props={"Head": 0.3, "Chest": 0.2, "Spine3": 0.2, "Hips": 0.15, "Neck2": 0.15},
 )
 

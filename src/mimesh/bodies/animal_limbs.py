@@ -85,8 +85,7 @@ class _AnimalRig:
     @cached_property
     def influence(self) -> Float[np.ndarray, "V J"]:
         """Weight of each joint on each vertex."""
-        count = len(self.rig.parents)
-        return self.rig.summed_weights(np.arange(count + 1), count + 1)[:, :-1]
+        return self.rig.joint_weights()
 
     @cached_property
     def moving(self) -> Bool[np.ndarray, " J"]:

@@ -86,8 +86,7 @@ class Creature:
     @cached_property
     def influence(self) -> Float[np.ndarray, "V J"]:
         """Weight of each joint on each vertex."""
-        count = len(self.rig.parents)
-        return self.rig.summed_weights(np.arange(count + 1), count + 1)[:, :-1]
+        return self.rig.joint_weights()
 
     @cached_property
     def size(self) -> float:

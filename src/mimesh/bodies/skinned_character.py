@@ -77,6 +77,11 @@ class SkinnedCharacter:
         moved = (influences[..., :3] @ self.points[..., None])[..., :3, 0] + influences[..., :3, 3]
         return (self.weights[..., None] * moved).sum(axis=1)
 
+    def joint_weights(self) -> Float[np.ndarray, "V J"]:
+        """Add up the weights of each joint on each vertex; those of the world are left out."""
+        count = len(self.parents)
+        return self.summed_weights(np.arange(count + 1), count + 1)[:, :-1]
+
     def summed_weights(self, column: Int[np.ndarray, " K"], count: int) -> Float[np.ndarray, "V C"]:
         """Add up the weights of the joints that have one column.
 

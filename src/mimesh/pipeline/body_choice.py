@@ -139,16 +139,16 @@ def with_body(
 
     shown = [show(k, known, quick=True) for k in (0, 1)]
     if shown[0].body != shown[1].body:
-        shown = [show(k, known) for k in (0, 1)]
-    person = next((k for k in (0, 1) if (shown[k].body, shown[1 - k].body) == ("human", "quadruped")), None)
-    if person is not None:
-        if shown[person].difference > min(DOUBT, shown[1 - person].difference):
+        person = int(shown[1].body == "human")
+        shown[person] = show(person, known)  # it may be an animal in an orientation that was not tried
+        if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
             raise InputError(
                 f"{meshes[0].name} is taken for {KINDS[shown[0].body]}, and {meshes[1].name} for "
                 f"{KINDS[shown[1].body]}: expected two of a kind; give another driving, or --body human or quadruped "
                 "if one of the two is taken for the wrong one"
             )
-        shown[person] = show(person, "quadruped")
+        if shown[person].body == "human":
+            shown[person] = show(person, "quadruped")
     return method.of_body(shown[0].body), (shown[0].norm, shown[1].norm)
 
 

@@ -41,6 +41,11 @@ class Corrections:
     driving_frame: Float[np.ndarray, "U 3"] | None = None
     """Vertices of the driving in the frame that its corrections are in."""
 
+    @property
+    def given(self) -> bool:
+        """Whether joints of the identity or of the driving are corrected."""
+        return self.identity is not None or self.driving is not None
+
     @classmethod
     def read(cls, identity: GivenJoints, driving: GivenJoints, clip: Clip) -> Corrections:
         """Read corrections; `clip` is the whole driving clip, before frames of it are chosen.

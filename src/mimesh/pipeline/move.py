@@ -87,8 +87,7 @@ def _matched_creatures(
     corrections: Corrections,
 ) -> MatchedCreatures | None:
     """Match the rigs of both files with each other where these are of other creatures, and are not the same."""
-    corrected = corrections.identity is not None or corrections.driving is not None
-    if options.rig != "own" or rigs.copied is not None or corrected:
+    if options.rig != "own" or rigs.copied is not None or corrections.given:
         return None
 
     def method() -> Method:
@@ -112,8 +111,7 @@ def _other_shape(
     corrections: Corrections,
 ) -> ReferenceFrame | MarkedFrame | None:
     """Find the frame of a driving that has about the identity's pose; None where the method of `choice` moves it."""
-    corrected = corrections.identity is not None or corrections.driving is not None
-    if rigs.copied is not None or corrected or options.body not in ("auto", OTHER):
+    if rigs.copied is not None or corrections.given or options.body not in ("auto", OTHER):
         return None
     first = first_frame(clip)
     method = choice(fitted_norms(identity, first, rigs.axes(axes))[1])

@@ -194,6 +194,7 @@ def prepare(
 
 
 def first_frame(clip: Clip) -> Mesh:
+    """Return the driving mesh in the first frame of a clip, in double precision."""
     return dataclasses.replace(clip.mesh, vertices=clip.vertices[0].astype(np.float64))
 
 

@@ -103,6 +103,5 @@ def animal_facing(rig: SkinnedCharacter, path: object) -> str:
 
 def _ahead(rig: SkinnedCharacter, joints: list[int], center: float) -> float:
     """Compute how far in front of the legs' center joints are, times the share of the vertices that they move."""
-    count = len(rig.parents)
-    share = rig.summed_weights(np.arange(count + 1), count + 1)[:, joints].mean(axis=0)
+    share = rig.joint_weights()[:, joints].mean(axis=0)
     return float(share @ (rig.joints[joints, 2] - center))
