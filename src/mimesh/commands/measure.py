@@ -116,10 +116,10 @@ def table(
 ) -> None:
     """Print a table of a paper with its figures beside ours.
 
-    Measures every row first: give -o to be able to stop and go on. The rows' own
-    networks lie in the repository's folder ablations, so run this in a checkout of it,
-    or train them: --train needs the [train] extra and goes on where it was stopped.
-    Rows left out with --without are neither trained nor measured, and need no weights.
+    Measures every row first: give -o to be able to stop and go on. Train the rows' own
+    networks with --train, which needs the [train] extra and goes on where it was stopped;
+    those of the papers' full width lie in the repository's folder ablations. Rows left out
+    with --without are neither trained nor measured, and need no weights.
     """
     from ..evaluate.tables import find_table, table_command
 

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import logging
 import warnings
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -154,6 +155,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
     return {
         "name": out.stem,
         "file": out.name,
+        "crc32": zlib.crc32(out.read_bytes()),
         "license": "not stated" if trained.config.data.kind == "meshes" else "Apache-2.0",
         "data": described_data(trained.config),
         "config": config,
