@@ -30,6 +30,7 @@ LAYERS = (
     "learn",
     "studio",
     "commands",
+    "jobs",
     "cli",
     "__main__",
 )

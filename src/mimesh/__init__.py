@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .core.errors import InputError
     from .core.mesh import Clip, Mesh
     from .io import load_clip, load_mesh, save_clip, save_mesh
+    from .jobs.run import batch
     from .pipeline import animate, transfer
     from .pipeline.result import ClipResult, Result
     from .pipeline.skinned import save_skinned
@@ -26,6 +27,7 @@ __all__ = [
     "Mesh",
     "Result",
     "animate",
+    "batch",
     "load_clip",
     "load_mesh",
     "save_clip",
@@ -37,6 +39,7 @@ __all__ = [
 _MODULES = {
     "core.errors": ("InputError",),
     "core.mesh": ("Clip", "Mesh"),
+    "jobs.run": ("batch",),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "transfer"),
     "pipeline.result": ("ClipResult", "Result"),

@@ -1,7 +1,8 @@
 """The `mimesh` command: registers the functions of `commands/`, and turns errors into messages and exit codes.
 
-Exit codes: 0 success; 1 a bug of mimesh; 2 wrong input or usage, with a message of one line; 130 stopped. Nothing here
-or in `commands/` imports NumPy or anything heavier before a command runs, so that `mimesh --help` is quick.
+Exit codes: 0 success; 1 a bug of mimesh; 2 wrong input or usage, with a message of one line; 3 some jobs of a batch
+failed; 130 stopped. Nothing here or in `commands/` imports NumPy or anything heavier before a command runs, so that
+`mimesh --help` is quick.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import typer
 
 from .commands import about, learn, measure, move, show, studio
 from .commands.terminal import Stop
+from .jobs.command import batch
 
 app = typer.Typer(
     name="mimesh",
@@ -32,6 +34,7 @@ app = typer.Typer(
 COMMANDS = (
     move.transfer,
     move.animate,
+    batch,
     show.convert,
     show.look,
     show.render,
@@ -96,7 +99,9 @@ def main(arguments: list[str] | None = None) -> None:
 def run(arguments: list[str]) -> int:
     """Run one command and return its exit code; the message about a failure is already on stderr."""
     try:
-        code = int(app(arguments, prog_name="mimesh", standalone_mode=False) or 0)
+        # Commands return nothing, or the facts that they print.
+        returned = app(arguments, prog_name="mimesh", standalone_mode=False)
+        code = returned if isinstance(returned, int) else 0
         return _print_error("stopped", code) if code == STOPPED else code
     except Stop as stop:
         return stop.code

@@ -140,7 +140,7 @@ def transfer(
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> dict[str, Any]:
     """Give the mesh IDENTITY the pose of DRIVING.
 
     By default the output is IDENTITY-DRIVING beside IDENTITY and in its format: the same file with its points moved.
@@ -151,7 +151,7 @@ def transfer(
     # Not everybody has Blender, which writes FBX: by default the result of an .fbx is a .glb.
     suffix = ".glb" if identity.suffix.lower() == ".fbx" else identity.suffix
     output = output or output_beside(identity, driving, suffix)
-    _check_outputs(output, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
+    check_outputs(output, preview, open_it, identity, driving, reference, markers, body_model, usual=suffix)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, driving, output)
     corrected = JointFiles.found(identity, driving, joints, driving_joints, no_joints, model)
     (mesh, (posed, notes)), seconds = _timed(lambda: (load_mesh(identity), _posed_mesh(driving, body_model)))
@@ -178,7 +178,7 @@ def transfer(
     result.save(output)
     save_joint_files(result, identity, driving, save_joints, save_driving_joints)
     shown = _write_preview(result, output, preview, open_it, usual=suffix)
-    _print_facts(_facts(result, output, shown, notes, corrected.described()), json, quiet)
+    return _print_facts(_facts(result, output, shown, notes, corrected.described()), json, quiet)
 
 
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
@@ -237,7 +237,7 @@ def animate(
     seed: Seed = 0,
     json: Json = False,
     quiet: Quiet = False,
-) -> None:
+) -> dict[str, Any]:
     """Make IDENTITY move as the clip DRIVING does.
 
     By default the output is IDENTITY-DRIVING.glb beside IDENTITY, with joints if the model has them (mime); an output
@@ -257,7 +257,7 @@ def animate(
     # The preview of a single clip has the name of the output alone.
     titles = [clip.name if len(clips) > 1 else None for clip in clips]
     for title in titles:
-        _check_outputs(output, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
+        check_outputs(output, preview, open_it, identity, *driving, reference, markers, body_model, clip=title)
     check_joint_outputs((save_joints, save_driving_joints), model, identity, *driving, output)
     check_single(len(clips), {"--driving-joints": driving_joints, "--save-driving-joints": save_driving_joints})
     as_joints = check_clip_output(output, len(clips), skinned, morphs, blendshapes, layout)
@@ -311,7 +311,7 @@ def animate(
         _facts(result, output, _write_preview(result, output, preview, open_it, title), about, corrected, output_fps)
         for result, title, about, corrected in zip(results, titles, notes, corrections, strict=True)
     ]
-    _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
+    return _print_facts(facts[0] if len(facts) == 1 else joined_facts(facts, clips), json, quiet)
 
 
 def _facts(
@@ -352,16 +352,13 @@ def _facts(
     return facts
 
 
-def _print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> None:
-    """Print facts about a file as JSON, or as a summary."""
+def _print_facts(facts: dict[str, Any], json: bool, quiet: bool) -> dict[str, Any]:
+    """Print facts about a file as JSON, or as a summary, and return them."""
     if json:
         print_json(facts)
-    elif quiet:
-        return
-    elif "clips" in facts:
-        print_clips(facts)
-    else:
-        _print_summary(facts)
+    elif not quiet:
+        print_clips(facts) if "clips" in facts else _print_summary(facts)
+    return facts
 
 
 def _print_summary(facts: dict[str, Any]) -> None:
@@ -403,7 +400,7 @@ def _write_preview(
     return {"pictures": [str(picture)], "page": str(page)}
 
 
-def _check_outputs(
+def check_outputs(
     output: Path, preview: bool, open_it: bool, *inputs: Path | None, clip: str | None = None, usual: str = ".glb"
 ) -> None:
     """Check that no output overwrites an input, and that a page to be opened is written."""

@@ -16,7 +16,7 @@ from .mime.drive import MimeMethod
 from .mime.hand_network import FingerNetwork
 from .mime.hands import HandFinder
 from .npt import NPTMethod
-from .onnx_runtime import import_onnxruntime
+from .onnx_runtime import import_onnxruntime, open_session
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -45,7 +45,6 @@ def load_network(
     name: str,
     ensemble: int = 1,
     seed: int = 0,
-    threads: int = 2,
     fits: bool = True,
     fingers: bool = True,
 ) -> Method:
@@ -56,7 +55,6 @@ def load_network(
         name: of the method in messages and reports.
         ensemble: see `find_method`.
         seed: see `find_method`.
-        threads: of onnxruntime.
         fits: whether mime fits a body to the meshes, starting from its predictions (see `mime/body_fit.py`).
         fingers: whether mime moves the fingers of hands that show them (see `mime/hands.py`).
 
@@ -65,7 +63,7 @@ def load_network(
     """
     if not path.is_file():
         raise InputError(f"{path}: expected the weights of model {name}, found no file; choose another model or path")
-    session = _open_session(path, threads)
+    session = _open_session(path)
     card = _metadata(session, path)
     body = card.get("body", "human")
     if card["model"] == "aniformer":
@@ -77,7 +75,7 @@ def load_network(
         raise InputError(f"{path}: expected a model that moves meshes, found the network of hands; mime uses it itself")
     if card["model"] == "mime":
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
-        hands = load_hand_finder(joints, threads, seed) if fingers else None
+        hands = load_hand_finder(joints, seed) if fingers else None
         return MimeMethod(name, session, joints, parents, legs, card["points"], body, fits, seed, hands=hands)
     return NPTMethod(name, session, card["pose_code"], card["target_scale"], ensemble, seed, body)
 
@@ -87,31 +85,25 @@ def hands_path() -> Path:
     return Path(str(resources.files("mimesh") / "zoo" / HANDS))
 
 
-def load_hand_finder(joints: tuple[str, ...], threads: int = 2, seed: int = 0) -> HandFinder | None:
+def load_hand_finder(joints: tuple[str, ...], seed: int = 0) -> HandFinder | None:
     """Open the shipped network of hands; None where it is not installed, or the body lacks joints that are needed.
 
     Args:
         joints: of the body.
-        threads: of onnxruntime.
         seed: see `find_method`.
     """
     path = hands_path()
     if not path.is_file() or not FINDER_JOINTS.issubset(joints):
         return None
-    session = _open_session(path, threads)
+    session = _open_session(path)
     return HandFinder(FingerNetwork(session, _metadata(session, path)["points"]), joints, seed)
 
 
-def _open_session(path: Path, threads: int) -> InferenceSession:
+def _open_session(path: Path) -> InferenceSession:
     """Open a file with onnxruntime on the CPU, or raise InputError if it cannot be read."""
-    onnxruntime = import_onnxruntime()
-    errors = onnxruntime.capi.onnxruntime_pybind11_state
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3  # warnings about graph clean-up are not for users
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads would take time from others
+    errors = import_onnxruntime().capi.onnxruntime_pybind11_state
     try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        return open_session(path)
     except (errors.Fail, errors.InvalidProtobuf, errors.InvalidGraph, errors.InvalidArgument, errors.NotImplemented):
         raise InputError(
             f"{path}: expected a network in ONNX format, found something else; write one with mimesh export"

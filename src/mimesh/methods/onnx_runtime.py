@@ -1,13 +1,23 @@
-"""Import onnxruntime without its telemetry. Nothing else in this project imports it."""
+"""Import onnxruntime without its telemetry, and open networks with it. Nothing else in this project imports it."""
 
 from __future__ import annotations
 
 import os
 import sys
+from functools import lru_cache
+from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
 SWITCH = "ORT_DISABLE_TELEMETRY"
 """Environment variable that onnxruntime reads once, while it is imported; its Privacy.md describes it."""
+THREADS = "MIMESH_THREADS"
+"""Environment variable: threads of each network, 2 by default. `mimesh batch` sets it for its workers."""
+MOST_SESSIONS = 4
+"""Networks that a process keeps open: mime's two, that of hands, and one of a user."""
 
 
 def import_onnxruntime() -> ModuleType:
@@ -26,3 +36,22 @@ def import_onnxruntime() -> ModuleType:
         # Older builds for Windows report to the system's event log; they ignore the variable and have only this switch.
         onnxruntime.disable_telemetry_events()
     return onnxruntime
+
+
+def open_session(path: Path) -> InferenceSession:
+    """Open a network on the CPU; while its file does not change, a process opens it once (0.25 s for that of mime).
+
+    A file that is no network raises one of onnxruntime's errors.
+    """
+    facts = path.stat()
+    return _opened(path.resolve(), facts.st_mtime_ns, facts.st_size, int(os.environ.get(THREADS) or 2))
+
+
+@lru_cache(maxsize=MOST_SESSIONS)
+def _opened(path: Path, modified: int, size: int, threads: int) -> InferenceSession:
+    onnxruntime = import_onnxruntime()
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3  # warnings about graph clean-up are not for users
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # idle threads would take time from others
+    return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])

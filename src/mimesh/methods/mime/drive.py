@@ -11,7 +11,7 @@ of the body to both surfaces. Each frame: the joints' rotations by least squares
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -40,6 +40,7 @@ from .denoise import Denoiser, face_outward
 from .hands import FoundFingers, HandFinder, WeightedMesh, follow_fingers, with_fingers
 from .joint_network import JointNetwork, NetworkPoints
 from .joint_targets import JointTargets
+from .kept_results import kept
 from .part_tracking import PartTracker
 from .weight_cleanup import clean_weights
 
@@ -55,6 +56,8 @@ SOLE_SAMPLES = 8192
 """Points of a driving's surface among which those of the soles are, where its joints are known."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
+KEPT_IDENTITIES, KEPT_DRIVINGS, KEPT_QUICK = 2, 16, 256
+"""How many results are kept (see `kept_results.py`): for 10,000 vertices 2.4 MB an identity, and 8 MB a driving."""
 RETRIES, DISAGREEMENT = 4, 15.0
 """How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
 reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
@@ -150,6 +153,13 @@ class MimeMethod:
     def network(self) -> JointNetwork:
         """The network."""
         return JointNetwork(self.session, self.joints)
+
+    @property
+    def kept_key(self) -> Hashable:
+        """What results for a mesh depend on besides the mesh; None with corrected joints, which belong to one mesh."""
+        if self.identity_targets is not None or self.driving_targets is not None:
+            return None
+        return self.session, self.body, self.fits, self.seed
 
     @property
     def trunk(self) -> list[int]:
@@ -289,6 +299,7 @@ class MimeMethod:
         group = canonical_order(mesh.vertices).group
         return dataclasses.replace(rig, weights=rig.weights.take(group, axis=0)), _without_shares(confidence, mesh)
 
+    @kept(most=KEPT_QUICK)
     def quick_predict(self, mesh: Mesh) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
@@ -298,6 +309,7 @@ class MimeMethod:
         rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
 
+    @kept(most=KEPT_IDENTITIES)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
         """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
         ranked = canonical_order(mesh.vertices)
@@ -381,6 +393,7 @@ class MimeMethod:
         confidence = Confidence.of(spread, weights, self.joints, self.parents)
         return dataclasses.replace(confidence, flexion=largest_flexion(mean.joints, self.joints))
 
+    @kept(most=KEPT_DRIVINGS)
     def _follow(self, keyframes: Clip) -> tuple[Callable[[Float[np.ndarray, "U 3"]], Pose], KeyframePrediction]:
         """Return the function that finds the pose of the joints in each frame of a clip, and what it starts from.
 

@@ -1,0 +1,1 @@
+"""Many jobs: a table of runs of `mimesh animate` and `mimesh transfer`, done by several processes."""

@@ -1,0 +1,165 @@
+"""The command `mimesh batch`."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..commands.terminal import Json, Model, Quiet, Stop, given_path, print_json, progress
+
+if TYPE_CHECKING:
+    from .summary import BatchResult
+    from .table import BatchJob
+
+SOME_FAILED = 3
+"""Exit code where some jobs failed and all others are done."""
+MOST_FAILURES = 10
+"""Failed jobs that are printed at the end."""
+
+
+def batch(
+    jobs: Annotated[
+        Path,
+        typer.Argument(
+            metavar="JOBS",
+            parser=given_path,
+            help="A table (CSV: identity, driving, output, any option); or with DRIVINGS a folder or 'pattern' of "
+            "meshes.",
+        ),
+    ],
+    drivings: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DRIVINGS]", parser=given_path, help="A folder or 'pattern' of clips, each for each mesh."
+        ),
+    ] = None,
+    output: Annotated[
+        str | None,
+        typer.Option("--output", "-o", metavar="PATTERN", help="Outputs: 'out/{identity}/{driving}.glb'; {number}."),
+    ] = None,
+    model: Model = "mime",
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--option",
+            "-O",
+            metavar="NAME=VALUE",
+            help="Option of animate or transfer for all jobs: root=keep, ground=no; several times.",
+        ),
+    ] = None,
+    transfer: Annotated[
+        bool, typer.Option("--transfer", help="Transfer poses: run `mimesh transfer`, not animate.")
+    ] = False,
+    workers: Annotated[
+        int | None, typer.Option("--workers", "-w", help="Processes of one thread each; by default one a core.", min=1)
+    ] = None,
+    again: Annotated[bool, typer.Option("--again", help="Do jobs again that are finished and unchanged.")] = False,
+    summary: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Where batch.csv, .json and .png go; by default the folder that all outputs share."
+        ),
+    ] = None,
+    sheet: Annotated[bool, typer.Option("--sheet/--no-sheet", help="Draw batch.png, a picture of each result.")] = True,
+    cluster: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Do the jobs on a Ray cluster: its address, auto, or local."),
+    ] = None,
+    json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Animate many meshes: a table of jobs, or every mesh of a folder with every clip of another.
+
+    Columns and --option have the names of the options of `mimesh animate` and `mimesh
+    transfer` without dashes; yes or no for switches. All jobs are checked before the
+    first starts. The same command again does only what is not finished or has changed.
+    A job that fails does not stop others: the exit code is then 3.
+    """
+    from ..core.errors import InputError
+    from .run import batch as run_batch
+
+    options = {"model": model} if model != "mime" else {}
+    for text in option or ():
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise InputError(f"--option: expected NAME=VALUE, found {text!r}; write root=keep or ground=no")
+        options[name] = value
+    if cluster is not None and workers is not None:
+        raise InputError("--workers: expected it without --cluster, which has workers of its own; leave one out")
+    silent = quiet or json
+    if not silent and not sys.stderr.isatty():
+        print("checking all jobs", file=sys.stderr, flush=True)
+    with progress("jobs", silent) as advance:
+        result = run_batch(
+            str(jobs),
+            None if drivings is None else str(drivings),
+            output,
+            command="transfer" if transfer else "animate",
+            options=options,
+            workers=workers,
+            again=again,
+            summary=summary,
+            sheet=sheet,
+            cluster=cluster,
+            report=advance_bar(advance) if advance else None if silent else print_lines(),
+        )
+    if json:
+        print_json(result.facts())
+    elif not quiet:
+        print_summary(result)
+    elif result.failed:
+        print_failures(result)
+    if result.failed:
+        raise Stop(SOME_FAILED)
+
+
+def advance_bar(advance: Callable[[int, int], None]) -> Callable[..., None]:
+    """Return a report that moves a bar on the terminal."""
+
+    def report(done: int, total: int, job: BatchJob | None, outcome: dict[str, Any]) -> None:
+        advance(done, total)
+
+    return report
+
+
+def print_lines() -> Callable[..., None]:
+    """Return a report that prints a line for each job on stderr, with the time that is left by the mean so far."""
+    begin, before = time.perf_counter(), 0
+
+    def report(done: int, total: int, job: BatchJob | None, outcome: dict[str, Any]) -> None:
+        nonlocal before
+        if job is None:
+            before = done
+            earlier = f", {done} done before" if done else ""
+            print(f"{total} jobs{earlier}, workers: {outcome['workers']}", file=sys.stderr, flush=True)
+            return
+        left = (time.perf_counter() - begin) / (done - before) * (total - done)
+        what = outcome.get("error") or f"{outcome['state']}, {outcome.get('seconds', 0.0):.1f} s"
+        print(f"[{done}/{total}, {left:.0f} s left] {job.name}: {what}", file=sys.stderr, flush=True)
+
+    return report
+
+
+def print_summary(result: BatchResult) -> None:
+    """Print how many jobs were done, the files, and the failed jobs."""
+    counts = ", ".join(f"{count} {state}" for state, count in result.counts.items() if count)
+    print(f"{len(result.jobs)} jobs: {counts}; {result.seconds:.1f} s, workers: {result.workers}")
+    print_failures(result)
+    names = {"csv": "table", "json": "facts", "png": "picture"}
+    for kind, path in result.files.items():
+        print(f"{names[kind]}: {path}")
+    print(f"next: open {result.files.get('png') or result.files['csv']}")
+
+
+def print_failures(result: BatchResult) -> None:
+    """Print the first failed jobs with their errors."""
+    failed = [(job, outcome) for job, outcome in zip(result.jobs, result.outcomes, strict=True) if outcome.get("error")]
+    for job, outcome in failed[:MOST_FAILURES]:
+        print(f"failed: {job.where}: {outcome['error']}")
+    if len(failed) > MOST_FAILURES:
+        print(f"failed: {len(failed) - MOST_FAILURES} more, see {result.files['csv']}")
