@@ -56,8 +56,9 @@ SOLE_SAMPLES = 8192
 """Points of a driving's surface among which those of the soles are, where its joints are known."""
 TRACKED = 2
 """Every TRACKED-th sample is tracked through a clip."""
-KEPT_IDENTITIES, KEPT_DRIVINGS, KEPT_QUICK = 2, 16, 256
-"""How many results are kept (see `kept_results.py`): for 10,000 vertices 2.4 MB an identity, and 8 MB a driving."""
+KEPT_RIGS, KEPT_DRIVINGS, KEPT_QUICK = 8, 16, 256
+"""How many results are kept (see `kept_results.py`): the weights of 10,000 vertices
+take 2.4 MB, a driving 8 MB. One pair may need four rigs: both meshes as both bodies."""
 RETRIES, DISAGREEMENT = 4, 15.0
 """How many further keyframes are tried as the reference while the predictions for all keyframes, carried back to the
 reference by the measured motion, differ from their consensus by more than this angle (degrees, median)."""
@@ -309,7 +310,7 @@ class MimeMethod:
         rig = self.network.predict(sampled, sampled)
         return Confidence.of(0.0, rig.weights, self.joints, self.parents).weight_entropy, rig.rotation[0]
 
-    @kept(most=KEPT_IDENTITIES)
+    @kept(most=KEPT_RIGS)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
         """Predict the joints of a mesh and the skinning weights of its distinct positions: a consensus of ENSEMBLE."""
         ranked = canonical_order(mesh.vertices)

@@ -1,0 +1,257 @@
+"""`mimesh batch`: many jobs from a table or two folders; checked, resumed, stopped, and with failures."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pytest
+import zoo
+
+import mimesh
+from mimesh.cli import run
+from mimesh.core.mesh import Clip
+from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
+from mimesh.jobs.summary import BatchResult
+from mimesh.jobs.table import filled, find_files, read_table
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch) -> Path:
+    """A folder with ids/a.obj and b.obj, poses/p0.ply and p1.ply, and the frames clips/walk and clips/run."""
+    monkeypatch.chdir(tmp_path)
+    cube = zoo.cube()
+    for name in ("a", "b"):
+        save_mesh(cube, Path("ids") / f"{name}.obj")
+    for k in range(2):
+        save_mesh(cube.with_vertices(cube.vertices * [1, 2 + k, 1]), Path("poses") / f"p{k}.ply")
+    for name in ("walk", "run"):
+        for t in range(3):
+            save_mesh(cube.with_vertices(cube.vertices * [1, 1 + t / 4, 1]), Path("clips") / name / f"{t:03}.obj")
+    return tmp_path
+
+
+def poses(**options) -> BatchResult:
+    """Give both meshes both poses by the method `copy`."""
+    given = {"command": "transfer", "options": {"model": "copy"}, "workers": 1, "sheet": False, **options}
+    return mimesh.batch("ids", "poses", "out/{identity}/{driving}.obj", **given)
+
+
+def table(*rows: str, header: str = "identity,driving,output,model") -> str:
+    Path("jobs.csv").write_text("\n".join((header, *rows)) + "\n")
+    return "jobs.csv"
+
+
+def summary_rows() -> list[dict[str, str]]:
+    return list(csv.DictReader(Path("out/batch.csv").read_text().splitlines()))
+
+
+def everything() -> set[str]:
+    return {str(path) for path in Path().rglob("*")}
+
+
+def test_all_pairs_of_two_folders_with_summary_and_picture(files, capfd):
+    command = ["batch", "ids", "poses", "-o", "out/{identity}/{driving}.obj", "--transfer", "-m", "copy", "-w", "2"]
+    assert run(command) == 0
+    shown = capfd.readouterr()
+    assert "4 jobs: 4 done" in shown.out
+    assert shown.err.splitlines()[:2] == ["checking all jobs", "4 jobs, workers: 2"]
+    assert shown.err.count("s left] ") == 4
+    rows = summary_rows()
+    assert [(row["identity"], row["driving"], row["output"], row["state"]) for row in rows] == [
+        (f"ids/{name}.obj", f"poses/p{k}.ply", f"out/{name}/p{k}.obj", "done") for name in "ab" for k in (0, 1)
+    ]
+    assert all(float(row["seconds"]) > 0 and row["vertices"] == "8" for row in rows)
+    assert all(len(load_mesh(row["output"]).vertices) == 8 for row in rows)
+    assert Path("out/batch.png").stat().st_size > 5000
+    assert json.loads(Path("out/batch.json").read_text())["counts"]["done"] == 4
+
+
+def test_results_are_those_of_the_single_commands(files):
+    assert run(["animate", "ids/a.obj", "clips/walk", "-o", "one.glb", "-m", "copy", "--fps", "12", "-q"]) == 0
+    mimesh.batch("ids/a.obj", "clips/*", "out/{driving}.glb", options={"model": "copy", "fps": 12}, workers=1)
+    assert Path("out/walk.glb").read_bytes() == Path("one.glb").read_bytes()
+    assert len(load_clip("out/run.glb")) > 1
+
+
+def test_finished_jobs_are_not_done_again_until_something_changes(files):
+    def counts(**options) -> dict[str, int]:
+        return {state: count for state, count in poses(**options).counts.items() if count}
+
+    assert counts() == {"done": 4}
+    times = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.obj")}
+    assert counts() == {"done before": 4}
+    assert {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.obj")} == times
+    os.utime("ids/a.obj")  # another time, but the same contents
+    assert counts() == {"done before": 4}
+    cube = zoo.cube()
+    save_mesh(cube.with_vertices(cube.vertices * 3), "ids/a.obj")
+    assert counts() == {"done": 2, "done before": 2}
+    Path("out/b/p0.obj").unlink()
+    assert counts() == {"done": 1, "done before": 3}
+    Path("ids/b.joints.json").write_text("{}")  # read by models with joints
+    assert counts() == {"done": 2, "done before": 2}
+    assert counts(options={"model": "copy", "up": "+y"}) == {"done": 4}
+    assert counts(options={"model": "copy", "up": "+y"}, again=True) == {"done": 4}
+
+
+def test_rows_of_a_table_have_their_own_options(files):
+    rows = ("ids/a.obj;poses/p0.ply;out/a.obj;copy;transfer;;", "ids/b.obj;clips/walk;out/b.glb;;animate;12;yes")
+    path = table(*rows, header="identity;driving;output;model;command;fps;preview")
+    result = mimesh.batch(path, options={"model": "copy"}, workers=1, sheet=False)
+    assert result.counts["done"] == 2
+    assert load_clip("out/b.glb").fps == pytest.approx(12)
+    assert Path("out/b.preview.html").exists()
+    assert not list(Path("out").glob("a.preview*"))
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [
+        (("ids/a.obj,poses/no.ply,out/1.obj,copy",), "jobs.csv:2: poses/no.ply: expected a file"),
+        (("ids/no.obj,poses/p0.ply,out/1.obj,copy",), "jobs.csv:2: ids/no.obj: expected the file of the mesh"),
+        (("ids/a.obj,poses/p0.ply,,copy",), "jobs.csv:2: expected a value for output"),
+        (("ids/a.obj,poses/p0.ply,out/1.obj,copy,5",), "jobs.csv:2: expected as many values as columns"),
+        (("ids/a.obj,poses/p0.ply,out/1.obj,nope",), "jobs.csv:2: --model: expected one of"),
+        (("ids/a.obj,poses/p0.ply,out/1.xyz,copy",), "jobs.csv:2: out/1.xyz: expected an output in one of"),
+        (("ids/a.obj,poses/p0.ply,ids/b.obj,copy", "ids/b.obj,poses/p0.ply,out/2.obj,copy"), "found ids/b.obj"),
+        (("ids/a.obj,poses/p0.ply,ids/a.obj,copy",), "expected an output apart from the inputs"),
+        (("ids/a.obj,poses/p0.ply,out/1.obj,copy", "ids/b.obj,poses/p0.ply,out/../out/1.obj,copy"), "jobs.csv:3"),
+        (("ids/a.obj,poses/p0.ply,jobs.csv,copy",), "jobs.csv: expected an output in one of"),
+        ((), "expected at least one job"),
+    ],
+)
+def test_all_rows_are_checked_before_the_first_starts(files, capfd, rows, message):
+    good = "ids/a.obj,poses/p1.ply,out/good.obj,copy"
+    path = table(*rows, good) if rows else table()
+    before = everything()
+    assert run(["batch", path, "--transfer"]) == 2
+    assert message in capfd.readouterr().err
+    assert everything() == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ids", "poses"], "--output: expected a pattern"),
+        (["ids", "poses", "-o", "out/{identity}.obj"], "expected an output of its own"),
+        (["ids", "poses", "-o", "out/{hero}.obj"], "found hero"),
+        (["ids", "poses", "-o", "out/{identity.obj"], "expected only {identity}"),
+        (["ids", "poses", "-o", "out/{number}.obj", "-O", "colour=red"], "expected an option of mimesh transfer"),
+        (["ids", "poses", "-o", "out/{number}.obj", "-O", "refine"], "expected NAME=VALUE"),
+        (["ids", "poses", "-o", "out/{number}.obj", "-O", "refine=perhaps"], "expected yes or no for refine"),
+        (["ids", "poses", "-o", "out/{number}.obj", "-O", "seed=x"], "seed"),
+        (["ids", "poses", "-o", "out/{number}.obj", "-O", "up=w"], "--up: expected one of"),
+        (["ids", "poses", "-o", "poses/{number}.obj", "-O", "reference=no.obj"], "no.obj: expected a file"),
+        (["ids", "nothing*", "-o", "out/{number}.obj"], "nothing*: expected driving files"),
+        (["ids"], "expected a table of jobs"),
+        (["no.csv"], "no.csv: expected a table"),
+    ],
+)
+def test_wrong_usage_says_what_to_do(files, capfd, arguments, message):
+    before = everything()
+    assert run(["batch", *arguments, "--transfer", "-m", "copy"]) == 2
+    assert message in capfd.readouterr().err
+    assert everything() == before
+
+
+def test_an_output_may_not_lie_in_a_folder_of_frames(files, capfd):
+    assert run(["batch", "ids", "clips/*", "-o", "clips/walk/{identity}-{driving}.glb", "-m", "copy"]) == 2
+    assert "clips/walk" in capfd.readouterr().err
+
+
+def test_a_failed_job_does_not_stop_others(files, capfd):
+    Path("poses/p0.ply").write_text("ply\nthis is no mesh\n")
+    command = ["batch", "ids", "poses", "-o", "out/{identity}/{driving}.obj", "--transfer", "-m", "copy", "--json"]
+    assert run(command) == 3
+    facts = json.loads(capfd.readouterr().out)
+    assert [row["state"] for row in facts["each"]] == ["failed", "done", "failed", "done"]
+    assert "p0.ply: expected" in facts["each"][0]["error"]
+    assert {path.name for path in Path("out").rglob("*.obj")} == {"p1.obj"}
+    save_mesh(zoo.cube(), "poses/p0.ply")
+    assert poses().counts == {"done": 2, "done before": 2, "failed": 0, "not run": 0}
+
+
+def test_ctrl_c_leaves_complete_files_and_a_summary(files):
+    clip = Clip.still(zoo.cube())
+    for k in range(30):
+        save_clip(clip, Path("many") / f"{k:02}.npz")
+    command = [
+        sys.executable,
+        "-m",
+        "mimesh",
+        "batch",
+        "ids",
+        "many",
+        "-o",
+        "out/{identity}/{driving}.glb",
+        "-m",
+        "copy",
+    ]
+    with subprocess.Popen([*command, "-w", "2"], stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
+        wait_for("[3/60", child)
+        child.send_signal(signal.SIGINT)
+        rest = child.stderr.read()
+    assert child.returncode == 130
+    assert rest.splitlines()[-1] == "mimesh: stopped"
+    states = Counter(row["state"] for row in summary_rows())
+    assert states["not run"] > 0
+    assert states["done"] >= 3
+    whole = [path for path in Path("out").rglob("*.glb") if not path.name.startswith(".")]
+    assert states["done"] <= len(whole) <= states["done"] + 2
+    assert all(len(load_mesh(path).vertices) == 8 for path in whole)
+    left = [path.name for path in Path("out").rglob(".*") if not path.name.endswith(".job.json")]
+    assert left == []
+    result = mimesh.batch("ids", "many", "out/{identity}/{driving}.glb", options={"model": "copy"}, sheet=False)
+    assert result.counts["done before"] >= states["done"]
+    assert result.counts["done"] + result.counts["done before"] == 60
+
+
+def test_workers_end_when_the_batch_is_killed(files):
+    command = [sys.executable, "-m", "mimesh", "batch", "ids", "clips/*", "-o", "out/{number}.glb", "-m", "copy"]
+    with subprocess.Popen([*command, "-w", "1"], stderr=subprocess.PIPE, text=True, start_new_session=True) as child:
+        wait_for("[1/4", child)
+        child.kill()
+    deadline = time.monotonic() + 60
+    while _alive(child.pid) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _alive(child.pid)
+
+
+def wait_for(start: str, child: subprocess.Popen[str]) -> None:
+    """Wait for a line on stderr that begins in some way."""
+    assert child.stderr is not None
+    lines = iter(child.stderr.readline, "")
+    assert any(line.startswith(start) for line in lines)
+
+
+def _alive(group: int) -> bool:
+    """Whether a process of a group is left."""
+    try:
+        os.killpg(group, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_tables_as_programs_write_them(files):
+    Path("jobs.csv").write_bytes(
+        b"\xef\xbb\xbfIdentity\tDriving\tOutput\tRoot_Bone\nids/a.obj\tclips/run\tx.glb\tyes\n"
+    )
+    (job,) = read_table(Path("jobs.csv"), {"rest": "T"}, None, "animate")
+    assert (job.identity, job.driving, job.output) == ("ids/a.obj", "clips/run", "x.glb")
+    assert dict(job.options) == {"rest": "T", "root-bone": "yes"}
+
+
+def test_patterns_and_folders(files):
+    assert find_files("clips/*", (".bvh",), "clips") == ["clips/run", "clips/walk"]
+    assert find_files("ids", (".obj",), "meshes") == ["ids/a.obj", "ids/b.obj"]
+    assert find_files("ids/a.obj", (".obj",), "meshes") == ["ids/a.obj"]
+    assert filled("{identity}-{driving}-{number:03}.glb", "x/a.b.obj", "clips/walk", 7) == "a.b-walk-007.glb"

@@ -1,0 +1,62 @@
+"""What mime has found on a mesh is kept for other jobs with the mesh, and changes no result."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from people import person, walk
+
+import mimesh
+from mimesh.methods.find import find_method
+from mimesh.methods.mime.drive import MimeMethod
+from mimesh.methods.mime.joint_network import JointNetwork
+from mimesh.methods.mime.kept_results import keep_results
+
+
+@pytest.fixture
+def predictions(monkeypatch) -> list[int]:
+    """Keep results during a test; a list that grows with each prediction of the network."""
+    calls: list[int] = []
+    predict = JointNetwork.predict
+
+    def counted(*args, **options):
+        calls.append(1)
+        return predict(*args, **options)
+
+    monkeypatch.setattr(JointNetwork, "predict", counted)
+    keep_results()
+    yield calls
+    keep_results(False)
+
+
+def test_kept_results_save_predictions_and_change_nothing(predictions):
+    keep_results(False)
+    identity, clip = person(0), walk(frames=3)
+    alone = mimesh.animate(identity, clip)
+    assert len(predictions) > 10
+    keep_results()
+    first = mimesh.animate(identity, clip)
+    predictions.clear()
+    again = mimesh.animate(identity, clip)
+    assert predictions == []
+    for result in (first, again):
+        np.testing.assert_array_equal(result.clip.vertices, alone.clip.vertices)
+        assert result.report == alone.report
+
+
+def test_another_mesh_and_another_seed_are_predicted(predictions):
+    def method(seed: int) -> MimeMethod:
+        found = find_method("mime", seed=seed)
+        assert isinstance(found, MimeMethod)
+        return found
+
+    mesh = dataclasses.replace(person(0), name="other")
+    method(0).quick_predict(mesh)
+    predictions.clear()
+    method(0).quick_predict(dataclasses.replace(mesh, name="renamed"))
+    assert predictions == []
+    method(1).quick_predict(mesh)
+    method(0).quick_predict(mesh.with_vertices(mesh.vertices * 1.001))
+    assert len(predictions) == 2
