@@ -1,17 +1,17 @@
-"""Animate all meshes of a folder with all clips of another: resumable, with a manifest of results and their reports.
+"""Animate all meshes of a folder with all clips of another: resumable, with a table and a picture of all results.
 
 python examples/08_batch.py                             # three shipped characters x two shipped motions
 python examples/08_batch.py characters/ motions/ -o out # your own folders; repeat the command to continue
+
+The command `mimesh batch` does the same; docs/batch.md describes both.
 """
 
 import argparse
-import functools
-import json
 from pathlib import Path
 
 import mimesh
 from mimesh.bodies import character, load_body
-from mimesh.io import clip_suffixes, mesh_suffixes, save_bvh, save_mesh
+from mimesh.io import save_bvh, save_mesh
 from mimesh.motions import load_motion
 
 
@@ -20,48 +20,31 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("identities", nargs="?", type=Path, help="a folder of meshes")
     parser.add_argument("clips", nargs="?", type=Path, help="a folder of clips and motions")
     parser.add_argument("--frames", type=int, default=None, help="number of frames to use of each clip")
+    parser.add_argument("--workers", type=int, default=None, help="processes; by default one a core")
     parser.add_argument("-o", "--output", type=Path, default=Path("08_batch"), help="folder")
-    options = parser.parse_args(argv)
-    if options.clips is None:
-        options.identities, options.clips = write_shipped_inputs(options.output / "inputs")
-    meshes = files(options.identities, mesh_suffixes())
-    clips = files(options.clips, (*clip_suffixes(), ".bvh"))
+    args = parser.parse_args(argv)
+    if args.clips is None:
+        args.identities, args.clips = write_shipped_inputs(args.output / "inputs")
 
-    # The manifest has one line for every pair that was tried; these pairs are skipped when the script is run again.
-    manifest = options.output / "manifest.jsonl"
-    manifest.parent.mkdir(parents=True, exist_ok=True)
-    lines = [json.loads(line) for line in manifest.read_text().splitlines()] if manifest.exists() else []
-    tried = {(line["identity"], line["clip"]) for line in lines}
-    with manifest.open("a") as log:
-        for clip in clips:
-            for mesh in [mesh for mesh in meshes if (mesh.name, clip.name) not in tried]:
-                line = {"identity": mesh.name, "clip": clip.name, **animate_pair(mesh, clip, options)}
-                log.write(json.dumps(line) + "\n")
-                log.flush()
-                print(line.get("output") or f"{mesh.name} + {clip.name}: {line['why']}")
-    print(f"wrote {manifest}: {len(meshes) * len(clips)} pairs, {len(tried)} of them before")
+    # Every option of `mimesh animate` may be given, by its name without dashes.
+    options = {} if args.frames is None else {"stop": args.frames}
+    result = mimesh.batch(
+        args.identities,
+        args.clips,
+        args.output / "{identity}-{driving}.glb",
+        options=options,
+        workers=args.workers,
+        report=print_job,
+    )
+    for kind, path in result.files.items():
+        print(f"wrote {path}: {kind}")
+    print(f"{len(result.jobs)} pairs, {result.counts['done before']} of them before, {result.failed} failed")
 
 
-@functools.lru_cache(maxsize=1)
-def load(clip: Path) -> mimesh.Clip:
-    """Read a clip; the last one is cached, because all meshes are animated with one clip before the next."""
-    return mimesh.load_clip(clip)
-
-
-def animate_pair(mesh: Path, clip: Path, options: argparse.Namespace) -> dict:
-    """Write one result and return its line of the manifest; an unusable file gives a line with the reason."""
-    output = options.output / f"{mesh.stem}-{clip.stem}.glb"
-    try:
-        result = mimesh.animate(mesh, load(clip), stop=options.frames)
-    except mimesh.InputError as error:
-        return {"why": str(error)}
-    result.save_skinned(output)
-    seconds = round(sum(result.seconds.values()), 2)
-    return {"output": str(output), "seconds": seconds, "notes": result.notes, "report": result.report}
-
-
-def files(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
-    return sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes)
+def print_job(done: int, total: int, job, outcome: dict) -> None:
+    """Print a line for each job; it is None at the start."""
+    if job is not None:
+        print(f"{done}/{total} {job.name}: {outcome['error'] or job.output}")
 
 
 def write_shipped_inputs(folder: Path) -> tuple[Path, Path]:

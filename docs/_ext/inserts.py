@@ -7,6 +7,7 @@ date. On a code host the mark is invisible; a link or a sentence next to it says
 from __future__ import annotations
 
 import json
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -227,7 +228,68 @@ def minute() -> str:
     )
 
 
+def batch_figures() -> str:
+    """Return the table of what batches cost, from benchmarks/batch.json."""
+    report = _batch_report()
+    one, two, small = report["workers"]["1"], report["workers"]["2"], report["small"]
+    identity, disk = report["identity"], report["identity"]["disk"]
+    rows = [
+        ["`mimesh animate` as a command for each pair", f"{report['command']:.2f} s a job"],
+        ["`mimesh batch`, one worker", f"{one['mean_job']:.2f} s a job, {one['jobs']} jobs in {one['seconds']:.0f} s"],
+        ["two workers", f"{two['mean_job']:.2f} s a job, {two['jobs']} jobs in {two['seconds']:.0f} s"],
+        ["speed-up by the second worker", f"{report['speed_up']:.2f}"],
+        ["`animate` in Python, clip with joints: alone, all kept", _kept(identity["joints"])],
+        ["the same, clip of a mesh without joints", _kept(identity["mesh"])],
+        ["predicting an identity, reading it from disk", f"{disk['predict']:.2f} s, {disk['read']:.3f} s"],
+        [f"{small['jobs']} small jobs, one worker", f"{small['seconds']:.1f} s"],
+        ["memory of that worker, first tenth and last", _memory(small)],
+        [f"memory of a worker, {one['jobs']} jobs of `mime`", _memory(one)],
+    ]
+    pairs = f"{report['identities']} identities of 9,564 vertices, {report['drivings']} clips of about 60 frames"
+    where = f"Measured at commit {report['commit']}, {report['machine']}, with a load of {report['load']} at the start."
+    return f"{markdown_table([pairs, ''], rows)}\n\n{where}"
+
+
+def batch_plan() -> str:
+    """Return the arithmetic of a million clips a day, from benchmarks/batch.json."""
+    report = _batch_report()
+    one, alone = report["workers"]["1"], report["identity"]["mesh"]["alone"]
+    clips, used, per_machine, price = 1_000_000, 0.7, 16, 0.05
+    seconds, size = one["mean_job"], one["output_mib"] / one["jobs"]
+    hours = clips * seconds / 3600
+    cores = hours / 24 / used
+    machines = math.ceil(cores / per_machine)
+    rows = [
+        ["time of a clip on one core", f"{seconds:.2f} s"],
+        ["core hours", f"{clips:,} × {seconds:.2f} s / 3,600 = {hours:,.0f} h"],
+        [f"cores, {used:.0%} of them busy", f"{hours:,.0f} h / 24 h / {used} = {cores:.0f}"],
+        [f"machines of {per_machine} cores", f"{machines}"],
+        ["memory of a machine", f"{per_machine} × {one['memory_mib_last']:.0f} MiB = "
+         f"{per_machine * one['memory_mib_last'] / 1024:.1f} GiB"],
+        ["results", f"{clips:,} × {size:.2f} MiB = {clips * size / 2**20:.2f} TiB, "
+         f"{clips * size / 86400:.0f} MiB a second"],
+        ["price, if a core hour costs P", f"{hours:,.0f} × P; P = {price}: {hours * price:,.0f}"],
+        ["if no two clips share identity or driving", f"{clips:,} × {alone:.2f} s / 3,600 = "
+         f"{clips * alone / 3600:,.0f} core hours"],
+    ]  # fmt: skip
+    return markdown_table(["a million clips a day", ""], rows)
+
+
+def _batch_report() -> dict:
+    return json.loads((DOCS.parent / "benchmarks" / "batch.json").read_text())
+
+
+def _kept(figures: dict[str, float]) -> str:
+    return f"{figures['alone']:.2f} s, {figures['identity_and_driving_kept']:.2f} s"
+
+
+def _memory(figures: dict[str, float]) -> str:
+    return f"{figures['memory_mib_first']:.0f} MiB, {figures['memory_mib_last']:.0f} MiB"
+
+
 INSERTS = {
+    "batch": batch_figures,
+    "plan": batch_plan,
     "minute": minute,
     "models": models,
     "card": card,

@@ -130,14 +130,16 @@ def test_batch_is_continued_and_lists_unusable_files(ran, tmp_path):
     save_mesh(person(0), tmp_path / "meshes" / "a.obj")
     for k in range(2):
         save_clip(walk(k, frames=2), tmp_path / "clips" / f"{k}.npz")
-    folder, _ = ran("batch", "meshes", "clips")
-    manifest, result = folder / "manifest.jsonl", folder / "a-0.glb"
-    lines, before = manifest.read_text().splitlines(), result.stat().st_mtime_ns
-    assert [json.loads(line)["identity"] for line in lines if "why" in line] == ["broken.obj"] * 2
-    manifest.write_text("\n".join(lines[:-1]) + "\n")
-    _, text = ran("batch", "meshes", "clips")
-    assert "3 of them before" in text
-    assert len(manifest.read_text().splitlines()) == 4
+    folder, text = ran("batch", "meshes", "clips", "--workers", "1")
+    table, result = folder / "batch.csv", folder / "a-0.glb"
+    states = [line.split(",")[5] for line in table.read_text().splitlines()[1:]]
+    assert states == ["done", "done", "failed", "failed"]
+    assert "broken.obj: " in text
+    before = result.stat().st_mtime_ns
+    (folder / "a-1.glb").unlink()
+    _, text = ran("batch", "meshes", "clips", "--workers", "1")
+    assert "4 pairs, 1 of them before, 2 failed" in text
+    assert (folder / "a-1.glb").exists()
     assert result.stat().st_mtime_ns == before
 
 
