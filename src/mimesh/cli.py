@@ -54,7 +54,7 @@ STOPPED = 130
 """Exit code after Ctrl-C, as shells have it."""
 
 
-def command_name(command: Callable[..., None]) -> str:
+def command_name(command: Callable[..., object]) -> str:
     """Give the name of a command by its function: `import_checkpoint` is import-checkpoint."""
     return command.__name__.replace("_", "-")
 

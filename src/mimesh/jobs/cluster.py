@@ -6,6 +6,7 @@ import os
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Hashable, Sequence
+from importlib import import_module
 from typing import Any
 
 from ..core.errors import InputError
@@ -42,7 +43,7 @@ def run_on_cluster(
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # a cluster that is started here reports to nobody
     try:
-        import ray
+        ray: Any = import_module("ray")
     except ImportError:
         raise InputError(
             "ray: expected it for --cluster, found it not installed; pip install 'mimesh[cluster]'"

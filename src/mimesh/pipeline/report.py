@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ..core.geometry import edges, face_vectors
 from ..core.mesh import Clip, Mesh
@@ -22,7 +22,8 @@ def quality(identity: Mesh, vertices: Float[np.ndarray, "T V 3"]) -> dict[str, f
     pairs = edges(identity.faces)
     chosen = np.unique(np.linspace(0, len(vertices) - 1, min(MOST_FRAMES, len(vertices))).round().astype(int))
     stretches = [edge_stretch(identity.vertices, vertices[t], pairs) for t in chosen]
-    flips = [flipped_share(identity.faces, identity.vertices, vertices[t]) for t in chosen]
+    before = against_neighbours(identity.faces, identity.vertices)
+    flips = [flipped_share(identity.faces, before, vertices[t]) for t in chosen]
     return {
         "edge_stretch_max": max(float(stretch.max(initial=1.0)) for stretch in stretches),
         "edge_stretch_p99": max(float(np.quantile(stretch, 0.99)) if stretch.size else 1.0 for stretch in stretches),
@@ -42,11 +43,10 @@ def edge_stretch(
 
 
 def flipped_share(
-    faces: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "V 3"], after: Float[np.ndarray, "V 3"]
+    faces: Int[np.ndarray, "F 3"], before: Bool[np.ndarray, " F"], after: Float[np.ndarray, "V 3"]
 ) -> float:
-    """Return the share of triangles that face against their neighbours and did not before."""
-    flipped = _against_neighbours(faces, after) & ~_against_neighbours(faces, before)
-    return float(flipped.mean())
+    """Return the share of triangles that face against their neighbours and did not before (`against_neighbours`)."""
+    return float((against_neighbours(faces, after) & ~before).mean())
 
 
 def facing(norm: Normalization) -> dict[str, str | bool | float]:
@@ -86,7 +86,7 @@ def acceleration(frames: Float[np.ndarray, "T V 3"], fps: float) -> float:
     return float(np.linalg.norm(second, axis=-1).mean() * fps**2 / np.ptp(frames[0], axis=0).max())
 
 
-def _against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> np.ndarray:
+def against_neighbours(faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]) -> Bool[np.ndarray, " F"]:
     """Whether each face's normal points against the summed vectors of the faces at its corners."""
     vectors = face_vectors(np.asarray(vertices, np.float64), faces)
     corners, repeated = faces.ravel(), np.repeat(vectors, 3, axis=0)
