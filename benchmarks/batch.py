@@ -138,7 +138,7 @@ def disk_cache(identity: Path, folder: Path) -> dict[str, float]:
     return {"predict": round(predicted, 3), "read": round(read, 4), "mib": round(sum(sizes) / 2**20, 2)}
 
 
-def large(folder: Path, workers: int) -> dict[str, float]:
+def large(folder: Path, workers: int) -> dict[str, Any]:
     """Return what a batch of all pairs costs with so many workers."""
     facts = run_batch(folder, "identities", "drivings", "{identity}/{driving}.glb", workers)
     times = [row["seconds"] for row in facts["each"]]

@@ -71,63 +71,93 @@ def batch(
     files = {kind: folder / f"{NAME}.{kind}" for kind in ("csv", "json", "png")}
     table = [] if drivings is not None or not isinstance(identities, (str, Path)) else [Path(identities)]
     check_jobs(jobs, table, tuple(files.values()))
-    made_from = [fingerprint(job) for job in jobs]
-    if again:
-        for job in jobs:
-            record_path(job).unlink(missing_ok=True)
-    outcomes = [_earlier(*pair) for pair in zip(jobs, made_from, strict=True)]
-    open_jobs = [k for k, outcome in enumerate(outcomes) if outcome["state"] == "not run"]
-    count = min(workers or usable_cores(), len(open_jobs))
-    done = len(jobs) - len(open_jobs)
-    if report is not None:
-        report(done, len(jobs), None, {"workers": count})
+    run = _Run(jobs, [fingerprint(job) for job in jobs], drawn_jobs(len(jobs)) if sheet else [], again, report)
+    workers = workers or usable_cores()
+    count = min(workers, len(run.left))
 
-    shown = set(drawn_jobs(len(jobs))) if sheet else set()
-    tiles: dict[int, str | None] = {}
+    def saved(written: Mapping[str, Path]) -> BatchResult:
+        paths = {kind: str(path) for kind, path in written.items()}
+        result = BatchResult(jobs, run.outcomes, time.perf_counter() - begin, count, paths)
+        result.save(files["csv"], files["json"])
+        return result
 
-    def answered(number: int, outcome: dict[str, Any]) -> None:
-        nonlocal done
-        done += 1
-        k = open_jobs[number]
-        tiles[k] = outcome.pop("tile", None)
-        outcomes[k] = outcome
-        if report is not None:
-            report(done, len(jobs), jobs[k], outcome)
-
-    def result(**written: str) -> BatchResult:
-        return BatchResult(jobs, outcomes, time.perf_counter() - begin, count, written)
-
-    paths = {kind: str(files[kind]) for kind in ("csv", "json")}
+    tables = {kind: files[kind] for kind in ("csv", "json")}
     try:
-        calls = [{"job": jobs[k].as_dict(), "made_from": made_from[k], "draw": k in shown} for k in open_jobs]
-        _run(calls, [jobs[k].identity for k in open_jobs], count, answered, cluster)
+        run.do(count, cluster)
     except KeyboardInterrupt:
-        result(**paths).save(files["csv"], files["json"])
+        saved(tables)
         raise
-    if sheet:
-        _draw_sheet(jobs, outcomes, {k: tiles.get(k) for k in sorted(shown)}, files["png"], workers or usable_cores())
-        paths["png"] = str(files["png"])
-    final = result(**paths)
-    final.save(files["csv"], files["json"])
-    return final
+    if not sheet:
+        return saved(tables)
+    run.draw_sheet(files["png"], workers)
+    return saved(files)
 
 
-def _run(
-    calls: list[dict[str, Any]],
-    groups: list[str],
-    workers: int,
-    answered: Callable[[int, dict[str, Any]], None],
-    cluster: str | None,
-) -> None:
-    """Have the jobs done by processes of this machine, or of a cluster."""
-    if not calls:
-        return
-    if cluster is None:
-        run_calls(calls, groups, workers, answered, _lost)
-    else:
-        from .cluster import run_on_cluster
+class _Run:
+    """The jobs of a batch with their outcomes so far."""
 
-        run_on_cluster(calls, groups, cluster, answered)
+    def __init__(
+        self,
+        jobs: Sequence[BatchJob],
+        made_from: Sequence[str],
+        shown: Sequence[int],
+        again: bool,
+        report: Report | None,
+    ) -> None:
+        """Take the outcomes of earlier batches, or with `again` remove their records; `shown` jobs are drawn."""
+        if again:
+            for job in jobs:
+                record_path(job).unlink(missing_ok=True)
+        self.jobs, self.made_from, self.report = jobs, made_from, report
+        self.outcomes = [_earlier(*pair) for pair in zip(jobs, made_from, strict=True)]
+        self.left = [k for k, outcome in enumerate(self.outcomes) if outcome["state"] == "not run"]
+        self.tiles: dict[int, str | None] = dict.fromkeys(shown)
+        self.done = len(jobs) - len(self.left)
+
+    def do(self, workers: int, cluster: str | None) -> None:
+        """Have the jobs done that are left, by processes of this machine or by a cluster."""
+        if self.report is not None:
+            self.report(self.done, len(self.jobs), None, {"workers": workers})
+        if not self.left:
+            return
+        numbers = list(self.left)
+        calls = [
+            {"job": self.jobs[k].as_dict(), "made_from": self.made_from[k], "draw": k in self.tiles} for k in numbers
+        ]
+        groups = [self.jobs[k].identity for k in numbers]
+
+        def answered(number: int, answer: dict[str, Any]) -> None:
+            self._answered(numbers[number], answer)
+
+        if cluster is None:
+            run_calls(calls, groups, workers, answered, _lost)
+        else:
+            from .cluster import run_on_cluster
+
+            run_on_cluster(calls, groups, cluster, answered)
+
+    def draw_sheet(self, path: Path, workers: int) -> None:
+        """Write the sheet; results of earlier batches are drawn now."""
+        earlier = [k for k in self.tiles if self.outcomes[k]["state"] == "done before" and self.tiles[k] is None]
+
+        def drawn(number: int, answer: dict[str, Any]) -> None:
+            self.tiles[earlier[number]] = answer["tile"]
+
+        if earlier:
+            calls = [{"job": self.jobs[k].as_dict(), "draw": True} for k in earlier]
+            run_calls(calls, list(range(len(calls))), workers, drawn, lambda number, ending: {"tile": None})
+        states = [self.outcomes[k].get("error") or self.outcomes[k]["state"] for k in self.tiles]
+        save_sheet([self.jobs[k] for k in self.tiles], states, list(self.tiles.values()), path)
+
+    def _answered(self, k: int, answer: dict[str, Any]) -> None:
+        """Take the outcome of a job."""
+        tile = answer.pop("tile", None)
+        if k in self.tiles:
+            self.tiles[k] = tile
+        self.outcomes[k] = answer
+        self.done += 1
+        if self.report is not None:
+            self.report(self.done, len(self.jobs), self.jobs[k], answer)
 
 
 def _jobs(
@@ -175,26 +205,6 @@ def _lost(number: int, ending: str) -> dict[str, Any]:
     """Return the outcome of a job whose worker has ended: a crash of a library, or too little memory."""
     hint = "; if the system ran out of memory, use fewer --workers" if "KILL" in ending else ""
     return {"state": "failed", "error": f"expected a result, found that the worker ended ({ending}){hint}"}
-
-
-def _draw_sheet(
-    jobs: Sequence[BatchJob],
-    outcomes: Sequence[dict[str, Any]],
-    tiles: dict[int, str | None],
-    path: Path,
-    workers: int,
-) -> None:
-    """Write the sheet of some jobs, given by their indices; results of earlier batches are drawn now."""
-    earlier = [k for k in tiles if outcomes[k]["state"] == "done before"]
-
-    def drawn(number: int, answer: dict[str, Any]) -> None:
-        tiles[earlier[number]] = answer["tile"]
-
-    if earlier:
-        calls = [{"job": jobs[k].as_dict(), "draw": True} for k in earlier]
-        run_calls(calls, list(range(len(calls))), workers, drawn, lambda number, ending: {"tile": None})
-    states = [outcomes[k].get("error") or outcomes[k]["state"] for k in tiles]
-    save_sheet([jobs[k] for k in tiles], states, list(tiles.values()), path)
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:
