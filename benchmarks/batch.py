@@ -4,7 +4,8 @@
 
 Identities are people of the shipped body with other shapes, 9,564 vertices each; half of the drivings are motion files
 (.bvh), half are clips of meshes without joints (.npz), 60 frames each. Small jobs transfer a pose by `copy`. Every
-batch is a process of its own; files are temporary.
+batch is a process of its own; files are temporary. Costs are seconds of processor time, of all processes and threads, so
+that other programs on the machine change them little; `seconds` and the speed-up are wall time, which they do change.
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
-from statistics import mean, median
+from statistics import mean
 from typing import Any
 
 import numpy as np
@@ -80,7 +82,7 @@ def write_inputs(folder: Path, identities: int, drivings: int) -> None:
 
 
 def identity_costs(folder: Path) -> dict[str, dict[str, float]]:
-    """Return seconds of `animate` for one identity: alone, again, with kept results; and of a cache on disk.
+    """Return the cost of `animate` for one identity: first, again, with kept results; and that of a cache on disk.
 
     The cache holds what depends on the identity alone, joints and weights, as an archive of arrays.
     """
@@ -92,9 +94,9 @@ def identity_costs(folder: Path) -> dict[str, dict[str, float]]:
             continue
 
         def seconds(clip: Path = clip) -> float:
-            begin = time.perf_counter()
+            begin = time.process_time()
             mimesh.animate(identity, clip, skinned=None)
-            return round(time.perf_counter() - begin, 3)
+            return round(time.process_time() - begin, 3)
 
         figures[kind] = {"first": seconds(), "alone": min(seconds() for _ in range(3))}
         keep_results()
@@ -105,15 +107,21 @@ def identity_costs(folder: Path) -> dict[str, dict[str, float]]:
 
 
 def command_seconds(folder: Path) -> float:
-    """Return the seconds of `mimesh animate` as a command of its own, with one thread."""
+    """Return the cost of `mimesh animate` as a command of its own, with one thread."""
     inputs = [str(folder / "identities" / "000.glb"), str(folder / "drivings" / "000.bvh")]
     command = [sys.executable, "-m", "mimesh", "animate", *inputs, "-o", str(folder / "one.glb"), "--no-preview", "-q"]
     times = []
     for _ in range(3):
-        begin = time.perf_counter()
+        begin = children_seconds()
         subprocess.run(command, check=True, env={**os.environ, **LIBRARY_THREADS, THREADS: "1"})
-        times.append(time.perf_counter() - begin)
+        times.append(children_seconds() - begin)
     return round(min(times), 3)
+
+
+def children_seconds() -> float:
+    """Return the processor time of all processes that this one has started, and that these have, up to their ends."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def disk_cache(identity: Path, folder: Path) -> dict[str, float]:
@@ -126,25 +134,23 @@ def disk_cache(identity: Path, folder: Path) -> dict[str, float]:
     mesh, method = mimesh.load_mesh(identity), find_method("mime")
     assert isinstance(method, MimeMethod)
     rest = normalised(mesh, Normalization.fit(mesh, None, None))
-    begin = time.perf_counter()
+    begin = time.process_time()
     rig, _ = method.predict_rig(rest)
-    predicted = time.perf_counter() - begin
+    predicted = time.process_time() - begin
     archive = folder / "rig.npz"
     np.savez(archive, rotation=rig.rotation, joints=rig.joints, weights=rig.weights)
-    begin = time.perf_counter()
+    begin = time.process_time()
     with np.load(archive, allow_pickle=False) as arrays:
         sizes = [arrays[name].nbytes for name in arrays]
-    read = time.perf_counter() - begin
+    read = time.process_time() - begin
     return {"predict": round(predicted, 3), "read": round(read, 4), "mib": round(sum(sizes) / 2**20, 2)}
 
 
 def large(folder: Path, workers: int) -> dict[str, Any]:
     """Return what a batch of all pairs costs with so many workers."""
     facts = run_batch(folder, "identities", "drivings", "{identity}/{driving}.glb", workers)
-    times = [row["seconds"] for row in facts["each"]]
-    job = {"median_job": round(median(times), 3), "mean_job": round(mean(times), 3)}
     steps = {name: round(mean(row["steps"][name] for row in facts["each"]), 3) for name in facts["each"][0]["steps"]}
-    return figures_of(facts) | job | {"steps": steps}
+    return figures_of(facts) | {"steps": steps}
 
 
 def small(folder: Path, jobs: int) -> dict[str, float]:
@@ -164,6 +170,7 @@ def figures_of(facts: dict) -> dict[str, float]:
         "jobs": facts["jobs"],
         "failed": facts["counts"]["failed"],
         "seconds": facts["seconds"],
+        "cpu_seconds_a_job": round(facts["cpu_seconds"] / facts["jobs"], 3),
         "output_mib": facts["output_mib"],
         "memory_mib_first": max(memory[:tenth]),
         "memory_mib_last": max(memory[-tenth:]),
@@ -177,13 +184,15 @@ def run_batch(folder: Path, identities: str, drivings: str | None, pattern: str 
     if drivings is not None:
         command += [str(folder / drivings), "-o", str(output / str(pattern))]
     command += ["--workers", str(workers), "--json", *more]
+    begin = children_seconds()
     done = subprocess.run(command, stdout=subprocess.PIPE, text=True)
+    used = children_seconds() - begin
     if not done.stdout:
         raise SystemExit(f"{' '.join(command)} ended with {done.returncode}")
     facts = json.loads(done.stdout)
     size = sum(Path(row["output"]).stat().st_size for row in facts["each"] if Path(row["output"]).exists())
     shutil.rmtree(output, ignore_errors=True)
-    return {**facts, "output_mib": round(size / 2**20, 2)}
+    return {**facts, "output_mib": round(size / 2**20, 2), "cpu_seconds": used}
 
 
 if __name__ == "__main__":
