@@ -4,8 +4,8 @@
 
 Identities are people of the shipped body with other shapes, 9,564 vertices each; half of the drivings are motion files
 (.bvh), half are clips of meshes without joints (.npz), 60 frames each. Small jobs transfer a pose by `copy`. Every
-batch is a process of its own; files are temporary. Costs are seconds of processor time, of all processes and threads, so
-that other programs on the machine change them little; `seconds` and the speed-up are wall time, which they do change.
+batch is a process of its own; files are temporary. Costs are seconds of processor time, of all processes and threads,
+so that other programs on the machine change them little; `seconds` and the speed-up are wall time.
 """
 
 from __future__ import annotations

@@ -249,8 +249,9 @@ def batch_figures() -> str:
         ["speed-up by the second worker", f"{report['speed_up']:.2f}"],
     ]
     pairs = f"{report['identities']} identities of 9,564 vertices, {report['drivings']} clips of about 60 frames"
-    where = f"Times are processor time for a job, if they are not wall time. Measured at commit {report['commit']}, {report['machine']}, with a load of {report['load']} at the start."
-    return f"{markdown_table([pairs, ''], rows)}\n\n{where}"
+    where = f"Measured at commit {report['commit']}, {report['machine']}, with a load of {report['load']} at the start."
+    what = "Times are processor time for a job, if they are not wall time."
+    return f"{markdown_table([pairs, ''], rows)}\n\n{what} {where}"
 
 
 def batch_plan() -> str:
