@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from ..io.child_process import THREADS as LIBRARY_THREADS
 from ..methods.mime.kept_results import keep_results
 from ..methods.onnx_runtime import THREADS
+from .table import FAILED
 from .worker import answer_call
 
 MOST_CALLS = 8
@@ -90,7 +91,7 @@ def _answers(ray: Any, ready: Any, count: int) -> list[dict[str, Any]]:
         return ray.get(ready)
     except ray.exceptions.RayError as error:
         message = f"expected a result, found that Ray gave its task up ({str(error).splitlines()[0]})"
-        return [{"state": "failed", "error": message}] * count
+        return [{"state": FAILED, "error": message}] * count
 
 
 def _answer_all(calls: list[dict[str, Any]], folder: str) -> list[dict[str, Any]]:

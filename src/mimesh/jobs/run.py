@@ -16,7 +16,18 @@ from .pool import run_calls, usable_cores
 from .records import fingerprint, finished, record_path
 from .sheet import drawn_jobs, save_sheet
 from .summary import BatchResult
-from .table import COMMANDS, BatchJob, all_pairs, find_files, numbered_rows, read_rows, read_table
+from .table import (
+    COMMANDS,
+    DONE_BEFORE,
+    FAILED,
+    NOT_RUN,
+    BatchJob,
+    all_pairs,
+    find_files,
+    numbered_rows,
+    read_rows,
+    read_table,
+)
 
 Report = Callable[[int, int, BatchJob | None, dict[str, Any]], None]
 """Gets the jobs finished, the jobs in all, and the job with its outcome; None for those that were finished before."""
@@ -110,7 +121,7 @@ class _Run:
                 record_path(job).unlink(missing_ok=True)
         self.jobs, self.made_from, self.report = jobs, made_from, report
         self.outcomes = [_earlier(*pair) for pair in zip(jobs, made_from, strict=True)]
-        self.left = [k for k, outcome in enumerate(self.outcomes) if outcome["state"] == "not run"]
+        self.left = [k for k, outcome in enumerate(self.outcomes) if outcome["state"] == NOT_RUN]
         self.tiles: dict[int, str | None] = dict.fromkeys(shown)
         self.done = len(jobs) - len(self.left)
 
@@ -138,7 +149,7 @@ class _Run:
 
     def draw_sheet(self, path: Path, workers: int) -> None:
         """Write the sheet; results of earlier batches are drawn now."""
-        earlier = [k for k in self.tiles if self.outcomes[k]["state"] == "done before" and self.tiles[k] is None]
+        earlier = [k for k in self.tiles if self.outcomes[k]["state"] == DONE_BEFORE and self.tiles[k] is None]
 
         def drawn(number: int, answer: dict[str, Any]) -> None:
             self.tiles[earlier[number]] = answer["tile"]
@@ -198,13 +209,13 @@ def _jobs(
 def _earlier(job: BatchJob, made_from: str) -> dict[str, Any]:
     """Return the outcome of a job by an earlier batch; "not run" if there is none that counts."""
     outcome = finished(job, made_from)
-    return {"state": "not run"} if outcome is None else {**outcome, "state": "done before"}
+    return {"state": NOT_RUN} if outcome is None else {**outcome, "state": DONE_BEFORE}
 
 
 def _lost(number: int, ending: str) -> dict[str, Any]:
     """Return the outcome of a job whose worker has ended: a crash of a library, or too little memory."""
     hint = "; if the system ran out of memory, use fewer --workers" if "KILL" in ending else ""
-    return {"state": "failed", "error": f"expected a result, found that the worker ended ({ending}){hint}"}
+    return {"state": FAILED, "error": f"expected a result, found that the worker ended ({ending}){hint}"}
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from ..io.atomic import whole_file, writing
-from .table import BatchJob
+from .table import FAILED, STATES, BatchJob
 
 COLUMNS = (
     *("number", "command", "identity", "driving", "output"),
     *("state", "seconds", "frames", "vertices", "confidence", "notes", "error"),
 )
-STATES = ("done", "done before", "failed", "not run")
-"""Of a job, in the order of messages."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +42,7 @@ class BatchResult:
     @property
     def failed(self) -> int:
         """Number of jobs that failed."""
-        return self.counts["failed"]
+        return self.counts[FAILED]
 
     def facts(self) -> dict[str, Any]:
         """Return everything for JSON."""

@@ -16,6 +16,8 @@ COMMANDS = ("animate", "transfer")
 FILES = ("identity", "driving", "output")
 PLACEHOLDERS = ("identity", "driving", "number")
 """Names in the pattern of outputs: the inputs' names without folder and suffix, and the number of the job from 1."""
+STATES = DONE, DONE_BEFORE, FAILED, NOT_RUN = ("done", "done before", "failed", "not run")
+"""Of a job, in the order of messages: done now, by an earlier batch, with an error, or stopped before its start."""
 WILDCARDS = frozenset("*?[")
 
 

@@ -16,10 +16,8 @@ from ..methods.mime.kept_results import keep_results
 from .command_lines import run_command
 from .records import finished, record_path, write_record
 from .sheet import draw_tile
-from .table import BatchJob
+from .table import DONE, DONE_BEFORE, FAILED, BatchJob
 
-RAN, KEPT, FAILED, NOT_RUN = "done", "done before", "failed", "not run"
-"""States of jobs."""
 TRACEBACK_LINES = 6
 
 
@@ -54,7 +52,7 @@ def run_job(job: BatchJob, made_from: str) -> dict[str, Any]:
     """Do a job unless it is finished, and write its record; return its outcome."""
     before = finished(job, made_from)
     if before is not None:
-        return {**before, "state": KEPT}
+        return {**before, "state": DONE_BEFORE}
     record_path(job).unlink(missing_ok=True)
     begin = time.perf_counter()
     try:
@@ -67,7 +65,7 @@ def run_job(job: BatchJob, made_from: str) -> dict[str, Any]:
         kind = f"{type(error).__name__}: {error}".splitlines()[0]
         lines = "".join(traceback.format_exception(error)[-TRACEBACK_LINES:])
         return {**_failed(job, f"{kind} (a bug of mimesh; please report it)", begin), "traceback": lines}
-    outcome = {"state": RAN, "seconds": _since(begin), **_summary(facts)}
+    outcome = {"state": DONE, "seconds": _since(begin), **_summary(facts)}
     try:
         write_record(job, made_from, outcome)
     except OSError as error:
