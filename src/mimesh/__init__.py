@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from .core.mesh import Clip, Mesh
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .jobs.run import batch
-    from .pipeline import animate, transfer
+    from .pipeline import animate, prepare, transfer
+    from .pipeline.live import LiveSession
     from .pipeline.result import ClipResult, Result
     from .pipeline.skinned import save_skinned
 
@@ -24,12 +25,14 @@ __all__ = [
     "Clip",
     "ClipResult",
     "InputError",
+    "LiveSession",
     "Mesh",
     "Result",
     "animate",
     "batch",
     "load_clip",
     "load_mesh",
+    "prepare",
     "save_clip",
     "save_mesh",
     "save_skinned",
@@ -41,7 +44,8 @@ _MODULES = {
     "core.mesh": ("Clip", "Mesh"),
     "jobs.run": ("batch",),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
-    "pipeline": ("animate", "transfer"),
+    "pipeline": ("animate", "prepare", "transfer"),
+    "pipeline.live": ("LiveSession",),
     "pipeline.result": ("ClipResult", "Result"),
     "pipeline.skinned": ("save_skinned",),
 }

@@ -1,8 +1,10 @@
-// The offline page: reads its embedded scene, starts the stage, and offers the result's file. In a page without a scene,
-// such as the studio's, nothing is started: that page uses the exports through `mimeshPlayer`.
+// The offline page: reads its embedded scene, starts the stage, and offers the result's file. A scene with the address of
+// a stream is a live page. In a page without a scene, such as the studio's, nothing is started: that page uses the
+// exports through `mimeshPlayer`.
 import { Controls } from "./controls.js";
 import { make } from "./dom.js";
 import { ICONS } from "./icons.js";
+import { followStream } from "./live.js";
 import { fromBase64, inflate } from "./scene.js";
 import { Stage } from "./stage.js";
 
@@ -54,6 +56,18 @@ async function downloadEmbedded(event, link, download) {
   link.click();
 }
 
+/** Show the frames of a stream, which `packed.live` is the address of, and whether they arrive. */
+function showStream(stage, head, address) {
+  const chip = head.querySelector(".names").appendChild(make("span", "chip", { textContent: "waiting", title: "Stream" }));
+  chip.setAttribute("role", "status");
+  stage.set({ follow: true });
+  followStream(stage, address, (live, what) => {
+    const text = live ? "live" : "no connection";
+    if (chip.textContent !== text) chip.textContent = text;
+    document.documentElement.dataset.live = live ? what : "";
+  });
+}
+
 /** Show a message in place of the stage. */
 function refuse(root, message) {
   root.append(make("p", "refusal", { textContent: message }));
@@ -65,7 +79,7 @@ async function start() {
   if (typeof DecompressionStream === "undefined") return refuse(root, REFUSALS.inflate);
   if (!document.createElement("canvas").getContext("webgl2")) return refuse(root, REFUSALS.webgl);
   const packed = JSON.parse(document.getElementById("mimesh-scene").textContent);
-  const { top, stage: box, bottom } = buildPage(root, packed);
+  const { head, top, stage: box, bottom } = buildPage(root, packed);
   addDownload(top, packed);
   const stage = new Stage(box);
   const controls = new Controls(stage, { top, bottom });
@@ -73,6 +87,7 @@ async function start() {
   stage.addEventListener("drawn", () => (document.documentElement.dataset.state = "ready"), { once: true });
   await stage.show(packed);
   window.mimesh = { stage, controls };
+  if (packed.live) return showStream(stage, head, packed.live);
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) controls.play();
 }
 

@@ -1,4 +1,4 @@
-"""The public functions `transfer` and `animate`: they read and check their arguments; `run.py` does the work."""
+"""The public functions `transfer`, `animate` and `prepare`: they read and check arguments; `run.py` does the work."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ from ..methods.base import Method
 from ..methods.find import find_method, takes_rigs
 from ..motions.humanoid_rig import HumanoidRig
 from .corrections import Corrections, GivenJoints
-from .move import move
+from .live import LiveSession, limited_threads, live_session
+from .move import move, prepare_frames
 from .result import ClipResult, Result, Timer
 from .rigs import still_clip
 from .run import Choice, MotionOptions
@@ -187,6 +188,67 @@ def animate(
         moved.driving_joints,
         moved.own,
     )
+
+
+def prepare(
+    identity: Mesh | str | Path,
+    driving: Mesh | Clip | str | Path,
+    model: str | Method = "mime",
+    *,
+    up: str | None = None,
+    front: str | None = None,
+    driving_up: str | None = None,
+    driving_front: str | None = None,
+    ensemble: int = 1,
+    seed: int = 0,
+    refine: bool | None = None,
+    reference: Mesh | str | Path | None = None,
+    markers: ArrayLike | str | Path | None = None,
+    root: str = "scale",
+    rig: str | HumanoidRig = "own",
+    body: str = "auto",
+    joints: GivenJoints = None,
+    driving_joints: GivenJoints = None,
+    threads: int | None = 1,
+) -> LiveSession:
+    """Prepare an identity for a live stream; the session then poses it by one driving frame at a time.
+
+    All frames must have the vertices and triangles of `driving`, in the same order. Its first frame fixes axes, size
+    and place: there the result has the identity's position. One frame is enough. Of a clip up to 16 keyframes are
+    looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/live.md has the
+    figures): record some seconds with various poses where you can.
+
+    A session makes the frames of `animate` with `ground=False` and `smooth=0`, which both need later frames. Joints in
+    the driving's file are not used, because frames of a stream are vertices only; the rig of the identity's file is.
+
+    Args:
+        driving: the driving mesh in one frame, or in some frames of its motion, or the path of either.
+        root: displacement over the ground, as in `animate`; other values than "scale" for mime only.
+        threads: threads of linear algebra while a session is prepared and used; None leaves what the libraries are set
+            to. They are set for the whole process during each call, and set back.
+
+    The other arguments are those of `transfer`.
+
+    Raises:
+        InputError: a file, an axis, the model or its options cannot be used; or a model that needs later frames
+            (aniformer).
+
+    Example:
+        >>> session = mimesh.prepare("hero.glb", "recorded.npz")
+        >>> vertices = session.pose(frame)  # (U, 3) -> (V, 3)
+    """
+    identity = _read_mesh(identity)
+    known = Clip.still(check_mesh(driving, driving.name)) if isinstance(driving, Mesh) else driving
+    clip = dataclasses.replace(_read_clip(known, None, None), skeleton=None)
+    corrections = Corrections.read(joints, driving_joints, clip)
+    axes = (up, front, *driving_axes(clip, driving_up, driving_front))
+    options = MotionOptions(root, False, rig=_usable_rig(rig, model), body=body)
+    with limited_threads(threads)():
+        choice = _choice(model, ensemble, seed, reference, markers)
+        prepared = prepare_frames(identity, clip, choice, axes, refine, options, corrections)
+    session = live_session(prepared, clip, _name(model), root, threads)
+    _name_axis_sources(session.report, up, driving_up)
+    return session
 
 
 def _name_axis_sources(report: dict, up: str | None, driving_up: str | None) -> None:

@@ -31,6 +31,7 @@ from .run import (
     Choice,
     MotionOptions,
     MovedIdentity,
+    Prepared,
     first_frame,
     fitted_norms,
     play,
@@ -126,6 +127,53 @@ def _other_shape(
     return nearest_frame(identity, clip)
 
 
+def prepare_frames(
+    identity: Mesh,
+    clip: Clip,
+    choice: Choice,
+    axes: Axes,
+    refine: bool | None,
+    options: MotionOptions,
+    corrections: Corrections = NO_CORRECTIONS,
+) -> Prepared:
+    """Prepare an identity for frames that are made one by one, as `move` does for a clip without joints in its file.
+
+    Raises:
+        InputError: an axis, the model, its options or the corrections cannot be used.
+    """
+    rigs = read_rigs(identity, clip, options, corrections, copy=False)
+    other = _other_shape(identity, clip, rigs, choice, axes, options, corrections)
+    if other is None:
+        return prepare(identity, clip, choice, axes, refine, options, corrections, rigs)
+    norm = Normalization.fit(identity, *axes[:2])
+    prepared = prepare_shape(identity, clip, other, norm, refine, options)
+    noted = dataclasses.replace(NO_RIGS, notes=(other.note((identity.name, clip.mesh.name)),))
+    # The axes were not given by the caller.
+    norms = (
+        dataclasses.replace(prepared.identity_norm, up_from=norm.up_from),
+        dataclasses.replace(prepared.driving_norm, up_from="identity"),
+    )
+    return dataclasses.replace(prepared, identity_norm=norms[0], driving_norm=norms[1], rigs=noted)
+
+
+def prepare_shape(
+    identity: Mesh,
+    clip: Clip,
+    reference: ReferenceFrame | MarkedFrame,
+    norm: Normalization,
+    refine: bool | None,
+    options: MotionOptions,
+) -> Prepared:
+    """Prepare deformation transfer from a frame of the driving that has about the identity's pose."""
+    known = (norm.up, norm.front, *reference.axes(norm))
+
+    def choice(driving: Normalization) -> Method:
+        return reference.method(clip.mesh, norm, driving)
+
+    options = dataclasses.replace(options, rig="mimesh", body="auto")
+    return prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS)
+
+
 def move_shape(
     identity: Mesh,
     clip: Clip,
@@ -140,13 +188,7 @@ def move_shape(
     """Move an identity by deformation transfer from a frame of the driving that has about its pose."""
     with timer.step("prepare"):
         norm = Normalization.fit(identity, *axes[:2])
-        known = (norm.up, norm.front, *reference.axes(norm))
-
-        def choice(driving: Normalization) -> Method:
-            return reference.method(clip.mesh, norm, driving)
-
-        options = dataclasses.replace(options, rig="mimesh", body="auto")
-        prepared = prepare(identity, clip, choice, known, refine, options, rigs=NO_RIGS)
+        prepared = prepare_shape(identity, clip, reference, norm, refine, options)
     moved = play(prepared, timer, options, progress, dtype)
     moved.report["identity"] |= facing(norm)
     if isinstance(reference, ReferenceFrame):

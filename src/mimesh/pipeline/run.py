@@ -353,17 +353,22 @@ def _report_joints(motion: _JointMotion, report: dict, names: tuple[str, str], h
 
     Returns notes on low confidence.
     """
-    notes = ()
-    if motion.drive.confidence is not None:
-        for which, confidence, name in zip(("identity", "driving"), motion.drive.confidence, names, strict=True):
-            if confidence is not None:
-                report[which] |= confidence.facts()
-                notes += confidence.notes(name)
+    notes = report_confidence(motion.drive, report, names)
     moved = [side.lower() for side in SIDES if finger_joints(side)[0] in motion.drive.joints]
     report["fingers"] = moved  # of these hands; elsewhere fingers follow the hand
     speeds = foot_skate(motion.posed, motion.track, motion.drive.feet, motion.scale)
     for key, speed in zip(("foot_skate", "foot_skate_driving"), speeds or (None, None), strict=True):
         report[key] = None if speed is None else speed / height
+    return notes
+
+
+def report_confidence(drive: SkinnedDrive, report: dict, names: tuple[str, str]) -> tuple[str, ...]:
+    """Add the confidences of predicted joints to the report, and return notes on low ones."""
+    notes = ()
+    for which, confidence, name in zip(("identity", "driving"), drive.confidence or (None, None), names, strict=True):
+        if confidence is not None:
+            report[which] |= confidence.facts()
+            notes += confidence.notes(name)
     return notes
 
 
@@ -401,10 +406,10 @@ def _aligned(
 ) -> tuple[Float[np.ndarray, " 3"], Iterator[Float[np.ndarray, "V 3"]]]:
     """Return the shift that brings the first frame to the identity's position, and the frames (not yet shifted)."""
     first = next(frames)
-    return _ground_point(rest) - _ground_point(first), itertools.chain([first], frames)
+    return ground_point(rest) - ground_point(first), itertools.chain([first], frames)
 
 
-def _ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
+def ground_point(vertices: Float[np.ndarray, "V 3"]) -> Float[np.ndarray, " 3"]:
     """Return the centre of the bounding box in x and z, at its lowest y."""
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     return np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])

@@ -54,7 +54,7 @@ def serve(
     # Ctrl-C is how a studio ends; uvicorn raises it again after it has ended well.
     with contextlib.closing(session), open_socket(host, port) as listening, contextlib.suppress(KeyboardInterrupt):
         port = listening.getsockname()[1]
-        address = f"http://{_url_host(host)}:{port}/?token={token}"
+        address = page_address(host, port, token)
         report_address(address)
         if open_browser:
             webbrowser.open(address)
@@ -68,16 +68,21 @@ def make_server(session: Session, token: str, host: str, port: int) -> uvicorn.S
     def is_closing() -> bool:
         return server.should_exit
 
-    server = uvicorn.Server(
+    server = quiet_server(AccessControl(make_app(session, is_closing), token, host, port))
+    return server
+
+
+def quiet_server(app: AccessControl) -> uvicorn.Server:
+    """Build a web server that logs errors only."""
+    return uvicorn.Server(
         uvicorn.Config(
-            AccessControl(make_app(session, is_closing), token, host, port),
+            app,
             log_level="error",
             access_log=False,
             server_header=False,
             timeout_graceful_shutdown=SHUTDOWN_SECONDS,
         )
     )
-    return server
 
 
 def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:
@@ -123,8 +128,9 @@ def open_socket(host: str, port: int) -> socket.socket:
     return listening
 
 
-def _url_host(host: str) -> str:
-    """Return the host for a URL: this machine's own for wildcard addresses, IPv6 in brackets."""
+def page_address(host: str, port: int, token: str) -> str:
+    """Return the address of a page with its token: this machine's own for wildcard addresses, IPv6 in brackets."""
     if host in ("0.0.0.0", "::"):
-        return "127.0.0.1" if host == "0.0.0.0" else "[::1]"
-    return f"[{host}]" if ":" in host else host
+        host = "127.0.0.1" if host == "0.0.0.0" else "::1"
+    name = f"[{host}]" if ":" in host else host
+    return f"http://{name}:{port}/?token={token}"

@@ -35,7 +35,7 @@ HEADERS = {
     "x-frame-options": "DENY",
 }
 """Headers of every response."""
-FORBIDDEN = "This studio is open to the browser it was started for: use the address that `mimesh studio` printed.\n"
+FORBIDDEN = "This page is open to the browser it was started for: use the address that was printed, with its token.\n"
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Host names that mean this machine."""
 

@@ -1,0 +1,238 @@
+"""A session that poses an identity one driving frame at a time, as the frames of a live stream arrive.
+
+Everything that is done once is done as for a clip (`move.prepare_frames`); only what needs later frames is left out:
+smoothing over time, and planting of feet.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+
+from ..core.errors import InputError
+from ..core.joint_tracks import JointTrack
+from ..core.mesh import LARGEST, Clip, Mesh
+from ..io.beside import missing_images, missing_images_notes
+from ..methods.base import BodyMethod, Drive, SkinnedDrive
+from .report import facing, facing_note
+from .run import Prepared, ground_point, report_confidence
+
+PoseFrame = Callable[[Float[np.ndarray, "U 3"]], Float[np.ndarray, "V 3"]]
+"""Maps the vertices of a driving frame to the identity's; both normalised."""
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSession:
+    """An identity that is ready to be posed by single frames of a driving mesh; made by `mimesh.prepare`.
+
+    It may be used from one thread at a time. Its memory does not grow with the number of frames.
+    """
+
+    identity: Mesh
+    """The mesh that is moved, as it was given."""
+    driving: Mesh
+    """The driving mesh in the first of the frames that the session was prepared with."""
+    model: str
+    report: dict
+    """Facing of both meshes, and confidences and the body of models with joints, as in `ClipResult.report`."""
+    notes: tuple[str, ...]
+    _prepared: Prepared = field(repr=False)
+    _pose: PoseFrame = field(repr=False)
+    _shift: Float[np.ndarray, " 3"] = field(repr=False)
+    """Brings the result of the first frame to the identity's position, normalised."""
+    _limit: Callable[[], AbstractContextManager] = field(repr=False)
+    """Limits the threads of linear algebra."""
+
+    def pose(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "V 3"]:
+        """Return the identity's vertices for one driving frame.
+
+        The first frame that the session was prepared with gives the identity's own position; others are displaced as
+        far as they are from that one, scaled as `root` says. Frames may come in any order and at any rate; none has an
+        influence on the next.
+
+        Args:
+            driving: vertices (U, 3) of any real type, in the axes, unit and order of the driving mesh of the session;
+                or a mesh with its triangles.
+
+        Returns:
+            Vertices (V, 3), float64, in the axes, unit and order of the identity. The array is a new one.
+
+        Raises:
+            InputError: another number of vertices or other triangles than those of the session, NaN, infinity or
+                coordinates above 1e18, or all vertices at one point. The session can be used further.
+
+        Example:
+            >>> session = mimesh.prepare("hero.glb", "first_frame.obj")
+            >>> for frame in camera:  # any source of arrays (U, 3)
+            ...     show(session.pose(frame))
+        """
+        vertices = self._checked(driving)
+        norms = self._prepared.identity_norm, self._prepared.driving_norm
+        with self._limit():
+            posed = self._pose(norms[1].apply(vertices))
+            return norms[0].undo(posed + self._shift)
+
+    def _checked(self, driving: ArrayLike | Mesh) -> Float[np.ndarray, "U 3"]:
+        """Return the vertices of a frame in double precision, if they can be used."""
+        name = self.driving.name
+        if isinstance(driving, Mesh):
+            faces = self.driving.faces
+            if driving.faces is not faces and not np.array_equal(driving.faces, faces):
+                raise InputError(
+                    f"{name}: expected the {len(faces)} triangles that the session was prepared with, found "
+                    f"{len(driving.faces)} or others; prepare a session for this mesh"
+                )
+            driving = driving.vertices
+        try:
+            vertices = np.asarray(driving, np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(
+                f"{name}: expected numbers as vertices, found '{error}'; give an array of shape (U, 3)"
+            ) from error
+        if vertices.shape != self.driving.vertices.shape:
+            raise InputError(
+                f"{name}: expected vertices of shape {self.driving.vertices.shape} in every frame, found "
+                f"{vertices.shape}; prepare a session for this mesh"
+            )
+        # NaN fails the comparison, too: one pass over the array for all that can be wrong with its numbers.
+        if not np.abs(vertices).max() <= LARGEST:
+            bad = np.flatnonzero(~(np.abs(vertices) <= LARGEST).all(axis=1))
+            raise InputError(
+                f"{name}: expected finite coordinates up to {LARGEST:g}, found others in {bad.size} of {len(vertices)} "
+                f"vertices of a frame (first: vertex {bad[0]}); leave this frame out"
+            )
+        if not (vertices != vertices[0]).any():
+            raise InputError(
+                f"{name}: expected some size in every frame, found all vertices at one point; leave this frame out"
+            )
+        return vertices
+
+
+def live_session(prepared: Prepared, clip: Clip, model: str, root: str, threads: int | None) -> LiveSession:
+    """Make the session of a prepared identity.
+
+    Args:
+        prepared: the identity and the frames of the driving that are known.
+        clip: these frames.
+        model: name of the method.
+        root: as in `animate`.
+        threads: of linear algebra; None leaves them as they are.
+
+    Raises:
+        InputError: the method looks at more than one frame at a time.
+    """
+    first = prepared.driving_norm.apply(np.asarray(clip.vertices[0], np.float64))
+    limit = limited_threads(threads)
+    with limit():
+        pose = _pose_function(prepared, first, root)
+        if prepared.refinement is not None:
+            pose = _refined(pose, prepared.refinement)
+        shift = ground_point(prepared.rest.vertices) - ground_point(pose(first))
+    report, notes = _report(prepared)
+    driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
+    return LiveSession(prepared.identity, driving, model, report, notes, prepared, pose, shift, limit)
+
+
+def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]:
+    """Return the function that makes a context in which linear algebra uses so many threads; None: as many as before.
+
+    The products of a frame are small: a second thread gains little on an idle machine, and on a busy one the first
+    waits for it (benchmarks/live.json).
+    """
+    if threads is None:
+        return nullcontext
+    if threads < 1:
+        raise InputError(f"threads: expected 1 or more, or None, found {threads}; give a positive number")
+    from threadpoolctl import ThreadpoolController
+
+    libraries = ThreadpoolController().select(user_api="blas")
+    return lambda: libraries.limit(limits=threads)
+
+
+def _pose_function(prepared: Prepared, first: Float[np.ndarray, "U 3"], root: str) -> PoseFrame:
+    """Return the function that makes a frame of the result, not yet refined."""
+    if isinstance(prepared.drive, SkinnedDrive):
+        scale = prepared.driving_norm.radius / prepared.identity_norm.radius
+        return _follow_joints(prepared.drive, first, scale if root == "keep" else None, root == "drop")
+    return _step(prepared.drive, first, prepared.clip.mesh.name, prepared.method.name)
+
+
+def _follow_joints(
+    drive: SkinnedDrive, first: Float[np.ndarray, "U 3"], across: float | None, in_place: bool
+) -> PoseFrame:
+    """Pose by joints: a function of the frame alone, but for where the first one was; see `SkinnedDrive.motion`."""
+
+    def joints(vertices: Float[np.ndarray, "U 3"]) -> tuple[Float[np.ndarray, "J 3 3"], Float[np.ndarray, " 3"]]:
+        rotation, positions = drive.follow(vertices)
+        # The frame rate is for smoothing and for feet, which are left out.
+        posed = drive.motion(JointTrack(rotation[None], positions[None], 1.0), across, False, False)
+        return posed.rotation[0], posed.root[0]
+
+    start = joints(first)[1]
+
+    def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+        rotation, root = joints(vertices)
+        return drive.posed(rotation, np.array([start[0], root[1], start[2]]) if in_place else root)
+
+    return pose
+
+
+def _step(drive: Drive, first: Float[np.ndarray, "U 3"], name: str, model: str) -> PoseFrame:
+    """Run a drive frame by frame. It gets the first frame first, because that may fix the size of all results.
+
+    Raises:
+        InputError: the drive reads more than one frame for a result.
+    """
+    waiting: deque[np.ndarray] = deque()
+
+    def frames() -> Iterator[np.ndarray]:
+        while True:
+            if not waiting:
+                raise InputError(
+                    f"{name}: expected a model that makes each frame from that frame alone, found {model}, which needs "
+                    "later ones; choose mime, or move a recorded clip with animate"
+                )
+            yield waiting.popleft()
+
+    def started() -> Iterator[np.ndarray]:
+        waiting.clear()
+        waiting.append(first)
+        results = drive(frames())
+        next(results)
+        return results
+
+    results = started()
+
+    def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+        nonlocal results
+        waiting.append(vertices)
+        try:
+            return next(results)
+        except BaseException:  # an iterator that has raised is at its end
+            results = started()
+            raise
+
+    return pose
+
+
+def _refined(pose: PoseFrame, refinement: Callable[[np.ndarray], np.ndarray]) -> PoseFrame:
+    return lambda vertices: refinement(pose(vertices))
+
+
+def _report(prepared: Prepared) -> tuple[dict, tuple[str, ...]]:
+    """Return what is known of both meshes before the first frame, and notes for the user."""
+    identity, clip = prepared.identity, prepared.clip
+    report: dict = {"identity": facing(prepared.identity_norm), "driving": facing(prepared.driving_norm)}
+    report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
+    notes: tuple[str, ...] = ()
+    if isinstance(prepared.drive, SkinnedDrive):
+        notes += report_confidence(prepared.drive, report, (identity.name, clip.mesh.name))
+    notes += facing_note(prepared.identity_norm, identity.name, "--front")
+    notes += facing_note(prepared.driving_norm, clip.mesh.name, "--driving-front")
+    return report, notes + prepared.rigs.notes + missing_images_notes(missing_images(identity))
