@@ -147,7 +147,9 @@ def errors(name: str, k: int) -> dict[str, float]:
     height = np.ptp(identity.vertices[:, 1])
 
     def error(frames: Iterable[np.ndarray]) -> float:
-        each = [np.linalg.norm(centred(a) - centred(b), axis=1).mean() for a, b in zip(frames, truth.vertices, strict=True)]
+        each = [
+            np.linalg.norm(centred(a) - centred(b), axis=1).mean() for a, b in zip(frames, truth.vertices, strict=True)
+        ]
         return 100 * float(np.mean(each)) / height
 
     found = {}

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import importlib.util
 import json
 import re
+import socket
 import sys
 from pathlib import Path
 
@@ -164,6 +166,32 @@ def test_animals_of_own_files(ran, tmp_path):
     assert len(load_clip(folder / "result.glb", fps=10.0)) == 2
     assert (folder / "beside.webp").stat().st_size > 1000
     assert "identity: up +y, front +z" in text
+
+
+def test_live(ran, tmp_path):
+    """Sender and receiver in one process, on any free port; every frame is posed."""
+    save_mesh(person(0), tmp_path / "hero.obj")
+    save_clip(walk(frames=5), tmp_path / "walk.npz")
+    folder, text = ran("live", "hero.obj", "walk.npz", "--port", "0", "--seconds", "0.5")
+    assert "open http://127.0.0.1:" in text
+    assert "30 frames" in text
+    moved = load_mesh(folder / "last.glb")
+    assert np.abs(moved.vertices - person(0).vertices).max() > 0.1
+
+
+def test_live_frames_of_another_mesh_are_left_out(tmp_path, capsys):
+    """A sender whose mesh has another number of vertices, and one that speaks another protocol."""
+    module, clip = example("live"), walk(frames=2)
+    for content, expected in (
+        (b"\x02\0\0\0" + bytes(24), "left out: walk: expected vertices of shape"),
+        (b"GET / HTTP/1.1", "expected frames of at most"),
+    ):
+        with socket.create_server(("127.0.0.1", 0)) as listening:
+            with socket.create_connection(listening.getsockname()) as sender:
+                sender.sendall(content)
+            with contextlib.suppress(SystemExit) as refused:
+                module.receive(person(0), clip, listening, tmp_path)
+        assert expected in capsys.readouterr().out + str(refused)
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

@@ -163,9 +163,7 @@ def test_the_first_frame_has_the_identitys_place(driving, session):
     """The middle of its bounding box on the floor, as results of `animate`."""
     posed, rest = session.pose(driving.vertices[0]), person(0).vertices
     assert np.allclose(posed.min(axis=0)[1], rest.min(axis=0)[1])
-    assert np.allclose(
-        (posed.min(axis=0) + posed.max(axis=0))[[0, 2]], (rest.min(axis=0) + rest.max(axis=0))[[0, 2]]
-    )
+    assert np.allclose((posed.min(axis=0) + posed.max(axis=0))[[0, 2]], (rest.min(axis=0) + rest.max(axis=0))[[0, 2]])
 
 
 def damaged(vertices: np.ndarray, value: float) -> np.ndarray:

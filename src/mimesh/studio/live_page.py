@@ -55,8 +55,6 @@ POLL_SECONDS = 0.004
 """Seconds between two checks for a new frame: a quarter of a frame at 60 Hz."""
 TIMEOUT = 10.0
 """Seconds after which a request is answered without a frame."""
-START_SECONDS = 10.0
-"""Seconds that the server has to start."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +89,7 @@ class LivePage:
         self._server = quiet_server(AccessControl(self._application(), token, host, port))
         self._thread = threading.Thread(target=self._server.run, args=([listening],), daemon=True)
         self._thread.start()
-        until = time.monotonic() + START_SECONDS
-        while not self._server.started and time.monotonic() < until:
+        while not self._server.started and self._thread.is_alive():
             time.sleep(POLL_SECONDS)
 
     def __enter__(self) -> LivePage:
@@ -142,11 +139,12 @@ class LivePage:
 
 
 def _page(session: LiveSession) -> str:
-    """Build the page, with both meshes as they are before the first frame."""
+    """Build the page with the first frame that the session was prepared with, in which both meshes have one pose."""
+    posed = session.identity.with_vertices(session.pose(session.driving))
     axes = [{key: session.report[which][key] for key in ("up", "front")} for which in ("driving", "identity")]
     panels = [
         Panel("driving", Clip.still(session.driving), **axes[0]),
-        Panel("result", Clip.still(session.identity), **axes[1]),
+        Panel("result", Clip.still(posed), **axes[1]),
     ]
     title = f"{session.driving.name} moves {session.identity.name}"
     scene = pack_scene(panels, title=title, model=session.model, notes=session.notes, budget=UNLIMITED)

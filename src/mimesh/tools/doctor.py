@@ -10,7 +10,17 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
-REQUIRED = ("numpy", "scipy", "onnxruntime", "pillow", "typer", "rich", "jaxtyping", "fast-simplification")
+REQUIRED = (
+    "numpy",
+    "scipy",
+    "onnxruntime",
+    "pillow",
+    "typer",
+    "rich",
+    "jaxtyping",
+    "fast-simplification",
+    "threadpoolctl",
+)
 EXTRAS = {
     "fbx": (("ufbx",), "to read FBX"),
     "compressed": (("DracoPy", "meshopt"), "for Draco and meshopt glTF"),
