@@ -134,6 +134,44 @@ def speed() -> str:
     return f"{markdown_table(head, rows)}\n\nMeasured at commit {report['commit']}, {report['machine']}."
 
 
+def live(part: str) -> str:
+    """Return a table of live sessions, from benchmarks/live.json: their errors, or times and memory."""
+    report = json.loads((DOCS.parent / "benchmarks" / "live.json").read_text())
+    measured = f"Measured at commit {report['commit']}, {report['machine']}."
+    if part == "errors":
+        lines = {
+            "error, prepared with 1 frame": "1",
+            "with 2": "2",
+            "with 4": "4",
+            "with 16": "16",
+            "error of `animate` for the whole clip, `ground=False`": "animate_unplanted",
+            "error of `animate`": "animate",
+            "soles slide, live": "skate_live",
+            "soles slide, `animate`": "skate_animate",
+            "the driving's soles slide": "skate_driving",
+        }
+        figures = report["prepared_with"]
+        rows = [
+            [label, *(_figure(figures[body][key]) if key in figures[body] else "-" for body in figures)]
+            for label, key in lines.items()
+        ]
+        head = ["", *(f"{report['pairs']} pairs: {body}" for body in figures)]
+        return f"{markdown_table(head, rows)}\n\n{measured}"
+    assert part == "speed"
+    latency, two = report["latency_ms"], report["two_threads_ms"]
+    rows = [
+        [label, *(_ms(times[key]) for key in ("p50", "p90", "p99", "max"))]
+        for label, times in (("1 thread", latency), ("2 threads", two))
+    ]
+    memory = report["memory_mib"]
+    return (
+        f"{markdown_table(['a frame', 'median', '90 %', '99 %', 'slowest'], rows)}\n\n"
+        f"Both meshes have {report['vertices']:,} vertices; preparing took {report['prepare_s']:.1f} s with "
+        f"{report['prepared_frames']} frames. {report['over_5_ms']:,} of {report['frames']:,} frames took more than 5 ms. "
+        f"The process had {memory['start']:.0f} MiB before these frames, and {memory['end']:.0f} MiB after them. {measured}"
+    )
+
+
 def rigs() -> str:
     """Return the table of retargeting on own rigs, from docs/rigs.json."""
     report = json.loads((DOCS / "rigs.json").read_text())
@@ -295,6 +333,7 @@ def _memory(figures: dict[str, float]) -> str:
 INSERTS = {
     "batch": batch_figures,
     "plan": batch_plan,
+    "live": live,
     "minute": minute,
     "models": models,
     "card": card,

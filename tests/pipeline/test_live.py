@@ -124,7 +124,7 @@ def test_models_without_joints_move_as_in_a_clip(driving, model, tmp_path):
 
 
 def test_a_model_of_windows_of_frames_is_refused(driving):
-    with pytest.raises(InputError, match="from that frame alone, found aniformer.*animate"):
+    with pytest.raises(InputError, match=r"from that frame alone, found aniformer.*animate"):
         mimesh.prepare(person(0), driving, "aniformer")
 
 
