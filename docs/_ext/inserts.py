@@ -167,8 +167,8 @@ def live(part: str) -> str:
     return (
         f"{markdown_table(['a frame', 'median', '90 %', '99 %', 'slowest'], rows)}\n\n"
         f"Both meshes have {report['vertices']:,} vertices; preparing took {report['prepare_s']:.1f} s with "
-        f"{report['prepared_frames']} frames. {report['over_5_ms']:,} of {report['frames']:,} frames took more than 5 ms. "
-        f"The process had {memory['start']:.0f} MiB before these frames, and {memory['end']:.0f} MiB after them. {measured}"
+        f"{report['prepared_frames']} frames. {report['over_5_ms']:,} of {report['frames']:,} frames took more than "
+        f"5 ms. The process had {memory['start']:.0f} MiB before them and {memory['end']:.0f} MiB after. {measured}"
     )
 
 

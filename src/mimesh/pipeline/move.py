@@ -151,7 +151,7 @@ def prepare_frames(
     # The axes were not given by the caller.
     norms = (
         dataclasses.replace(prepared.identity_norm, up_from=norm.up_from),
-        dataclasses.replace(prepared.driving_norm, up_from="identity"),
+        dataclasses.replace(prepared.driving_norm, up_from="shape"),
     )
     return dataclasses.replace(prepared, identity_norm=norms[0], driving_norm=norms[1], rigs=noted)
 
