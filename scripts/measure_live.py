@@ -139,7 +139,7 @@ def animal_motion(k: int) -> Motion:
     return gait_motion(load_body("quadruped"), list(GAITS)[k % len(GAITS)], SEED, k, fps=RATE)
 
 
-def errors(name: str, k: int) -> dict[str, float]:
+def errors(name: str, k: int) -> dict[str, float | None]:
     """Move one body of a pair by the other; return errors in percent of its height, and the speeds of its soles."""
     body, motion = load_body(name), (human_motion if name == "human" else animal_motion)(k)
     shapes = [sample_shape(body, SEED, 2 * k + role) for role in (0, 1)]
@@ -153,7 +153,7 @@ def errors(name: str, k: int) -> dict[str, float]:
         ]
         return 100 * float(np.mean(each)) / height
 
-    found = {}
+    found: dict[str, float | None] = {}
     for count in PREPARED:
         spread = np.linspace(0, len(driving) - 1, count).round().astype(int)
         session = mimesh.prepare(identity, Clip(driving.mesh, driving.vertices[spread], RATE), body=name)
@@ -172,7 +172,7 @@ def centred(vertices: np.ndarray) -> np.ndarray:
 
 def means(of_pairs: list[dict[str, float | None]]) -> dict[str, float]:
     """Return the mean of each figure over the pairs that have it."""
-    known = {key: [pair[key] for pair in of_pairs if pair[key] is not None] for key in of_pairs[0]}
+    known = {key: [value for pair in of_pairs if (value := pair[key]) is not None] for key in of_pairs[0]}
     return {key: round(float(np.mean(values)), 3) for key, values in known.items() if values}
 
 
