@@ -141,7 +141,8 @@ def test_child_gets_neither_environment_nor_input(run, monkeypatch):
     assert typed == ""
     assert set(variables) <= {
         "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "SYSTEMROOT", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS", "TMPDIR", "TEMP", "TMP", "LC_CTYPE", "__CF_USER_TEXT_ENCODING",
+        "MKL_NUM_THREADS", "PXR_WORK_THREAD_LIMIT", "USDC_USE_PREAD",
+        "TMPDIR", "TEMP", "TMP", "LC_CTYPE", "__CF_USER_TEXT_ENCODING",
     }  # fmt: skip
 
 

@@ -32,12 +32,16 @@ def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dty
     if count * vertices * 3 * np.dtype(dtype).itemsize < LARGE:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile() as file:
-        _reserve(file.fileno(), count * vertices * 3 * np.dtype(dtype).itemsize)
+        reserve_space(file.fileno(), count * vertices * 3 * np.dtype(dtype).itemsize)
         return np.memmap(file, dtype, "w+", shape=shape)
 
 
-def _reserve(descriptor: int, size: int) -> None:
-    """Reserve the disk space now: a page that cannot be written later would kill the process (SIGBUS)."""
+def reserve_space(descriptor: int, size: int) -> None:
+    """Reserve disk space for a file of frames; a mapped page that cannot be written later kills the process (SIGBUS).
+
+    Raises:
+        InputError: there is too little.
+    """
     from .errors import InputError
 
     if not hasattr(os, "posix_fallocate"):

@@ -3,7 +3,8 @@
 A damaged or malicious file can make a C or C++ library crash, loop, or allocate all memory. In a child process this
 ends the child, and the caller gets an InputError of one line. The child has a limit on memory, processor time, clock
 time and the size of the files it writes (Linux; other systems have fewer, see `_limit_resources`), and of the
-environment only what Python needs to start. It writes its result to a file, and its errors to another.
+environment only what Python needs to start. It writes its result to a file, its errors to another, and the number of
+frames done to a third. `watched` lets the caller end it.
 
 The limits protect against damage by accident and against denial of service. They are no sandbox: a decoder that a file
 takes over has the user's rights.
@@ -12,33 +13,61 @@ takes over has the user's rights.
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
+import math
 import os
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 
 MIB = 2**20
 """Bytes."""
 KEPT_VARIABLES = ("SYSTEMROOT", "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH")
 """Environment variables that a Python interpreter may need to start and to load its libraries."""
-THREADS = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-"""NumPy's libraries reserve address space for each thread, which the limit on memory counts."""
+USE_PREAD = ("USDC_USE_PREAD", "1")
+"""Variable for the library of USD, which else maps binary files: pages read of a long clip would stay in memory."""
+VARIABLES = {
+    USE_PREAD[0]: USE_PREAD[1],
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "PXR_WORK_THREAD_LIMIT": "1",
+}
+"""Variables that a child gets. The libraries of NumPy and USD reserve address space for each thread,
+which the limit on memory counts.
+"""
 BOOT = "import json, sys; call = json.loads(sys.argv[1]); sys.path[:] = call.pop('path'); "
 BOOT += f"from {__name__} import run_call; run_call(call)"
 """Program of the child. It starts isolated (`python -I`), so the modules are found by the parent's search path."""
+FULL_DISK = "a full disk"
 REFUSED, NO_MEMORY, FAILED = 3, 4, 5
 """Exit codes of the child: InputError, MemoryError, any other exception."""
-LONGEST_MESSAGE = 2000
-"""Bytes of an error of the child that are shown."""
+LONGEST_MESSAGE = 1000
+"""Characters of an error of the child that are shown: names in a damaged file may have any length."""
+LAST_BYTES = 4 * LONGEST_MESSAGE + 100
+"""Bytes at the end of the file of errors that are read; a character has up to four."""
+POLL_SECONDS = 0.05
+"""Between two looks at a running child: at its progress, and at whether it is still wanted."""
+COUNTS = struct.Struct("<QQ")
+"""Frames done and frames in all, as the child writes them."""
+ERRORS_FILE, COUNTS_FILE = "errors", "counts"
+"""Files beside the result that the child writes: its errors, and its progress."""
+PR_SET_PDEATHSIG = 1
+"""Option of `prctl` on Linux: the signal that a process gets when its parent ends."""
+_CHECK: ContextVar[Callable[[], None] | None] = ContextVar("check", default=None)
 
 
 @dataclass(frozen=True)
@@ -50,39 +79,62 @@ class Limits:
     output: int
     """Bytes of each file that it writes."""
     cpu_seconds: int
+    """Since the child has imported its libraries, or reported progress."""
     clock_seconds: float
+    """Since the child was started, or reported progress."""
 
     @classmethod
-    def for_size(cls, size: int) -> Limits:
-        """Return limits for an input of `size` bytes: far more than any sound file of that size was seen to need."""
+    def for_size(cls, size: int, cpu_seconds: int = 60) -> Limits:
+        """Return limits for an input of `size` bytes: far more than any sound file of that size was seen to need.
+
+        `cpu_seconds` is the processor time of a small one; each MiB gives another second.
+        """
         # Seven FBX files of two makers need 160 MiB of address space with all libraries, 15 bytes of memory and 0.15
         # microseconds for each of their bytes, and give 1.1 bytes.
-        return cls(2048 * MIB + 64 * size, 1024 * MIB + 32 * size, 60 + size // MIB, 180 + size / MIB)
+        return cls(2048 * MIB + 64 * size, 1024 * MIB + 32 * size, cpu_seconds + size // MIB, 180 + size / MIB)
+
+
+@contextlib.contextmanager
+def watched(check: Callable[[], None]) -> Iterator[None]:
+    """Call `check` every POLL_SECONDS while this context waits for a child; what it raises ends the child at once."""
+    token = _CHECK.set(check)
+    try:
+        yield
+    finally:
+        _CHECK.reset(token)
 
 
 @contextlib.contextmanager
 def child_result(
-    function: str, source: Path, name: Path, limits: Limits | None = None, **arguments: Any
+    function: str,
+    source: Path,
+    name: Path,
+    limits: Limits | None = None,
+    progress: Progress | None = None,
+    **arguments: Any,
 ) -> Iterator[Path]:
-    """Run a function in a child process, and yield the file that it wrote; it is deleted at the end of the block.
+    """Run a function in a child process, and yield the file that it wrote; its folder is deleted after the block.
 
     Args:
         function: "package.module:function". It is called as function(source, target, **arguments), writes the file
-            `target`, and may raise InputError. `arguments` are values that JSON has.
+            `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has.
         source: the file to read.
         name: file that error messages name.
         limits: by default those for the size of `source`.
+        progress: the function gets a further argument `progress`, and what it reports is passed on to this. The limits
+            of time then start again with each report.
 
     Raises:
         InputError: the function raised one, crashed, ran out of memory or time, or wrote nothing.
     """
     limits = limits or Limits.for_size(source.stat().st_size)
     with tempfile.TemporaryDirectory(prefix="mimesh-", ignore_cleanup_errors=True) as folder:
-        target, errors = Path(folder, "result"), Path(folder, "errors")
+        target = Path(folder, "result")
         call = {"function": function, "source": str(source.absolute()), "target": str(target), "arguments": arguments}
         call |= {"limits": asdict(limits), "path": [str(Path(entry).absolute()) for entry in sys.path]}
-        code = _run(call, errors, limits, name)
-        message = last_line(errors)
+        call |= {"counts": None if progress is None else str(Path(folder, COUNTS_FILE))}
+        code = _run(call, Path(folder), limits, name, progress)
+        message = last_line(Path(folder, ERRORS_FILE)).replace(folder, tempfile.gettempdir())
         if code == REFUSED:
             raise InputError(message.replace(str(source.absolute()), str(name)))
         if code != 0:
@@ -98,48 +150,113 @@ def child_result(
 
 def run_call(call: dict[str, Any]) -> None:
     """Run the call that the parent has sent, in the child: set the limits, call the function, and end the process."""
-    _limit_resources(Limits(**call["limits"]))
+    limits, arguments = Limits(**call["limits"]), call["arguments"]
     module, _, function = call["function"].partition(":")
+    _end_with_parent()
     try:
-        getattr(import_module(module), function)(Path(call["source"]), Path(call["target"]), **call["arguments"])
+        imported = import_module(module)
+        # After the imports, whose time depends on the machine and not on the file.
+        _limit_resources(limits)
+        if call["counts"] is not None:
+            arguments["progress"] = _reporter(Path(call["counts"]), limits)
+        getattr(imported, function)(Path(call["source"]), Path(call["target"]), **arguments)
         code = 0
     except InputError as error:
         code = REFUSED
-        print(error, file=sys.stderr)
+        print(_one_line(str(error)), file=sys.stderr)
     except MemoryError:
         code = NO_MEMORY
     except Exception as error:
         # Whatever a library raises on a damaged file: the parent makes one line of it.
         code = FAILED
-        print(" ".join(repr(error).split()), file=sys.stderr)
+        print(_one_line(_cause(error)), file=sys.stderr)
     sys.stderr.flush()
     # Destructors of native objects may crash after a result was written; nothing of this process is needed any more.
     os._exit(code)
 
 
-def _run(call: dict[str, Any], errors: Path, limits: Limits, name: Path) -> int:
+def _cause(error: Exception) -> str:
+    """Describe an exception of a library; the codec's own words would quote bytes of the file."""
+    if isinstance(error, UnicodeError):
+        return "text that is no UTF-8"
+    return FULL_DISK if isinstance(error, OSError) and error.errno == errno.ENOSPC else f"'{repr(error)[:200]}'"
+
+
+def _one_line(message: str) -> str:
+    """Join the lines of a message, and leave out the middle of a long one: its end says what to do."""
+    line = " ".join(message.splitlines())
+    return (
+        line if len(line) <= LONGEST_MESSAGE else f"{line[: LONGEST_MESSAGE // 2]} ... {line[-LONGEST_MESSAGE // 3 :]}"
+    )
+
+
+def _reporter(counts: Path, limits: Limits) -> Progress:
+    """Return a function for the child to report progress with: it writes the counts, and starts its limit again."""
+    file = counts.open("wb", buffering=0)
+
+    def report(done: int, total: int) -> None:
+        file.seek(0)
+        file.write(COUNTS.pack(done, total))
+        _limit_cpu(limits)
+
+    return report
+
+
+def _read_counts(counts: Path) -> tuple[int, int] | None:
+    """Read what the child has reported last; None where it has not yet."""
+    content = counts.read_bytes() if counts.exists() else b""
+    return COUNTS.unpack(content) if len(content) == COUNTS.size else None
+
+
+def _run(call: dict[str, Any], folder: Path, limits: Limits, name: Path, progress: Progress | None) -> int:
     """Start the child, wait for it, and return its exit code, negative for a signal."""
-    environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ} | THREADS
-    environment |= {key: str(errors.parent) for key in ("TMPDIR", "TEMP", "TMP")}
+    environment = {key: os.environ[key] for key in KEPT_VARIABLES if key in os.environ} | VARIABLES
+    environment |= {key: str(folder) for key in ("TMPDIR", "TEMP", "TMP")}
     command = [sys.executable, "-I", "-X", "utf8", "-c", BOOT, json.dumps(call)]
-    with errors.open("wb") as error_file:
+    with Path(folder, ERRORS_FILE).open("wb") as error_file:
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=error_file,
             env=environment,
-            cwd=errors.parent,
+            cwd=folder,
             start_new_session=True,
         )
         try:
-            return process.wait(limits.clock_seconds)
-        except subprocess.TimeoutExpired as error:
-            raise InputError(f"{name}: expected a file that can be read, found {_too_slow()}") from error
+            return _wait(process, Path(folder, COUNTS_FILE), limits, name, progress)
         finally:
             # Also on Ctrl-C: no decoder outlives its caller.
             process.kill()
             process.wait()
+
+
+def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: Path, progress: Progress | None) -> int:
+    """Wait for the child, passing on its progress, and return its exit code.
+
+    Raises:
+        InputError: it takes longer than the limit.
+    """
+    check, seen, since, code = _CHECK.get(), None, time.monotonic(), None
+    while code is None:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            code = process.wait(POLL_SECONDS)
+        if check is not None:
+            check()
+        if progress is not None and (now := _read_counts(counts)) not in (seen, None):
+            seen, since = now, time.monotonic()
+            progress(*now)
+        if code is None and time.monotonic() - since > limits.clock_seconds:
+            raise InputError(f"{name}: expected a file that can be read, found {_too_slow()}")
+    return code
+
+
+def _end_with_parent() -> None:
+    """Have the system end this process when the parent is killed, which then cannot do it itself (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def _limit_resources(limits: Limits) -> None:
@@ -154,7 +271,6 @@ def _limit_resources(limits: Limits) -> None:
         return
     wanted = {
         "RLIMIT_AS": limits.memory,
-        "RLIMIT_CPU": limits.cpu_seconds,
         "RLIMIT_FSIZE": limits.output,
         "RLIMIT_CORE": 0,
     }
@@ -166,6 +282,20 @@ def _limit_resources(limits: Limits) -> None:
         value = value if hard == resource.RLIM_INFINITY else min(value, hard)
         with contextlib.suppress(ValueError, OSError):  # macOS refuses some of them
             resource.setrlimit(kind, (value, value))
+    _limit_cpu(limits)
+
+
+def _limit_cpu(limits: Limits) -> None:
+    """Limit the processor time of this process from now on, as far as the system can."""
+    try:
+        import resource
+    except ImportError:
+        return
+    usage, hard = resource.getrusage(resource.RUSAGE_SELF), resource.getrlimit(resource.RLIMIT_CPU)[1]
+    value = math.ceil(usage.ru_utime + usage.ru_stime) + limits.cpu_seconds
+    value = value if hard == resource.RLIM_INFINITY else min(value, hard)
+    with contextlib.suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_CPU, (value, hard))
 
 
 def _reason(code: int, message: str, limits: Limits) -> str:
@@ -179,7 +309,9 @@ def _reason(code: int, message: str, limits: Limits) -> str:
         return f"more than {limits.output // MIB:,} MiB in it; the file is damaged, export it again"
     if code < 0 or code != FAILED:
         return f"that its decoder crashed (exit code {code}); the file is damaged, export it again"
-    return f"'{message[:200]}'; the file is damaged, export it again"
+    if message == FULL_DISK:
+        return f"no room for its frames in {tempfile.gettempdir()}; free some, or set TMPDIR to another folder"
+    return f"{message}; the file is damaged, export it again"
 
 
 def _too_slow() -> str:
@@ -189,6 +321,6 @@ def _too_slow() -> str:
 def last_line(path: Path) -> str:
     """Return the last line of a text file, or what is left of it where it is long."""
     with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - LONGEST_MESSAGE, 0))
+        file.seek(max(path.stat().st_size - LAST_BYTES, 0))
         lines = file.read().decode("utf-8", "replace").strip().splitlines()
     return lines[-1].strip() if lines else ""

@@ -61,13 +61,13 @@ def _write_gltf_clip(clip: Clip, path: Path, progress: Progress | None) -> None:
 
 
 def _read_alembic(path: Path) -> Mesh:
-    from .alembic.read import read_alembic
+    from .alembic import read_alembic
 
     return read_alembic(path)
 
 
 def _read_alembic_clip(path: Path, fps: float | None, progress: Progress | None) -> Clip:
-    from .alembic.read import read_alembic_clip
+    from .alembic import read_alembic_clip
 
     return read_alembic_clip(path, fps, progress)
 

@@ -1,8 +1,9 @@
 """One worker thread for the studio: runs long jobs one after another, and urgent ones between their frames.
 
 Jobs are identified by keys. Submitting another one with the same key cancels the earlier one, whether it waits or runs:
-only the newest request counts. A running job checks for cancellation whenever it reports progress. One thread needs no
-locks around models, and an urgent job waits for one frame at most.
+only the newest request counts. A running job checks for cancellation whenever it reports progress, and all the time
+while it waits for a child process that reads a file, which then ends at once. One thread needs no locks around models,
+and an urgent job waits for one frame at most.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
+from ..io.child_process import watched
 
 Work = Callable[[Progress], Any]
 """The function of a job; its argument is to be called with the progress."""
@@ -62,7 +64,7 @@ class Worker:
         return job.future
 
     def cancel(self, key: Hashable) -> None:
-        """Cancel the jobs of a key; a running one ends when it next reports progress."""
+        """Cancel the jobs of a key; a running one ends when it next reports progress or waits for a child."""
         with self._changed:
             for job in self._running:
                 job.cancelled |= job.key == key
@@ -103,9 +105,9 @@ class Worker:
 
     def _run(self, job: Job) -> None:
         try:
-            value = job.work(lambda done, total: self._between_frames(job))
-            if job.cancelled:
-                raise Cancelled
+            with watched(lambda: self._check(job)):
+                value = job.work(lambda done, total: self._between_frames(job))
+            self._check(job)
         except (Cancelled, InputError) as error:
             job.future.set_exception(error)
         except Exception as error:
@@ -118,10 +120,14 @@ class Worker:
             with self._changed:
                 self._running.remove(job)
 
-    def _between_frames(self, job: Job) -> None:
-        """Called between two frames of a job: end it if it is cancelled, else run urgent jobs first."""
+    def _check(self, job: Job) -> None:
+        """Raise Cancelled if a job is cancelled, or the worker closed."""
         if job.cancelled or self._closed:
             raise Cancelled
+
+    def _between_frames(self, job: Job) -> None:
+        """Called between two frames of a job: end it if it is cancelled, else run urgent jobs first."""
+        self._check(job)
         while not job.urgent and (urgent := self._next(urgent=True)) is not None:
             self._run(urgent)
 

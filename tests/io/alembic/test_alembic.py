@@ -320,8 +320,12 @@ def test_changing_topology_names_the_frame(change, tmp_path):
 def test_progress_is_reported(tmp_path):
     calls = []
     save_clip(full_clip(), tmp_path / "a.abc", progress=lambda done, count: calls.append((done, count)))
+    assert calls == [(k, 7) for k in range(1, 8)]
+    calls.clear()
     load_clip(tmp_path / "a.abc", progress=lambda done, count: calls.append((done, count)))
-    assert calls == 2 * [(k, 7) for k in range(1, 8)]
+    # The frames are read in another process, which is looked at from time to time.
+    assert calls == sorted(set(calls))
+    assert calls[-1] == (7, 7)
 
 
 READ = """

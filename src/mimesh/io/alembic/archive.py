@@ -26,14 +26,19 @@ def library(path: Path, verb: str) -> tuple[Any, Any, Any, Any]:
     Raises:
         InputError: alembic3d is not installed.
     """
-    if importlib.util.find_spec("alembic3d") is None:
-        raise InputError(
-            f"{path}: expected alembic3d to {verb} Alembic, found it not installed; pip install 'mimesh[alembic]'"
-        )
+    need_library(path, verb)
     import alembic3d
     import imath
 
     return alembic3d.Abc, alembic3d.AbcGeom, alembic3d.AbcCoreAbstract, imath
+
+
+def need_library(path: Path, verb: str) -> None:
+    """Raise InputError where alembic3d is not installed; `verb` is "read" or "write"."""
+    if importlib.util.find_spec("alembic3d") is None:
+        raise InputError(
+            f"{path}: expected alembic3d to {verb} Alembic, found it not installed; pip install 'mimesh[alembic]'"
+        )
 
 
 def open_archive(path: Path) -> Any:

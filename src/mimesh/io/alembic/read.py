@@ -1,4 +1,4 @@
-"""Read all visible meshes of an Alembic archive as one Mesh or Clip in world coordinates."""
+"""Read all visible meshes of an Alembic archive as one mesh or stream of frames in world coordinates."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...core.errors import InputError
-from ...core.frame_buffer import Progress, store_frames
-from ...core.mesh import Clip, Material, Mesh, Part
+from ...core.mesh import Material, Mesh, Part
+from ..guarded import ClipStream
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import DEFAULT_FPS, frame_count, sample_rate, usual_rate
-from .archive import open_archive, reading
+from .archive import open_archive
 from .polygon_mesh import PolygonMesh, keeps_topology, read_polygons
 from .scene import MeshObject, find_meshes
 from .write import AlembicSource
 
 
-def read_alembic(path: Path) -> Mesh:
+def read_mesh(path: Path) -> Mesh:
     """Read the first frame of all visible meshes of an Alembic archive as one mesh, joined in hierarchy order.
 
     Coordinates are the world's, in the file's unit. Face sets become parts with a material of the same name, since most
@@ -29,27 +29,24 @@ def read_alembic(path: Path) -> Mesh:
     Raises:
         InputError: alembic3d is missing; the archive is stored as HDF5, damaged, or without visible meshes.
     """
-    with reading(path):
-        abc_meshes, others = _open_meshes(path)
-        return _join(abc_meshes, _start_time(abc_meshes), others, path)
+    abc_meshes, others = _open_meshes(path)
+    return _join(abc_meshes, _start_time(abc_meshes), others, path)
 
 
-def read_alembic_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """Read the visible meshes of an Alembic archive as a clip; frame 0 is at the first sample.
+def read_clip(path: Path, fps: float | None = None) -> ClipStream:
+    """Read the visible meshes of an Alembic archive as a clip of frames that are computed one by one.
 
-    Without `fps`, the frames are the archive's samples where these are evenly spaced. Otherwise frames are sampled at
-    `fps`: points are interpolated linearly between two samples, transforms by `scene.MeshObject.world`.
+    Frame 0 is at the first sample. Without `fps`, the frames are the archive's samples where these are evenly spaced.
+    Otherwise frames are sampled at `fps`: points are interpolated linearly between two samples, transforms by
+    `scene.MeshObject.world`.
 
     Raises:
-        InputError: as `read_alembic`, or the topology changes over time.
+        InputError: as `read_mesh`; from the frames, too, where the topology changes over time.
     """
-    with reading(path):
-        abc_meshes, others = _open_meshes(path)
-        start = _start_time(abc_meshes)
-        mesh = _join(abc_meshes, start, others, path)
-        times, rate = frame_times(abc_meshes, fps)
-        frames = _frames(abc_meshes, _vertex_counts(abc_meshes), times, path)
-        return Clip(mesh, store_frames(frames, len(times), len(mesh.vertices), progress=progress), rate)
+    abc_meshes, others = _open_meshes(path)
+    mesh = _join(abc_meshes, _start_time(abc_meshes), others, path)
+    times, rate = frame_times(abc_meshes, fps)
+    return ClipStream(mesh, _frames(abc_meshes, _vertex_counts(abc_meshes), times, path), len(times), rate)
 
 
 def frame_times(abc_meshes: list[MeshObject], fps: float | None) -> tuple[Float[np.ndarray, " T"], float]:

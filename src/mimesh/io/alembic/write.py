@@ -17,6 +17,7 @@ from ...core.frame_buffer import Progress, each_frame
 from ...core.geometry import normal_turner
 from ...core.mesh import Clip, Material, Mesh
 from ..atomic import whole_file
+from ..guarded import Values
 from ..polygons import polygon_corners, polygon_sizes, reversed_corners
 from ..usd import stage_axes
 from .archive import library
@@ -43,6 +44,15 @@ class AlembicSource:
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write a mesh as a new archive with the object name of the old one."""
         write_alembic(mesh, path)
+
+    def values(self) -> Values:
+        """Return all fields as arrays and JSON values, for another process."""
+        return {"sizes": self.sizes, "notes": self.notes, "name": self.name}
+
+    @classmethod
+    def from_values(cls, values: Values) -> AlembicSource:
+        """Make a source of what `values` returns."""
+        return cls(values["sizes"], tuple(values["notes"]), values["name"])
 
 
 def write_alembic(mesh: Mesh, path: Path) -> None:

@@ -1,10 +1,11 @@
 """Read and write USD (.usd, .usda, .usdc, .usdz) with the library usd-core (the extra `usd`).
 
-stage -> skinning, appearance -> read    read a stage as a Mesh or a Clip
-         source, package                 write the file that was read again, with other points
+child                                    what runs in a child process: all that opens a file of others
+stage -> skinning, appearance -> read    read a stage as a Mesh or a stream of frames
+         source, package, rewrite        write the file that was read again, with other points
          write, write_material           write a new file for any Mesh or Clip
 
-The library is imported only when a USD file is read or written.
+The library is imported only in the child, and when a new file is written.
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ from ...core.errors import InputError
 from ...core.frame_buffer import Progress
 from ...core.mesh import Clip, Mesh
 from ..atomic import whole_file
+from ..child_process import USE_PREAD
+from ..guarded import guarded_clip, guarded_mesh
+from .source import UsdSource, layer_bytes
 
 
 def read_usd(path: Path) -> Mesh:
@@ -28,10 +32,7 @@ def read_usd(path: Path) -> Mesh:
         InputError: usd-core is not installed, the file is damaged, or it shows no meshes.
     """
     _need_library(path, "read")
-    from .read import read_mesh
-
-    with _reading(path):
-        return read_mesh(path)
+    return guarded_mesh("mimesh.io.usd.child:read_mesh", path, UsdSource.from_values, layer_bytes(path))
 
 
 def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
@@ -41,23 +42,18 @@ def read_usd_clip(path: Path, fps: float | None = None, progress: Progress | Non
         InputError: as `read_usd`, or faces that change over time.
     """
     _need_library(path, "read")
-    from .read import read_clip
-
-    with _reading(path):
-        return read_clip(path, fps, progress)
+    reader = "mimesh.io.usd.child:read_clip"
+    return guarded_clip(reader, path, UsdSource.from_values, layer_bytes(path), fps, progress)
 
 
 def write_usd(mesh: Mesh, path: Path) -> None:
     """Write a mesh as USD: its own file with other points if that was USD, else a new file (see `write.write_new`)."""
     _need_library(path, "write")
-    from .source import UsdSource
-    from .write import write_new
-
-    with whole_file(path) as temporary, _writing(path):
-        if isinstance(mesh.source, UsdSource):
+    if isinstance(mesh.source, UsdSource):
+        with whole_file(path) as temporary:
             mesh.source.write(mesh, temporary)
-        else:
-            write_new(Clip.still(mesh), temporary, path)
+    else:
+        write_usd_clip(Clip.still(mesh), path)
 
 
 def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> None:
@@ -65,7 +61,7 @@ def write_usd_clip(clip: Clip, path: Path, progress: Progress | None = None) -> 
     _need_library(path, "write")
     from .write import write_new
 
-    with whole_file(path) as temporary, _writing(path):
+    with whole_file(path) as temporary, saving(path):
         write_new(clip, temporary, path, progress)
 
 
@@ -79,32 +75,13 @@ def stage_axes(mesh: Mesh) -> tuple[bool, float]:
 
 def _need_library(path: Path, verb: str) -> None:
     """Raise InputError where usd-core is not installed; `verb` is "read" or "write"."""
-    # By default the library memory-maps binary files, and pages that were read of a long clip stay in memory.
-    os.environ.setdefault("USDC_USE_PREAD", "1")
+    os.environ.setdefault(*USE_PREAD)
     if importlib.util.find_spec("pxr") is None:
         raise InputError(f"{path}: expected usd-core to {verb} USD, found it not installed; pip install 'mimesh[usd]'")
 
 
 @contextlib.contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    """Turn errors of the library into an InputError of one line.
-
-    USD reads values lazily, so an error may come long after the stage was opened: the whole read runs in this block.
-    """
-    from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
-
-    try:
-        yield
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected a USD stage, found a name that is no UTF-8; export it again") from error
-    except Tf.ErrorException as error:
-        lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-        found = lines[0].rpartition(" : ")[2] if lines else "nothing"
-        raise InputError(f"{path}: expected a USD stage, found {found}; export it again") from error
-
-
-@contextlib.contextmanager
-def _writing(path: Path) -> Iterator[None]:
+def saving(path: Path) -> Iterator[None]:
     """Turn a failed save into an InputError of one line; the library does not report the cause."""
     from pxr import Tf  # pyright: ignore[reportAttributeAccessIssue]
 

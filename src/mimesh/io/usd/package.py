@@ -6,9 +6,11 @@ them into memory. Its first file is the root layer.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import struct
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 
 from ...core.errors import InputError
@@ -19,19 +21,43 @@ LARGEST = 2**31 - 1
 """Bytes in one package; larger archives need the zip64 extension, which the USDZ specification excludes."""
 
 
+def check_package(path: Path) -> None:
+    """Check the checksums of the files in a package, which the library does not; other files pass.
+
+    Raises:
+        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
+    """
+    if path.suffix.lower() != ".usdz":
+        return
+    with _open(path) as package:
+        broken = package.testzip()
+    if broken is not None:
+        raise InputError(
+            f"{path}: expected the checksum of {broken[:80]!r} in it, found another; "
+            "the file is damaged, export it again"
+        )
+
+
 def unpack(path: Path, folder: Path) -> list[str]:
     """Extract a package into a folder and return the names of its files in order, the root layer first.
 
     Raises:
-        InputError: the file is no zip archive, or its files are compressed.
+        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
     """
+    with _open(path) as package:
+        package.extractall(folder)
+        return [entry.filename for entry in package.infolist() if not entry.is_dir()]
+
+
+@contextlib.contextmanager
+def _open(path: Path) -> Iterator[zipfile.ZipFile]:
+    """Open a package; what zipfile raises for a damaged one, here or in the block, becomes an InputError."""
     try:
         with zipfile.ZipFile(path) as package:
             if any(entry.compress_type != zipfile.ZIP_STORED for entry in package.infolist()):
                 raise zipfile.BadZipFile("compressed files in it")
-            package.extractall(folder)
-            return [entry.filename for entry in package.infolist() if not entry.is_dir()]
-    except zipfile.BadZipFile as error:
+            yield package
+    except (zipfile.BadZipFile, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise InputError(f"{path}: expected a .usdz package, found {error}; export it again") from error
 
 

@@ -1,4 +1,4 @@
-"""Read a USD stage as one Mesh or Clip in world coordinates, recording which vertices came from which prim."""
+"""Read a USD stage as a mesh or stream of frames in world coordinates, recording which prim each vertex came from."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from jaxtyping import Float, Int
 from pxr import Sdf, Usd, UsdGeom
 
 from ...core.errors import InputError
-from ...core.frame_buffer import Progress, store_frames
 from ...core.geometry import turn_normals, unit_vectors
-from ...core.mesh import Clip, Material, Mesh, Part
+from ...core.mesh import Material, Mesh, Part
+from ..guarded import ClipStream
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
 from .appearance import (
@@ -28,8 +28,9 @@ from .appearance import (
     read_material,
     uv_primvar_name,
 )
+from .rewrite import writing_notes
 from .skinning import MeshPrim, find_skinning, transform_points
-from .source import PrimRange, UsdSource, writing_notes
+from .source import PrimRange, UsdSource
 from .stage import DEFAULT_TIME, has_default_values, open_stage, shown_meshes, time_code_range
 
 # usd-core ships no types.
@@ -68,8 +69,8 @@ def read_mesh(path: Path) -> Mesh:
     return _join_prims(stage, mesh_prims, path)
 
 
-def read_clip(path: Path, fps: float | None = None, progress: Progress | None = None) -> Clip:
-    """Read the meshes of a stage as a clip from the first time code to the last, one frame per time code.
+def read_clip(path: Path, fps: float | None = None) -> ClipStream:
+    """Read the meshes of a stage as a clip, one frame per time code from the first to the last, computed one by one.
 
     With `fps`, frame k is k / fps seconds after the first time code instead; USD interpolates between samples. A stage
     in which nothing moves is one frame. Prims and coordinates as in `read_mesh`.
@@ -82,23 +83,30 @@ def read_clip(path: Path, fps: float | None = None, progress: Progress | None = 
     mesh = _join_prims(stage, mesh_prims, path)
     start, stop = time_code_range(stage, _samples(mesh_prims), path)
     codes = stage.GetTimeCodesPerSecond()
-    if not codes > 0 or (stop - start) / codes > LONGEST:
+    if not codes > 0:
+        raise InputError(f"{path}: expected some time codes a second, found {codes:g}; set timeCodesPerSecond to 24")
+    if (stop - start) / codes > LONGEST:
         raise InputError(
             f"{path}: expected at most {LONGEST:g} s, found time codes {start:g} to {stop:g} at {codes:g} a second; "
             "export a shorter range"
         )
     count, step = frame_count((stop - start) / codes, fps or codes), codes / (fps or codes)
     time_codes = [start + k * step for k in range(count)]
-    vertices = store_frames(_frames(mesh_prims, time_codes, path), count, len(mesh.vertices), progress=progress)
-    return Clip(mesh.with_vertices(np.array(vertices[0])), vertices, fps or codes)
+    frames = _frames(stage, mesh_prims, time_codes, path)
+    first = next(frames)
+    return ClipStream(mesh.with_vertices(first), itertools.chain([first], frames), count, fps or codes)
 
 
 def _samples(mesh_prims: list[MeshPrim]) -> list[float]:
     return [time for mesh_prim in mesh_prims for time in mesh_prim.sample_times()]
 
 
-def _frames(mesh_prims: list[MeshPrim], time_codes: list[float], path: Path) -> Iterator[Float[np.ndarray, "V 3"]]:
+def _frames(
+    stage: Usd.Stage, mesh_prims: list[MeshPrim], time_codes: list[float], path: Path
+) -> Iterator[Float[np.ndarray, "V 3"]]:
     """Yield the joined world positions of all prims at each time code; prims that do not move are evaluated once.
+
+    The stage is an argument because its prims are gone when nothing refers to it any more.
 
     Raises:
         InputError: the topology of a prim differs from that of the first frame.
