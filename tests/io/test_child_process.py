@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import textwrap
 import time
@@ -9,7 +10,7 @@ import time
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.io.child_process import MIB, Limits, child_result
+from mimesh.io.child_process import LONGEST_MESSAGE, MIB, Limits, child_result, watched
 
 LIMITS = Limits(1024 * MIB, 4 * MIB, 20, 30.0)
 DECODERS = """
@@ -58,6 +59,22 @@ def refuse(source, target):
 def fail(source, target):
     raise KeyError("two\\nlines")
 
+def count(source, target, progress, seconds):
+    for number in range(1, 4):
+        end = time.process_time() + seconds
+        while time.process_time() < end:
+            pass
+        progress(number, 3)
+    target.write_bytes(b"done")
+
+def babble(source, target):
+    raise InputError(f"{source}: expected bread, found {'stone' * 10**6}; bake it\\nagain")
+
+def beat(source, target):
+    while True:
+        (source.parent / "beat").write_text(str(os.getpid()))
+        time.sleep(0.01)
+
 def environment(source, target):
     target.write_text(json.dumps([dict(os.environ), sys.stdin.read()]))
 """
@@ -70,9 +87,9 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
     (tmp_path / "a.xyz").write_bytes(b"ab")
 
-    def call(name, limits=LIMITS, **arguments):
+    def call(name, limits=LIMITS, progress=None, **arguments):
         path = tmp_path / "a.xyz"
-        with child_result(f"test_decoders:{name}", path, path, limits, **arguments) as result:
+        with child_result(f"test_decoders:{name}", path, path, limits, progress, **arguments) as result:
             return result.read_bytes()
 
     return call
@@ -148,8 +165,6 @@ def test_child_gets_neither_environment_nor_input(run, monkeypatch):
 
 @pytest.mark.skipif(not os.path.isdir("/proc"), reason="a system without /proc")
 def test_interrupted_caller_leaves_no_child(run, monkeypatch):
-    import subprocess
-
     started = []
 
     class Interrupted(subprocess.Popen):
@@ -163,3 +178,75 @@ def test_interrupted_caller_leaves_no_child(run, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         run("sleep")
     assert not os.path.isdir(f"/proc/{started[0]}")
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGXCPU"), reason="a system without limits on processor time")
+def test_each_report_starts_the_limit_of_time_again(run):
+    calls = []
+    limits = Limits(LIMITS.memory, LIMITS.output, 2, 60.0)
+    assert run("count", limits, lambda done, total: calls.append((done, total)), seconds=1.5) == b"done"
+    assert calls[-1] == (3, 3)
+    assert "does not end" in message_of(run, "count", limits, lambda done, total: None, seconds=20)
+
+
+def test_long_message_keeps_its_end_and_the_name_of_the_file(run, tmp_path):
+    message = message_of(run, "babble")
+    assert message.startswith(f"{tmp_path / 'a.xyz'}: expected bread")
+    assert message.endswith("bake it again")
+    assert len(message) < 2 * LONGEST_MESSAGE
+
+
+class Unwanted(Exception):
+    pass
+
+
+def is_running(number):
+    try:
+        os.kill(number, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes are tested for with a signal")
+def test_child_that_is_no_longer_wanted_ends_at_once(run, tmp_path):
+    asked = []
+
+    def check():
+        if (tmp_path / "beat").exists():
+            asked.append(time.monotonic())
+            raise Unwanted
+
+    with pytest.raises(Unwanted), watched(check):
+        run("beat")
+    assert time.monotonic() - asked[0] < 2
+    assert not is_running(int((tmp_path / "beat").read_text()))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
+def test_child_of_a_killed_parent_ends(run, tmp_path):
+    program = f"""
+import sys
+from pathlib import Path
+from mimesh.io.child_process import child_result
+sys.path.insert(0, {str(tmp_path)!r})
+path = Path({str(tmp_path / "a.xyz")!r})
+with child_result("test_decoders:beat", path, path):
+    pass
+"""
+    environment = os.environ | {"TMPDIR": str(tmp_path)}
+    parent = subprocess.Popen([sys.executable, "-c", program], env=environment)
+    try:
+        wait_for(lambda: (tmp_path / "beat").exists() and (tmp_path / "beat").read_text())
+    finally:
+        parent.kill()
+        parent.wait()
+    child = int((tmp_path / "beat").read_text() or 0)
+    wait_for(lambda: not is_running(child))
+
+
+def wait_for(condition, seconds=30.0):
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.02)

@@ -1,8 +1,10 @@
 """Sessions without a server: results equal those of `mimesh`, the newest request counts, and jobs can be stopped."""
 
 import dataclasses
+import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -210,6 +212,61 @@ def test_results_are_computed_after_stopping(session, files):
     wait_until(lambda: only_item(session).outcome.stopped or only_item(session).outcome.current)
     session.set_options({"root": "scale"})
     assert finished_outcome(session).current
+
+
+MOVING = """#usda 1.0
+(
+ startTimeCode = 0
+ endTimeCode = 86000
+)
+def Mesh "m" {
+ point3f[] points = [(0, 0, 0), (1, 0, 0), (0, 1, 0)]
+ point3f[] points.timeSamples = { 0: [(0, 0, 0), (1, 0, 0), (0, 1, 0)], 9: [(0, 0, 0), (1, 0, 0), (0, 2, 0)] }
+ int[] faceVertexCounts = [3]
+ int[] faceVertexIndices = [0, 1, 2]
+}
+"""
+"""An hour of a triangle, which takes seconds to read."""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the children of a thread are listed by Linux only")
+@pytest.mark.parametrize("end", ["remove", "close"])
+def test_reading_in_a_child_is_stopped_at_once(end, session, tmp_path):
+    pytest.importorskip("pxr")
+
+    def children():
+        threads = Path("/proc/self/task").iterdir()
+        return [number for thread in threads for number in (thread / "children").read_text().split()]
+
+    (tmp_path / "long.usda").write_text(MOVING)
+    before = set(children())
+    number = session.set_driving(tmp_path / "long.usda", "long.usda")
+    wait_until(lambda: set(children()) - before)
+    start = time.monotonic()
+    if end == "remove":
+        session.remove(number)
+    else:
+        session.close()
+    wait_until(lambda: not set(children()) - before, 2.0)
+    assert time.monotonic() - start < 2.0
+    assert session.driving is None or session.driving.content is None
+
+
+def test_damaged_files_give_an_error_and_the_studio_goes_on(session, tmp_path):
+    pytest.importorskip("pxr")
+    for name, text in {
+        "name.usda": MOVING.replace('"m"', '"m\udcff"'),
+        "counts.usda": MOVING.replace("Counts = [3]", "Counts = [2147483645]"),
+        "rate.usda": MOVING.replace("(\n", "(\n timeCodesPerSecond = 0\n", 1),
+    }.items():
+        (tmp_path / name).write_bytes(text.encode(errors="surrogateescape"))
+        session.set_driving(tmp_path / name, name)
+        wait_until(lambda: session.driving.error, 60)
+        assert session.driving.error.count("\n") == 0
+        assert "This is a bug" not in session.driving.error
+        assert name in session.driving.error
+    session.use_demo("driving", "dancer", "jump")
+    wait_until(lambda: session.driving.content is not None, 60)
 
 
 def test_skinned_exports_need_a_model_with_joints(session, files):

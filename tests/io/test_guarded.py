@@ -1,0 +1,160 @@
+"""Meshes and clips come out of a child process as it made them, frame by frame, and leave no temporary files."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import subprocess
+import sys
+import tempfile
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from zoo import grid
+
+from mimesh.core.errors import InputError
+from mimesh.core.frame_buffer import LARGE
+from mimesh.core.mesh import Material, Part
+from mimesh.io import load_clip, load_mesh, save_mesh
+from mimesh.io.guarded import guarded_clip, hand_over_mesh, take_mesh
+
+READERS = """
+import os, resource, time
+import numpy as np
+from mimesh.core.mesh import Mesh
+from mimesh.io.guarded import ClipStream, hand_over_clip
+
+def peak():
+    return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+def long_clip(source, target, confined_to, fps, progress):
+    count, vertices = map(int, source.read_text().split())
+    mesh = Mesh(np.random.default_rng(0).normal(size=(vertices, 3)), np.array([[0, 1, 2]]))
+    before = peak()
+    frames = (mesh.vertices + number for number in range(count))
+    values = {}
+    hand_over_clip(target, ClipStream(mesh, frames, count, 25.0), values, progress)
+    (source.parent / "growth").write_text(str(peak() - before))
+
+def crash(source, target, confined_to, fps, progress):
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]))
+
+    def frames():
+        yield mesh.vertices
+        os.abort()
+
+    hand_over_clip(target, ClipStream(mesh, frames(), 9, 25.0), {}, progress)
+"""
+
+
+@dataclasses.dataclass(frozen=True)
+class NoSource:
+    """Stands for the source of a mesh; its values are not needed."""
+
+    suffix: str = ".xyz"
+
+    def write(self, mesh, path) -> None:
+        raise AssertionError
+
+
+@pytest.fixture
+def read(tmp_path, monkeypatch):
+    """Read a clip of some frames and vertices with one of READERS; temporary files are made in the folder `tmp`."""
+    (tmp_path / "test_readers.py").write_text(textwrap.dedent(READERS))
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(sys, "path", [str(tmp_path), *sys.path])
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+
+    def call(name, count, vertices, progress=None):
+        path = tmp_path / "a.xyz"
+        path.write_text(f"{count} {vertices}")
+        return guarded_clip(f"test_readers:{name}", path, lambda values: NoSource(), 10, None, progress)
+
+    return call
+
+
+def test_every_field_of_a_mesh_is_handed_over(tmp_path):
+    rng, mesh = np.random.default_rng(0), grid(3)
+    wool, silk = Material("wool, Größe 大", (0.1, 0.2, 0.3, 0.4), b"\x89PNG\n\0 image"), Material("silk")
+    parts = (Part("a", 0, 2, wool), Part("b", 2, 5), Part("c", 5, 7, silk), Part("d", 7, 8, wool))
+    mesh = dataclasses.replace(
+        mesh,
+        name="two\nlines",
+        corner_uv=rng.normal(size=(8, 3, 2)),
+        corner_normals=rng.normal(size=(8, 3, 3)),
+        vertex_colors=rng.uniform(size=(9, 4)),
+        parts=parts,
+        up="+z",
+    )
+    values = {"numbers": np.arange(5), "text": "y", "empty": np.zeros((0, 3))}
+    hand_over_mesh(tmp_path / "mesh", mesh, values)
+    taken, others = take_mesh(tmp_path / "mesh")
+    for field in dataclasses.fields(mesh):
+        before, after = getattr(mesh, field.name), getattr(taken, field.name)
+        if isinstance(before, np.ndarray):
+            np.testing.assert_array_equal(after, before)
+            assert after.dtype == before.dtype
+        else:
+            assert after == before
+    assert others.keys() == values.keys()
+    assert others["empty"].shape == (0, 3)
+    bare = grid(3)
+    hand_over_mesh(tmp_path / "bare", bare, {})
+    assert take_mesh(tmp_path / "bare")[0].corner_uv is None
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory is measured as Linux counts it")
+def test_long_clips_are_read_frame_by_frame(read, tmp_path):
+    calls = []
+    count, vertices = 300, 20_000
+    clip = read("long_clip", count, vertices, lambda done, total: calls.append((done, total)))
+    assert clip.vertices.nbytes > 2 * LARGE
+    assert int((tmp_path / "growth").read_text()) < 16 * 2**20
+    assert isinstance(clip.vertices, np.memmap)
+    assert not list((tmp_path / "tmp").iterdir())  # the mapped file has no name any more
+    np.testing.assert_allclose(clip.vertices[count - 1] - clip.vertices[0], count - 1)
+    assert clip.fps == 25.0
+    assert calls == sorted(set(calls))
+    assert calls[-1] == (count, count)
+
+
+def test_crash_between_frames_is_one_line(read, tmp_path):
+    with pytest.raises(InputError, match=r"a\.xyz: expected a file that can be read, found that its decoder crashed"):
+        read("crash", 9, 3)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+def test_too_small_disk_is_named(read, tmp_path):
+    with pytest.raises(InputError, match=r"expected room for .* MiB of frames, found .*; free some") as caught:
+        read("long_clip", 10**6, 10**6)
+    assert "mimesh-" not in str(caught.value)
+    assert not list((tmp_path / "tmp").iterdir())
+
+
+@pytest.mark.parametrize(("suffix", "library"), [(".usda", "pxr"), (".abc", "alembic3d")])
+def test_the_library_is_not_loaded_by_the_reading_process(suffix, library, tmp_path):
+    pytest.importorskip(library)
+    save_mesh(grid(), tmp_path / f"a{suffix}")
+    program = f"""
+import sys
+from mimesh.io import load_mesh, save_mesh
+save_mesh(load_mesh({str(tmp_path / f"a{suffix}")!r}), {str(tmp_path / f"b{suffix}")!r})
+print({library!r} in sys.modules)
+"""
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ | {"PYTHONWARNINGS": ""})
+    # Own files of USD are written again in a child, new archives by this process.
+    assert done.stdout.strip() == str(suffix == ".abc")
+    assert len(load_mesh(tmp_path / f"b{suffix}").vertices) == 25
+
+
+def test_clip_outlives_its_file(tmp_path):
+    pytest.importorskip("pxr")
+    save_mesh(grid(), tmp_path / "a.usda")
+    clip = load_clip(tmp_path / "a.usda")
+    (tmp_path / "a.usda").unlink()
+    np.testing.assert_allclose(clip.vertices[0], grid().vertices, atol=1e-7)
+    with pytest.raises(InputError, match="expected the file that was read, found none"):
+        save_mesh(clip.mesh, Path(tmp_path / "b.usda"))
