@@ -87,8 +87,12 @@ RULES = """## What to expect
   them. The clips have 60 frames per second unless `--fps` says otherwise.
 * **Compressed glTF** (Draco, meshopt) is read, and written without compression. Basis textures are refused with an
   error that names them, unless the file can be read without.
-* **Damaged files.** The libraries for FBX, Draco and meshopt run in a child process with limits on memory and time
-  (on Linux; elsewhere on time alone): what crashes them or never ends gives an error of one line.
+* **Damaged files.** USD, Alembic, FBX, Draco and meshopt are read by native libraries. These run in a child process
+  with limits on memory, time and the size of what they give (on Linux; elsewhere on time alone), for every file and
+  every command: what crashes them, never ends or asks for all memory gives an error of one line. An identity's own USD
+  file is written again in such a process, too. A child takes some tenths of a second, for each file: convert a long
+  folder of .usd or .abc frames once, to one file. Checksums of .usdz, .npz and .zip are checked. HDF5 (h5py) and
+  images are read without a child, all other formats by Python and NumPy. A child is no sandbox: it has your rights.
 * **Extras.** FBX: `pip install 'mimesh[fbx]'`. Draco and meshopt: `'mimesh[compressed]'`. USD: `'mimesh[usd]'`.
   Alembic: `'mimesh[alembic]'`. HDF5: `'mimesh[hdf5]'`. MP4: `'mimesh[video]'`.
 * **Long clips** are converted frame by frame, from disk to disk. `--blendshapes K` writes a .glb with K morph targets
