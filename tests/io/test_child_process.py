@@ -70,10 +70,10 @@ def count(source, target, progress, seconds):
 def babble(source, target):
     raise InputError(f"{source}: expected bread, found {'stone' * 10**6}; bake it\\nagain")
 
-def beat(source, target):
-    while True:
-        (source.parent / "beat").write_text(str(os.getpid()))
-        time.sleep(0.01)
+def wait(source, target):
+    (source.parent / "writing").write_text(str(os.getpid()))
+    (source.parent / "writing").rename(source.parent / "number")
+    time.sleep(600)
 
 def environment(source, target):
     target.write_text(json.dumps([dict(os.environ), sys.stdin.read()]))
@@ -213,14 +213,14 @@ def test_child_that_is_no_longer_wanted_ends_at_once(run, tmp_path):
     asked = []
 
     def check():
-        if (tmp_path / "beat").exists():
+        if (tmp_path / "number").exists():
             asked.append(time.monotonic())
             raise Unwanted
 
     with pytest.raises(Unwanted), watched(check):
-        run("beat")
+        run("wait")
     assert time.monotonic() - asked[0] < 2
-    assert not is_running(int((tmp_path / "beat").read_text()))
+    assert not is_running(int((tmp_path / "number").read_text()))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux ends a child with its parent")
@@ -231,17 +231,17 @@ from pathlib import Path
 from mimesh.io.child_process import child_result
 sys.path.insert(0, {str(tmp_path)!r})
 path = Path({str(tmp_path / "a.xyz")!r})
-with child_result("test_decoders:beat", path, path):
+with child_result("test_decoders:wait", path, path):
     pass
 """
     environment = os.environ | {"TMPDIR": str(tmp_path)}
     parent = subprocess.Popen([sys.executable, "-c", program], env=environment)
     try:
-        wait_for(lambda: (tmp_path / "beat").exists() and (tmp_path / "beat").read_text())
+        wait_for((tmp_path / "number").exists)
     finally:
         parent.kill()
         parent.wait()
-    child = int((tmp_path / "beat").read_text() or 0)
+    child = int((tmp_path / "number").read_text())
     wait_for(lambda: not is_running(child))
 
 

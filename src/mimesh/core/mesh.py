@@ -23,7 +23,10 @@ from .person_motion import JointSource
 class Source(Protocol):
     """The file that a mesh was read from, kept so that it can be written again with only the points changed."""
 
-    suffix: str
+    @property
+    def suffix(self) -> str:
+        """Suffix of the file's format, with its dot, in lower case."""
+        ...
 
     def write(self, mesh: Mesh, path: Path) -> None:
         """Write the original file to `path` with the positions (and normals) of `mesh`, otherwise unchanged."""

@@ -113,7 +113,7 @@ def hand_over_clip(target: Path, stream: ClipStream, values: Values, progress: P
     with target.with_name(FRAMES_FILE).open("wb") as file:
         reserve_space(file.fileno(), stream.count * stream.mesh.vertices.size * 8)
         for done, vertices in enumerate(stream.frames, 1):
-            file.write(np.ascontiguousarray(vertices, np.float64))
+            file.write(vertices.astype(np.float64).tobytes())
             progress(done, stream.count)
     hand_over_mesh(target, stream.mesh, {"count": stream.count, "fps": stream.fps, **values})
 
