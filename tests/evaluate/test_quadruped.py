@@ -1,13 +1,17 @@
 """Protocol quadruped: exact truths, poses and shapes by split and number."""
 
+import json
+
 import numpy as np
 import pytest
 from animals import BODY
 
 from mimesh.bodies.body_model import LANDMARKS
+from mimesh.cli import run
 from mimesh.evaluate.measure import measure
 from mimesh.evaluate.quadruped import QUADRUPED
 from mimesh.evaluate.run import find_protocol
+from mimesh.evaluate.summary import summary
 
 KINDS = QUADRUPED.kinds
 
@@ -81,3 +85,23 @@ def test_the_protocol_is_found_by_name_and_deformation_transfer_solves_it():
     assert protocol is QUADRUPED
     pair = protocol.pair("val", "gaits", 0)
     assert measure(pair, "deformation-transfer-13")["pmd_e4"] < 0.5 * measure(pair, "identity")["pmd_e4"]
+
+
+def test_mime_on_animals_is_described_by_the_network_that_it_opens():
+    nothing_measured = [{"why": "left out"}]
+    row = summary("mime", "gaits", nothing_measured, QUADRUPED.body)
+    assert row["given"] == "trained on our quadruped, which it fits"
+    assert "animals" in row["trained"]
+    assert summary("mime", "limits", nothing_measured)["given"] == "trained on our body, which it fits"
+    assert summary("npt", "gaits", nothing_measured, QUADRUPED.body)["given"] == "trained on our body"
+
+
+@pytest.mark.slow
+def test_the_command_says_that_mime_was_trained_on_the_quadruped(tmp_path, capsys):
+    """`mime` opens the network of animals for them, so its training is that one's."""
+    report = tmp_path / "report.json"
+    assert run(["evaluate", "quadruped", "-m", "mime", "--split", "val", "--pairs", "1", "-o", str(report)]) == 0
+    assert "our body" not in capsys.readouterr().out
+    for row in json.loads(report.read_text())["results"]:
+        assert row["given"] == "trained on our quadruped, which it fits"
+        assert "animals" in row["trained"]

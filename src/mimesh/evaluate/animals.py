@@ -10,6 +10,7 @@ import dataclasses
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -34,6 +35,7 @@ SHARED = 0.6
 class Animals(Protocol):
     """Pairs of the animals of a folder: each in turn is the identity."""
 
+    body: ClassVar[str] = "quadruped"
     data: Path = Path()
     """A pool with an index, of which a split is taken, or a folder of rigged files, all of which are taken."""
 

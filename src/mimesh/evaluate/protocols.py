@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -37,6 +37,8 @@ SPLITS: tuple[str, ...] = get_args(Split)
 class Protocol:
     """A test set: pair `i` of a split and kind is a pure function of the name, the version and `i`."""
 
+    body: ClassVar[str] = "human"
+    """Shipped body whose joints its meshes have."""
     name: str
     version: int
     kinds: tuple[str, ...]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -32,6 +32,7 @@ def split_poses(split: Literal["train", "val", "test"]) -> np.ndarray:
 class Quadruped(Protocol):
     """Identities standing or with a lowered head, or in an everyday pose; driving animals in poses of the kind."""
 
+    body: ClassVar[str] = "quadruped"
     heading: float = 45.0
     """Largest angle (degrees) by which driving animals are turned about the vertical, to either side."""
 

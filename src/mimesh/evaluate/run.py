@@ -119,7 +119,7 @@ def evaluate_command(
                 if progress is not None:
                     progress(done, total)
             label = f"{kind}, mirrored" if mirror else kind
-            rows.append({**summary(method, label, figures), "weights": weights})
+            rows.append({**summary(method, label, figures, chosen.body), "weights": weights})
             if label not in sets:  # every method gets the same pairs
                 sets[label] = set_facts(chosen, split, kind, [metrics["pair"] for metrics in figures], mirror)
             if dump is not None:

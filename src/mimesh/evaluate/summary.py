@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from ..methods.find import NETWORK_OF_BODY
 from .measure import extra_inputs, training_facts
 
 DISTRIBUTIONS = {"pmd_e4": 4, "pmd_mse_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3, "fingertip_mm": 2}
@@ -30,12 +31,17 @@ UNCERTAINTY_BINS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, np.inf)
 """Borders of the uncertainty in the calibration table; above 1 the user is warned."""
 
 
-def summary(method: str, kind: str, figures: list[dict[str, Any]]) -> dict[str, Any]:
-    """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair."""
+def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
+    """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair.
+
+    Args:
+        body: shipped body that the test set shows; `mime` opens the network of that body.
+    """
+    described = NETWORK_OF_BODY[body] if method == NETWORK_OF_BODY["human"] else method
     measured = [metrics for metrics in figures if not {"why", "failed"} & metrics.keys()]
     # A method must not improve its mean by failing: failures are counted and shown.
     row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
-    row |= {"given": extra_inputs(method), **training_facts(method)}
+    row |= {"given": extra_inputs(described), **training_facts(described)}
     for count, reason in (("not_applicable", "why"), ("failures", "failed")):
         reasons = [metrics[reason] for metrics in figures if reason in metrics]
         if reasons:
