@@ -20,7 +20,7 @@ from ..core.errors import InputError
 from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, bbox_centre, radius
-from ..methods.base import Method
+from ..methods.base import Method, RigMethod
 from ..methods.find import find_method, weights_path
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
@@ -179,7 +179,8 @@ def run_on_pair(pair: Pair, method: str | Method, ensemble: int = 1, refine: boo
     if needs_true_size(network):
         clip = Clip.still(pair.driving)
         return Output(frames_at_true_size(network, pair.identity, clip, pair.truth[None])[0])
-    return Output.of(transfer(pair.identity, pair.driving, method, **AXES, ensemble=ensemble, refine=refine))
+    options = {"ensemble": ensemble, "refine": refine, **known_kind(network)}
+    return Output.of(transfer(pair.identity, pair.driving, method, **AXES, **options))
 
 
 def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str, Any]]:
@@ -200,6 +201,12 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, dict[str
     # The first 5 landmarks are the paper's 5 control points; markers that the driving mesh lacks are left out.
     markers = required_input(pair.markers, method)[: 5 if method.endswith("-5") else 13]
     return pair.driving, {"reference": reference, "markers": markers[markers[:, 1] >= 0]}
+
+
+def known_kind(network: Method) -> dict[str, str]:
+    """Return the option that says what the meshes are, for networks that would look at them for a note only."""
+    body = getattr(network, "body", None)
+    return {} if body is None or isinstance(network, RigMethod) else {"body": body}
 
 
 def needs_true_size(method: Method) -> bool:
@@ -330,7 +337,7 @@ def run_on_clip(trial: ClipPair, method: str, ensemble: int = 1, refine: bool = 
     if needs_true_size(network):
         return Output(frames_at_true_size(network, trial.identity, trial.clip, trial.truth_frames))
     # The truth has the driving's rotations, and its soles slide: a method is measured without planted feet.
-    options = {"ensemble": ensemble, "refine": refine, "ground": False}
+    options = {"ensemble": ensemble, "refine": refine, "ground": False, **known_kind(network)}
     return Output.of(animate(trial.identity, trial.clip, method, **AXES, **options))
 
 

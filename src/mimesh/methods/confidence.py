@@ -47,9 +47,22 @@ EXPECTED_ERROR = {
 `Confidence.features`. Fitted by `scripts/fit_confidence.py` (docs/LOG.md, "Confidence")."""
 MAX_ERROR = 0.0165
 """Largest expected error of a mesh without a note: about 2 % of good results have one (docs/LOG.md, "Confidence")."""
-NO_PERSON = 0.1
-"""Expected error (heights of the identity) from which on a whole mesh is not taken for a person at all. Chosen by eye:
-animals have 0.13 and more."""
+OTHER_KIND = {"constant": -8.33, "entropy": 3.84, "fit_distance": 2.92}
+"""Logarithm of the odds that a mesh shows something else than the body that was fitted to it, where both are as likely
+beforehand: constant, and coefficients of `Confidence.features`. Fitted by `scripts/measure_wrong_kind.py`, which also
+says why the spread of the predictions is not among them: those of figures of blocks face both ways."""
+MAX_OTHER_KIND = 0.9
+"""Largest of these of a person or an animal: of 65 meshes of people of the pool's split val one has more."""
+OTHER_KIND_ERROR = 0.15
+"""Smallest expected error (heights of the identity) of a mesh above that: what animals and things were given in the fit
+of EXPECTED_ERROR. Their true error is not defined."""
+DOUBTFUL_ERROR = 0.04
+"""Expected error (heights of the identity) from which on a note says that the mesh may be something else."""
+IF_IT_IS = (
+    "if it is a person or a four-legged animal, say which with --body, and how it stands with --up and --front (of the "
+    "driving: --driving-up, --driving-front); other things need rigs in both files, or --body other"
+)
+"""Advice for meshes that do not look like the body that was looked for."""
 SMALLEST_SHARE = 1e-3
 """Share of the surface that a limb has at least in ratios: keeps them finite."""
 
@@ -69,8 +82,6 @@ class Standards:
     """As EXPECTED_ERROR."""
     max_error: float
     """As MAX_ERROR."""
-    no_such_body: float
-    """As NO_PERSON."""
     folded: float = FOLDED
     """As FOLDED."""
 
@@ -80,7 +91,7 @@ class Standards:
         return QUADRUPED_STANDARDS if anatomy_of_joints(joints) is QUADRUPED else HUMAN_STANDARDS
 
 
-HUMAN_STANDARDS = Standards("a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR, NO_PERSON)
+HUMAN_STANDARDS = Standards("a person", HUMAN, MAX_ENTROPY, MIN_SHARE, EXPECTED_ERROR, MAX_ERROR)
 QUADRUPED_STANDARDS = Standards(
     kind="a four-legged animal",
     anatomy=QUADRUPED,
@@ -88,7 +99,6 @@ QUADRUPED_STANDARDS = Standards(
     min_share={"head": 0.04, **dict.fromkeys([limb for limb in QUADRUPED.regions if limb != "head"], 0.012)},
     expected_error=EXPECTED_ERROR,
     max_error=0.025,  # of 63 meshes of other makers the least of those whose limbs are found wrongly and look whole
-    no_such_body=NO_PERSON,
     folded=172.0,  # animals that lie fold their legs by up to 164
 )
 
@@ -146,6 +156,11 @@ class Confidence:
         return not (self.prediction_spread > MAX_SPREAD or self.weight_entropy > self.standards.max_entropy)
 
     @property
+    def whole(self) -> bool:
+        """Whether the mesh is recognised, and the fitted body looks like it."""
+        return self.recognised and not self.is_other_kind
+
+    @property
     def lacks_leg(self) -> bool:
         """Whether a leg was not found, so that there are no soles to be planted."""
         return any("leg" in limb for limb in self._incomplete())
@@ -156,11 +171,23 @@ class Confidence:
         return self.fit_distance is not None
 
     @property
+    def other_kind(self) -> float:
+        """Logarithm of the odds that the mesh is of another kind than the body that was looked for; needs a fit."""
+        features = self.features()
+        return OTHER_KIND["constant"] + sum(OTHER_KIND[name] * features[name] for name in ("entropy", "fit_distance"))
+
+    @property
+    def is_other_kind(self) -> bool:
+        """Whether the mesh does not look like a body of the kind that was looked for."""
+        return self.fitted and self.other_kind > MAX_OTHER_KIND
+
+    @property
     def expected_error(self) -> float:
         """Predict what this mesh adds to the mean error of a result, in heights of the identity; needs a fit."""
         coefficients = self.standards.expected_error
         logarithm = sum(coefficients[name] * value for name, value in self.features().items())
-        return float(np.exp(coefficients["constant"] + logarithm))
+        error = float(np.exp(coefficients["constant"] + logarithm))
+        return max(error, OTHER_KIND_ERROR) if self.is_other_kind else error
 
     @property
     def limb_fault(self) -> float:
@@ -199,6 +226,7 @@ class Confidence:
         facts |= {
             "confidence": round(1 / (1 + self.uncertainty**2), 3),
             "expected_error": round(self.expected_error, 4),
+            "other_kind": round(self.other_kind, 2),
             "fit_distance": round(self.fit_distance, 5),
             "fit_angle": round(self.fit_angle, 2),
             "flexion": round(self.flexion, 1),
@@ -210,15 +238,17 @@ class Confidence:
         if self.uncertainty <= 1:
             return ()
         reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
+        if self.is_other_kind:
+            return (f"{name} does not look like {self.standards.kind}, as far as can be told: {reasons}; {IF_IT_IS}",)
         large = self.fitted and self.expected_error > self.standards.max_error
         error = f" (about {self.expected_error:.0%} of the height)" if large else ""
-        if self.fitted and self.expected_error > self.standards.no_such_body and not self._incomplete():
-            return (
-                f"{name} does not look like {self.standards.kind}{error}: {reasons}; people and four-legged animals "
-                "are moved (--body chooses), other things with rigs in both files or --body other",
-            )
         feet = ", and feet are not planted" if self.lacks_leg else ""
-        return (f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}",)
+        other = large and self.expected_error > DOUBTFUL_ERROR
+        doubt = f". It may not be {self.standards.kind}: {IF_IT_IS}" if other else ""
+        note = (
+            f"{name}: limbs were not found with certainty: {reasons}; check the result for errors{error}{feet}{doubt}"
+        )
+        return (note,)
 
     def _reasons(self) -> list[str]:
         """List in words which figures are bad."""

@@ -19,17 +19,15 @@ from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..methods.base import BodyMethod, Method, RigMethod
 from ..methods.confidence import MAX_ENTROPY
-from ..methods.find import NETWORK_OF_BODY, find_method
+from ..methods.find import NETWORK_OF_BODY, SHIPPED_NETWORKS, TABLE_MODELS, find_method
 from .creatures import SURE, SURE_ACROSS, MatchedCreatures, match_creatures, sure_match
 from .matched_rigs import finds_joints, predicted_body
 from .orientation import normalised, predicted_orientation
 from .rigs import OTHER, Axes, Rigs
+from .second_look import KINDS, PLURAL, UpFront, different_kinds, second_look
 
 BODIES = ("auto", *NETWORK_OF_BODY, OTHER)
 """Choices of `--body`."""
-KINDS = {"human": "a person", "quadruped": "a four-legged animal"}
-PLURAL = {"human": "people", "quadruped": "four-legged animals"}
-"""What meshes with each body are called in messages."""
 MARGIN = 0.1
 """By how much the entropy of the skinning weights (nats) must be lower for an animal than for a person. Chosen on the
 splits train and val of the pool (docs/LOG.md): most files show people."""
@@ -79,17 +77,28 @@ def matched_creatures(
     if not finds_joints(finder) or None not in read(finder).bodies:
         return None
     mixed = any(body is not None for body in rigs.bodies)
-    if matched.match.confidence < (SURE_ACROSS if mixed else SURE):
+    least, advice = SURE_ACROSS if mixed else SURE, ""
+    if matched.match.confidence < least:
         shown = [
             {own} if own is not None else looks_like(finder, mesh, of_mesh)
             for own, mesh, of_mesh in zip(rigs.bodies, (identity, clip.mesh), (axes[:2], axes[2:]), strict=True)
         ]
         if shown[0] & shown[1]:  # the joints are found on the surface, and a note says why
             return None
-    return sure_match(matched, SURE_ACROSS if mixed else SURE)
+        advice = _surface_advice(shown, (identity.name, clip.mesh.name))
+    return sure_match(matched, least, advice)
 
 
-def looks_like(method: RigMethod, mesh: Mesh, axes: tuple[str | None, str | None]) -> set[str]:
+def _surface_advice(shown: list[set[str]], names: tuple[str, str]) -> str:
+    """Say how to move two meshes of which only one is known to be a person or an animal, if the other is one, too."""
+    for k in (0, 1):
+        if shown[k] and not shown[1 - k]:
+            body = min(shown[k])
+            return f"; if {names[1 - k]} is {KINDS[body]}, too, --rig mimesh --body {body} finds joints on the surfaces"
+    return ""
+
+
+def looks_like(method: RigMethod, mesh: Mesh, axes: UpFront) -> set[str]:
     """List the bodies that a mesh is recognised as."""
     if not isinstance(method, BodyMethod):
         return set()
@@ -97,7 +106,7 @@ def looks_like(method: RigMethod, mesh: Mesh, axes: tuple[str | None, str | None
     return {
         body
         for body, network in networks.items()
-        if isinstance(network, RigMethod) and predicted_body(network, mesh, axes)[2].recognised
+        if isinstance(network, RigMethod) and predicted_body(network, mesh, axes)[2].whole
     }
 
 
@@ -142,12 +151,11 @@ def with_body(
         person = int(shown[1].body == "human")
         shown[person] = show(person, known)  # it may be an animal in an orientation that was not tried
         if shown[person].body == "human" and shown[person].difference > min(DOUBT, shown[1 - person].difference):
-            raise InputError(
-                f"{meshes[0].name} is taken for {KINDS[shown[0].body]}, and {meshes[1].name} for "
-                f"{KINDS[shown[1].body]}: expected two of a kind; give another driving, or --body human or quadruped "
-                "if one of the two is taken for the wrong one"
-            )
-        if shown[person].body == "human":
+            found = [second_look(method, shown[k].body, meshes[k], given[k]) for k in (0, 1)]
+            if None in found or found[0] != found[1]:
+                raise InputError(different_kinds(found, meshes))
+            shown = [show(k, found[0]) for k in (0, 1)]
+        elif shown[person].body == "human":
             shown[person] = show(person, "quadruped")
     return method.of_body(shown[0].body), (shown[0].norm, shown[1].norm)
 
@@ -160,6 +168,8 @@ class Shown(NamedTuple):
     """Its normalisation as that."""
     difference: float
     """By how much the network of the other body is less decided (nats)."""
+    entropy: float = 0.0
+    """Mean entropy (nats) of the weights of the network of a person; 0 of known bodies."""
 
 
 def shown_body(
@@ -167,7 +177,7 @@ def shown_body(
     known: str | None,
     mesh: Mesh,
     norm: Normalization,
-    axes: tuple[str | None, str | None],
+    axes: UpFront,
     quick: bool,
 ) -> Shown:
     """Tell whose shape a mesh has, if that is not known.
@@ -180,14 +190,54 @@ def shown_body(
     person = method.of_body("human").quick_predict(normalised(mesh, norm))[0] if known is None else np.inf
     unsure = norm.detected and norm.up_from != "file" and axes[0] is None
     if quick and unsure and person < MAX_ENTROPY:
-        return Shown("human", norm, MAX_ENTROPY - person)
+        return Shown("human", norm, MAX_ENTROPY - person, person)
     lowest, _, turned = predicted_orientation(method.of_body("quadruped"), mesh, norm, axes)
     if known is None and lowest + MARGIN < person:  # a person may be recognised in another orientation, too
         person = predicted_orientation(method.of_body("human"), mesh, norm, axes)[0]
     difference = person - lowest - MARGIN
     if difference > 0:
-        return Shown("quadruped", _as_animal(turned, axes[0]), difference)
-    return Shown("human", norm, -difference)
+        return Shown("quadruped", _as_animal(turned, axes[0]), difference, person)
+    return Shown("human", norm, -difference, person)
+
+
+def trained_on_people(
+    method: Method, asked: str, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization], axes: Axes
+) -> tuple[str, ...]:
+    """Return notes on meshes that are no people, for networks without joints that were trained on people.
+
+    Networks of users are left out: what they were trained on is not known.
+
+    Args:
+        asked: what the user says that both meshes are; "auto" looks at them.
+    """
+    if asked != "auto" or isinstance(method, RigMethod) or getattr(method, "body", None) != "human":
+        return ()
+    if method.name not in (*SHIPPED_NETWORKS, *TABLE_MODELS):
+        return ()
+    notes = []
+    for mesh, norm, of_mesh in zip(meshes, norms, (axes[:2], axes[2:]), strict=True):
+        body = recognised_body(mesh, norm, of_mesh)[0]
+        if body != "human":
+            looks = f"looks like {KINDS[body]}" if body else "looks neither like a person nor like a four-legged animal"
+            helps = "-m mime moves it" if body else "people and four-legged animals are moved by -m mime"
+            notes.append(
+                f"{mesh.name} {looks}, as far as can be told, and the weights of {method.name} were trained on people: "
+                f"the result is probably useless; {helps}, and --body human says that it is a person"
+            )
+    return tuple(notes)
+
+
+def recognised_body(mesh: Mesh, norm: Normalization, axes: UpFront) -> tuple[str | None, Normalization]:
+    """Say which body a mesh has by its shape alone, and its normalisation as that; None: it looks like none."""
+    method = find_method(NETWORK_OF_BODY["human"])
+    assert isinstance(method, BodyMethod)
+    shown = shown_body(method, None, mesh, norm, axes, quick=True)
+    if shown.body == "human" and shown.entropy <= MAX_ENTROPY:
+        return shown.body, shown.norm
+    body = second_look(method, shown.body, mesh, axes)
+    if body not in (None, shown.body):
+        shown = shown_body(method, body, mesh, norm, axes, quick=False)
+    return body, shown.norm
 
 
 def _as_animal(norm: Normalization, up: str | None) -> Normalization:
@@ -199,7 +249,7 @@ def _as_animal(norm: Normalization, up: str | None) -> Normalization:
     return dataclasses.replace(norm, shape_up=None, margin=1.0 if known else 0.0)
 
 
-def _turned_as_animal(mesh: Mesh, norm: Normalization, axes: tuple[str | None, str | None]) -> Normalization:
+def _turned_as_animal(mesh: Mesh, norm: Normalization, axes: UpFront) -> Normalization:
     """Return the normalisation of an animal whose axes are not known, for methods that predict no joints.
 
     The detector was trained on people; the network that finds animals' joints tells which way an animal faces.

@@ -91,8 +91,11 @@ def match_creatures(identity: Mesh, clip: Clip, axes: Axes) -> MatchedCreatures 
     return MatchedCreatures(*rigs, joints, known, (turn, driving_turn), creatures, match_rigs(*creatures), notes)
 
 
-def sure_match(matched: MatchedCreatures, least: float) -> MatchedCreatures:
+def sure_match(matched: MatchedCreatures, least: float, else_: str = "") -> MatchedCreatures:
     """Return a match, with a note that says how sure it is.
+
+    Args:
+        else_: further advice for the message of the error.
 
     Raises:
         InputError: its confidence is less than `least`.
@@ -103,8 +106,7 @@ def sure_match(matched: MatchedCreatures, least: float) -> MatchedCreatures:
             f"{names[0]}, {names[1]}: expected two people, two four-legged animals, or rigs whose joints correspond, "
             f"found a match with a confidence of {match.confidence:.2f} (needed: {least}): matched joints carry "
             f"{match.covered[0]:.0%} of the one and {match.covered[1]:.0%} of the other; give a driving with limbs of "
-            "the same kind, or name corresponding joints alike (Wing1.L, Tail2); people and animals whose joints "
-            "cannot be read are moved with --rig mimesh and --body human or quadruped"
+            f"the same kind, or name corresponding joints alike (Wing1.L, Tail2){else_}"
         )
     count = int(match.follows.any(axis=1).sum())
     note = (

@@ -205,6 +205,8 @@ class RigFacts(NamedTuple):
     text: str
     stands: str | None = None
     """Axes of a four-legged animal, which the detector for surfaces of people cannot tell."""
+    person: bool = False
+    """Whether its joints are those of a person."""
 
 
 def rig_facts(mesh: Mesh) -> RigFacts | None:
@@ -228,7 +230,8 @@ def rig_facts(mesh: Mesh) -> RigFacts | None:
     fingers = sum(name in finger_joints(side) for side in SIDES for name in humanoid.joints)
     known = len(humanoid.joints) - fingers
     joints = len(humanoid.character.parents)
-    return RigFacts(True, f"{joints} joints, {known} of a person and {fingers} of fingers known by name")
+    text = f"{joints} joints, {known} of a person and {fingers} of fingers known by name"
+    return RigFacts(True, text, person=True)
 
 
 def still_clip(mesh: Mesh) -> Clip:

@@ -36,7 +36,7 @@ from ..methods.base import (
     SurfaceMotion,
 )
 from ..motions.humanoid_rig import HumanoidRig
-from .body_choice import check_body, with_body
+from .body_choice import check_body, trained_on_people, with_body
 from .corrections import NO_CORRECTIONS, Corrections, JointPositions
 from .matched_rigs import finds_joints, joint_finder
 from .orientation import normalised, reorient
@@ -44,6 +44,7 @@ from .refine import Refinement
 from .report import accelerations, facing, facing_note, quality
 from .result import Timer
 from .rigs import NO_RIGS, Axes, Rigs, face_tracks
+from .second_look import body_after_all
 
 Choice = Callable[[Normalization], Method]
 """Makes a method with its options, given the driving's normalisation."""
@@ -142,6 +143,8 @@ class Prepared:
     """Refines results; None leaves them as they are."""
     rigs: Rigs = NO_RIGS
     """The rigs of the files that are used."""
+    notes: tuple[str, ...] = ()
+    """Notes for the user on what the meshes show."""
 
     def with_refinement(self, refine: bool | None) -> Prepared:
         """Switch refinement on or off; None takes the method's default."""
@@ -170,27 +173,41 @@ def prepare(
     first = first_frame(clip)
     rigs = read_rigs(identity, clip, options, corrections, copy=False) if rigs is None else rigs
     norms = fitted_norms(identity, first, rigs.axes(axes))
-    method = choice(norms[1])
-    options.check(method)
-    method, norms = with_body(method, options.body, rigs, (identity, first), norms, rigs.axes(axes))
+    chosen = choice(norms[1])
+    options.check(chosen)
+    notes = trained_on_people(chosen, options.body, (identity, first), norms, rigs.axes(axes))
+    method, norms = with_body(chosen, options.body, rigs, (identity, first), norms, rigs.axes(axes))
     if any(rigs.unnamed) and finds_joints(method):
         find = joint_finder(method, axes[:2]), joint_finder(method, axes[2:])
         matched = read_rigs(identity, clip, options, corrections, copy=False, find=find)
         rigs = matched.with_notes((identity.name, clip.mesh.name), rigs)
         norms = fitted_norms(identity, first, rigs.axes(axes))
-    axes = rigs.axes(axes)
+    given_axes, axes = axes, rigs.axes(axes)
     drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
-    # The confidence is known only after preparing; where axes were wrong, it is done again (rarely).
-    if isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None:
-        corrected = (
-            reorient(method, identity, norms[0], axes[:2], drive.confidence[0]),
-            reorient(method, first, norms[1], axes[2:], drive.confidence[1]),
-        )
-        if corrected != norms:  # `reorient` returns the same object where it changes nothing
-            norms = corrected
-            drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
+    corrected = _corrected_norms(method, drive, (identity, first), norms, axes)
+    if corrected != norms:  # `reorient` returns the same object where it changes nothing
+        norms = corrected
+        drive = _prepared_drive(method, identity, clip, first, norms, corrections, rigs)
+    if options.body == "auto" and not corrections.given and isinstance(drive, SkinnedDrive):
+        other = body_after_all((chosen, method), rigs, (identity, first), axes, drive.confidence)
+        if other is not None:
+            options = dataclasses.replace(options, body=other)
+            return prepare(identity, clip, choice, given_axes, refine, options, corrections, rigs)
     rest = normalised(identity, norms[0])
-    return Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs).with_refinement(refine)
+    prepared = Prepared(identity, clip, method, drive, norms[0], norms[1], rest, None, rigs, notes)
+    return prepared.with_refinement(refine)
+
+
+def _corrected_norms(
+    method: Method, drive: Drive, meshes: tuple[Mesh, Mesh], norms: tuple[Normalization, Normalization], axes: Axes
+) -> tuple[Normalization, Normalization]:
+    """Correct detected axes; the confidence is known only after preparing. Where axes were wrong, it is done again."""
+    if not (isinstance(method, QuickPredictor) and isinstance(drive, SkinnedDrive) and drive.confidence is not None):
+        return norms
+    return (
+        reorient(method, meshes[0], norms[0], axes[:2], drive.confidence[0]),
+        reorient(method, meshes[1], norms[1], axes[2:], drive.confidence[1]),
+    )
 
 
 def first_frame(clip: Clip) -> Mesh:
@@ -292,7 +309,7 @@ def play(
                 progress((before + t + 1) // passes, len(clip))
     report = surface_report(identity, clip, moved, (identity_norm, driving_norm))
     report |= {"body": prepared.method.body} if isinstance(prepared.method, BodyMethod) else {}
-    notes = facing_note(identity_norm, identity.name, "--front")
+    notes = prepared.notes + facing_note(identity_norm, identity.name, "--front")
     notes += facing_note(driving_norm, clip.mesh.name, "--driving-front")
     driving_joints = None
     if motion is not None:

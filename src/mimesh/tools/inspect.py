@@ -14,7 +14,9 @@ from ..core.geometry import face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..io.beside import missing_images, missing_images_notes
+from ..pipeline.body_choice import recognised_body
 from ..pipeline.rigs import RigFacts, rig_facts
+from ..pipeline.second_look import KINDS
 
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
@@ -73,7 +75,7 @@ class FileFacts:
     details: tuple[tuple[str, str], ...]
     """Further facts of the format, as name and value: unit, axes, joints, blend shapes, body of a motion."""
     stands: str | None
-    """Axes up and front, detected from the shape as if it were a person; None for a point cloud."""
+    """Axes up and front, detected from the shape, and what it is taken for; None for a point cloud."""
     notes: tuple[str, ...]
     """Contents of the file that a result in its format will not have, one line each."""
     missing_images: tuple[str, ...]
@@ -162,7 +164,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
         details=getattr(mesh.source, "details", ()) + ((("rig", _rig_text(rig)),) if rig else ()),
-        stands=(rig and rig.stands) or (_stands(mesh) if len(mesh.faces) else None),
+        stands=(rig and rig.stands) or (_stands(mesh, rig) if len(mesh.faces) else None),
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
@@ -284,10 +286,16 @@ def _motion_detail(joints: int) -> tuple[str, str]:
     return "motion", f"{_plural(joints, 'joint')}, played on the shipped body, which these facts describe"
 
 
-def _stands(mesh: Mesh) -> str:
-    norm = Normalization.fit(mesh)
+def _stands(mesh: Mesh, rig: RigFacts | None) -> str:
+    """Say up and front of a mesh, and what it is taken for: by its rig, else as a transfer of it alone would choose."""
+    norm, body = Normalization.fit(mesh), "human"
+    if rig is None or not rig.person:
+        body, norm = recognised_body(mesh, norm, (None, None))
+    if body is None:
+        return "looks neither like a person nor like a four-legged animal, as far as can be told"
     by_file = " (by the file)" if norm.up_from == "file" else ""
-    return f"up {norm.up}{by_file}, front {norm.front}, taken for a person{' (a guess)' if norm.unsure else ''}"
+    guess = " (a guess)" if norm.unsure else ""
+    return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[body]}{guess}"
 
 
 def _format(path: Path | None) -> str:
